@@ -1,0 +1,136 @@
+"""What happens during a run, as data. The runner emits these; recorder, journal, progress bar and viewer subscribe.
+
+Times: ``time_s`` is seconds since the run started, on this computer's monotonic clock. Every run ends with RunStopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbcacq.devices import Cycles, Scan
+
+
+@dataclass(frozen=True)
+class Event:
+    time_s: float
+
+
+@dataclass(frozen=True)
+class RunStarted(Event):
+    """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC."""
+
+    name: str
+    started: str
+    plan_yaml: str
+    cell_yaml: str
+    n_poses: int
+    versions: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class StateChanged(Event):
+    """state: 'connecting', 'moving', 'settling', 'scanning', 'waiting', 'paused', 'stopped'."""
+
+    state: str
+
+
+@dataclass(frozen=True)
+class StepStarted(Event):
+    index: int
+    name: str
+    n_poses: int
+
+
+@dataclass(frozen=True)
+class StationReached(Event):
+    station: str
+    artefact: str
+
+
+@dataclass(frozen=True)
+class CyclesReceived(Event):
+    """Raw controller cycles of the last moment, also while scanning."""
+
+    cycles: Cycles
+
+
+@dataclass(frozen=True)
+class PoseReached(Event):
+    """The arm stands. pose: number in the plan; q: (n,) rad as reported; direction: (n,) -1, 0, 1 sense of the last motion."""
+
+    pose: int
+    station: str
+    phase: str
+    step: str
+    q: np.ndarray
+    direction: np.ndarray
+    robot_time_s: float
+
+
+@dataclass(frozen=True)
+class ScanTaken(Event):
+    pose: int
+    exposure: int
+    scan: Scan
+
+
+@dataclass(frozen=True)
+class CentresFound(Event):
+    """Balls found in one exposure: ball (k,) certificate ids; xyz (k, 3) mm; n_points (k,); rms_mm (k,)."""
+
+    pose: int
+    exposure: int
+    ball: np.ndarray
+    xyz: np.ndarray
+    n_points: np.ndarray
+    rms_mm: np.ndarray
+
+
+@dataclass(frozen=True)
+class PoseDone(Event):
+    """The pose's observation: mean over its exposures. scatter_mm: (k, 3) standard deviation between exposures.
+
+    A pose is observed only once this event is out; q is the mean of the joint angles reported during the exposures.
+    """
+
+    pose: int
+    station: str
+    phase: str
+    step: str
+    q: np.ndarray
+    direction: np.ndarray
+    robot_time_s: float
+    ball: np.ndarray
+    xyz: np.ndarray
+    n_points: np.ndarray
+    rms_mm: np.ndarray
+    scatter_mm: np.ndarray
+    n_exposures: int
+    current: np.ndarray | None = None
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class HealthReceived(Event):
+    device: str
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Message(Event):
+    """level: 'info', 'warning' or 'error'."""
+
+    level: str
+    text: str
+    source: str = "mbcacq"
+
+
+@dataclass(frozen=True)
+class RunStopped(Event):
+    """exit_status: 'success', 'abort' or 'fail'; reason: one sentence."""
+
+    exit_status: str
+    reason: str

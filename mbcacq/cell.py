@@ -1,0 +1,101 @@
+"""The cell as data: robot, scanner, certified artefacts, stations. Plain arrays; files are read in ``cellfile``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbcacq.geometry.chain import Chain
+
+ARTEFACT_IN_SCANNER = "artefact_in_scanner"
+TARGET_IN_BASE = "target_in_base"
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg.
+
+    limits: (n, 2) rad. speed, acceleration: (n,) rad/s and rad/s^2, or None where the source did not say.
+    com: (n, 3) mm, each in the frame of its link (behind its MD-H row). gear_ratio: (n,) or None.
+    payload_com: (3,) mm in the flange frame. gravity: (3,) unit vector in the base frame, pointing down.
+    """
+
+    name: str
+    chain: Chain
+    limits: np.ndarray
+    mass: np.ndarray
+    com: np.ndarray
+    speed: np.ndarray | None = None
+    acceleration: np.ndarray | None = None
+    gear_ratio: np.ndarray | None = None
+    payload_mass: float = 0.0
+    payload_com: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    repeatability_mm: float | None = None
+
+    @property
+    def n(self) -> int:
+        return self.chain.n
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """A certified object. ball_ids: certificate names, unique in the cell. centres: (B, 3) mm, artefact frame; diameters: (B,) mm.
+
+    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown.
+    """
+
+    id: str
+    name: str
+    ball_ids: tuple[int, ...]
+    centres: np.ndarray
+    diameters: np.ndarray
+    uncertainty_mm: float = 0.001
+    reference_temperature_C: float = 20.0
+    expansion_ppm_per_K: float | None = None
+
+
+@dataclass(frozen=True)
+class Station:
+    """One fixed placement of one artefact. T_base_station: (4, 4) if given, with sigma_mm its standard uncertainty."""
+
+    id: str
+    artefact: str
+    T_base_station: np.ndarray | None = None
+    sigma_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Everything known before measuring. T_flange_scanner is a first guess; noise_mm: (3,) sigma of one centre, or None.
+
+    measurement: ARTEFACT_IN_SCANNER (a scanner on the flange) or TARGET_IN_BASE (an external instrument sees a target on
+    the flange; then the one station is the instrument and T_flange_scanner holds the target's place).
+    """
+
+    robot: RobotModel
+    T_flange_scanner: np.ndarray
+    artefacts: tuple[Artefact, ...]
+    stations: tuple[Station, ...]
+    scanner_name: str = ""
+    noise_mm: np.ndarray | None = None
+    measurement: str = ARTEFACT_IN_SCANNER
+
+    def artefact(self, artefact_id: str) -> Artefact:
+        return next(a for a in self.artefacts if a.id == artefact_id)
+
+    @property
+    def ball_ids(self) -> tuple[int, ...]:
+        """All balls of all artefacts, in order; ``Observations.ball`` indexes this."""
+        return tuple(b for a in self.artefacts for b in a.ball_ids)
+
+    @property
+    def ball_centres(self) -> np.ndarray:
+        """(K, 3) mm certified centres in the order of ``ball_ids``, each in its artefact's frame."""
+        return np.concatenate([a.centres for a in self.artefacts])
+
+    @property
+    def ball_artefact(self) -> np.ndarray:
+        """(K,) index into ``artefacts`` of each ball."""
+        return np.concatenate([np.full(len(a.ball_ids), i) for i, a in enumerate(self.artefacts)])

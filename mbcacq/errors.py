@@ -1,0 +1,97 @@
+"""Every error a user can meet, and the exit code each one ends the program with.
+
+An error message is one sentence: what happened, where, and what to do about it.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit status of the ``mbcacq`` command."""
+
+    OK = 0
+    BUG = 1
+    USAGE = 2
+    UNREACHABLE = 3
+    DEVICE_FAULT = 4
+    ABORTED = 5
+    RECORDING_FAILED = 6
+    NOT_ACCEPTABLE = 7
+    INTERRUPTED = 130
+
+
+EXIT_CODE_MEANING = {
+    ExitCode.OK: "ok",
+    ExitCode.BUG: "unexpected error: please report it",
+    ExitCode.USAGE: "wrong command, plan or input data",
+    ExitCode.UNREACHABLE: "a device cannot be reached or is not the one expected",
+    ExitCode.DEVICE_FAULT: "a device reported a fault, or the robot was stopped for safety",
+    ExitCode.ABORTED: "aborted by the operator",
+    ExitCode.RECORDING_FAILED: "the recording could not be written or read",
+    ExitCode.NOT_ACCEPTABLE: "the calibration is not acceptable",
+    ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
+}
+
+
+class MbcacqError(Exception):
+    """Base of all errors meant for the user; ``exit_code`` says how the program ends."""
+
+    exit_code = ExitCode.BUG
+
+
+class ConfigError(MbcacqError, ValueError):
+    """A plan, a robot or artefact file, or input data is wrong; the message names file and line."""
+
+    exit_code = ExitCode.USAGE
+
+
+class ConnectError(MbcacqError, ConnectionError):
+    """A device does not answer at its address."""
+
+    exit_code = ExitCode.UNREACHABLE
+
+
+class IdentityError(ConnectError):
+    """Something answers, but it is not the device the plan asks for (model, firmware, protocol version)."""
+
+
+class DeviceTimeout(MbcacqError, TimeoutError):
+    """A device that was connected fell silent or did not finish in time."""
+
+    exit_code = ExitCode.DEVICE_FAULT
+
+
+class ProtocolError(MbcacqError):
+    """A device sent something that its protocol does not allow."""
+
+    exit_code = ExitCode.DEVICE_FAULT
+
+
+class DeviceFault(MbcacqError):
+    """A device reported a fault of its own, or its measurement cannot be used."""
+
+    exit_code = ExitCode.DEVICE_FAULT
+
+
+class SafetyStop(DeviceFault):
+    """The robot was stopped because going on could have been dangerous."""
+
+
+class Aborted(MbcacqError):
+    """The operator ended the run."""
+
+    exit_code = ExitCode.ABORTED
+
+
+class RecordingError(MbcacqError, OSError):
+    """A recording cannot be written (disk full, no permission) or read (torn, not ours)."""
+
+    exit_code = ExitCode.RECORDING_FAILED
+
+
+class CalibrationError(MbcacqError):
+    """The data do not determine what was asked for, or the result misses the plan's limits."""
+
+    exit_code = ExitCode.NOT_ACCEPTABLE

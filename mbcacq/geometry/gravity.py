@@ -1,0 +1,33 @@
+"""Joint torque that gravity asks of a serial arm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+
+STANDARD_GRAVITY = 9.80665  # m/s^2
+
+
+def gravity_torque(
+    chain: Chain, frames: np.ndarray, mass: np.ndarray, com: np.ndarray,
+    payload_mass: float | np.ndarray, payload_com: np.ndarray, gravity: np.ndarray,
+) -> np.ndarray:
+    """Torque that gravity exerts about each joint axis, counted in the controller's sense of rotation.
+
+    frames: (P, n+1, 4, 4) from ``Chain.frames``; mass: (n,) kg; com: (n, 3) mm in the frame of each link;
+    payload_mass: kg, one number or one a pose (P,); payload_com: (3,) mm in the flange frame; gravity: (3,) unit vector
+    in the base frame, pointing down. Returns (P, n) N m.
+    """
+    weight = STANDARD_GRAVITY * np.asarray(gravity, dtype=float)
+    centres = se3.apply(frames[:, 1:], com[None])
+    payload = se3.apply(frames[:, -1], np.broadcast_to(payload_com, (len(frames), 3)))
+    load = np.broadcast_to(np.asarray(payload_mass, dtype=float), (len(frames),))
+    axis = chain.sign[:, None] * frames[:, :-1, :3, 2]
+    origin = frames[:, :-1, :3, 3]
+    # Everything distal to joint i hangs on it: suffix sums of mass and of first moment.
+    moment = np.cumsum((mass[:, None] * centres)[:, ::-1], axis=1)[:, ::-1] + (load[:, None] * payload)[:, None]
+    total = np.cumsum(mass[::-1])[::-1] + load[:, None]
+    arm = moment - total[..., None] * origin
+    return np.einsum("pij,pij->pi", axis, np.cross(arm, weight)) * 1e-3

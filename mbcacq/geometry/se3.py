@@ -1,0 +1,109 @@
+"""Rotations and rigid transforms as arrays (..., 3, 3) and (..., 4, 4).
+
+A twist is (..., 6) = (v, w): translation in mm first, rotation in rad second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def skew(w: np.ndarray) -> np.ndarray:
+    """(..., 3) -> (..., 3, 3) with ``skew(w) @ p == cross(w, p)``."""
+    out = np.zeros((*w.shape, 3), dtype=w.dtype)
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return out
+
+
+def rotation_exp(w: np.ndarray) -> np.ndarray:
+    """Rodrigues' formula: rotation vectors (..., 3) rad -> matrices (..., 3, 3)."""
+    angle2 = np.sum(w * w, axis=-1)
+    angle = np.sqrt(angle2)
+    small = angle2 < 1e-8
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    k = skew(w)
+    return np.eye(3) + a[..., None, None] * k + b[..., None, None] * (k @ k)
+
+
+def rotation_log(rotation: np.ndarray) -> np.ndarray:
+    """Matrices (..., 3, 3) -> rotation vectors (..., 3) rad, angle in [0, pi]; exact up to and including half a turn."""
+    from scipy.spatial.transform import Rotation
+
+    flat = np.asarray(rotation, dtype=float).reshape(-1, 3, 3)
+    return Rotation.from_matrix(flat).as_rotvec().reshape(*rotation.shape[:-2], 3)
+
+
+def exp(twist: np.ndarray) -> np.ndarray:
+    """Exponential of twists (..., 6) = (v, w) -> transforms (..., 4, 4)."""
+    v, w = twist[..., :3], twist[..., 3:]
+    angle2 = np.sum(w * w, axis=-1)
+    small = angle2 < 1e-8
+    safe = np.sqrt(np.where(small, 1.0, angle2))
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    c = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    k = skew(w)
+    left = np.eye(3) + b[..., None, None] * k + c[..., None, None] * (k @ k)
+    return transform(rotation_exp(w), np.einsum("...ij,...j->...i", left, v))
+
+
+def transform(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Rotation (..., 3, 3) and translation (..., 3) mm -> (..., 4, 4)."""
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    out = np.zeros((*shape, 4, 4), dtype=np.result_type(rotation, translation))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, translation, 1.0
+    return out
+
+
+def inverse(T: np.ndarray) -> np.ndarray:
+    """Inverse of rigid transforms (..., 4, 4)."""
+    back = np.swapaxes(T[..., :3, :3], -1, -2)
+    return transform(back, -np.einsum("...ij,...j->...i", back, T[..., :3, 3]))
+
+
+def apply(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Transform points (..., 3) by (..., 4, 4); leading axes broadcast."""
+    return np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3]
+
+
+def adjoint(T: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) taking a twist expressed in the inner frame of T to the same twist in the outer frame: T exp(x) = exp(Ad x) T."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    out = np.zeros((*T.shape[:-2], 6, 6), dtype=T.dtype)
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = skew(t) @ R
+    return out
+
+
+def from_abc(xyz: np.ndarray, abc: np.ndarray) -> np.ndarray:
+    """KUKA frame: xyz (..., 3) mm, abc (..., 3) rad -> (..., 4, 4) with R = Rz(A) Ry(B) Rx(C)."""
+    a, b, c = np.moveaxis(np.asarray(abc, dtype=float), -1, 0)
+    ca, sa, cb, sb, cc, sc = np.cos(a), np.sin(a), np.cos(b), np.sin(b), np.cos(c), np.sin(c)
+    R = np.stack([
+        np.stack([ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc], -1),
+        np.stack([sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc], -1),
+        np.stack([-sb, cb * sc, cb * cc], -1),
+    ], -2)
+    return transform(R, np.asarray(xyz, dtype=float))
+
+
+def to_abc(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse of :func:`from_abc`: (xyz mm, abc rad), B in [-pi/2, pi/2]; at B = +-90 deg C is set to 0."""
+    R = T[..., :3, :3]
+    cb = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    b = np.arctan2(-R[..., 2, 0], cb)
+    locked = cb < 1e-9
+    a = np.where(locked, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arctan2(R[..., 1, 0], R[..., 0, 0]))
+    c = np.where(locked, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))
+    return T[..., :3, 3].copy(), np.stack([a, b, c], -1)
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation closest to a matrix (..., 3, 3) in the Frobenius norm (SVD, determinant kept +1)."""
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.sign(np.linalg.det(u @ vt))
+    u = u.copy()
+    u[..., :, 2] *= sign[..., None]
+    return u @ vt

@@ -1,0 +1,124 @@
+"""The plan as a user writes it: YAML checked against this schema, unknown keys refused. mm and deg here, rad after expansion."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from mbcacq.cellfile import PoseSpec, Strict, Vector
+
+
+class RobotUse(Strict):
+    """Which arm, how to reach it, and how fast it may move."""
+
+    driver: str
+    model: str                                              # robot YAML, relative to the plan
+    options: dict[str, Any] = {}                            # the driver's own
+    speed: float = Field(default=0.3, gt=0, le=1)           # share of the model's largest joint speed
+    acceleration_time_s: float = Field(default=0.3, gt=0)   # time to reach that speed
+    jerk_time_s: float = Field(default=0.1, gt=0)           # time to reach that acceleration
+    settle_s: float = Field(default=0.3, ge=0)
+    tolerance_deg: float = Field(default=0.01, gt=0)
+    home_deg: tuple[float, ...]
+
+
+class FieldOfView(Strict):
+    """Where the scanner sees, in its own frame: a frustum from z near to z far, half widths there. z points to the scanner."""
+
+    near_z_mm: float
+    far_z_mm: float
+    near_half_mm: tuple[float, float]
+    far_half_mm: tuple[float, float]
+    body_mm: tuple[Vector, Vector] | None = None            # housing, a box in the scanner frame: min, max corner
+
+
+class ScannerUse(Strict):
+    driver: str
+    model: str = ""
+    options: dict[str, Any] = {}
+    field_of_view: FieldOfView
+    exposure_us: float | None = None
+    noise_mm: Vector | None = None
+
+
+class DeviceUse(Strict):
+    driver: str
+    model: str = ""
+    options: dict[str, Any] = {}
+
+
+class StationPlace(Strict):
+    """Where an artefact will stand, roughly: good enough to aim at."""
+
+    id: str | int
+    artefact: str
+    pose_in_base: PoseSpec
+
+
+class View(Strict):
+    """How the scanner looks at a point: tilt of its axis from the station's z axis towards azimuth, roll about its axis."""
+
+    tilt_deg: float = Field(default=0.0, ge=0, lt=90)
+    azimuth_deg: float = 0.0
+    roll_deg: float = 0.0
+    shift_mm: Vector = (0.0, 0.0, 0.0)                      # of the looked-at point, in the scanner frame
+
+
+class Step(Strict):
+    name: str
+    phase: Literal["translation", "orientation", "position", "verification"]
+    exposures: int | None = Field(default=None, ge=1)
+
+
+class Translate(Step):
+    """Keep the orientation of one view, move along the base axes."""
+
+    do: Literal["translate"]
+    station: str | int
+    view: View = View()
+    offsets_mm: tuple[Vector, ...] = Field(min_length=1)
+
+
+class Look(Step):
+    """Look at every station from every view; with ``balls: each`` at each ball of the artefact by itself (longer than the view)."""
+
+    do: Literal["look"]
+    stations: tuple[str | int, ...] = Field(min_length=1)
+    views: tuple[View, ...] = Field(min_length=1)
+    balls: Literal["all", "each"] = "all"
+
+
+class Taught(Step):
+    """Joint positions as taught."""
+
+    do: Literal["joints"]
+    station: str | int
+    poses_deg: tuple[tuple[float, ...], ...] = Field(min_length=1)
+    balls: tuple[int, ...] | None = None                    # expected ids; default: all in view
+
+
+AnyStep = Annotated[Translate | Look | Taught, Field(discriminator="do")]
+
+
+class Acceptance(Strict):
+    """Limits of the verification. A run that misses one ends with its own exit code."""
+
+    sphere_spacing_error_mm: float | None = Field(default=None, gt=0)
+    min_balls: int = Field(default=3, ge=1)
+
+
+class Plan(Strict):
+    format: Literal["mbcacq-plan/1"]
+    name: str
+    robot: RobotUse
+    scanner: ScannerUse
+    positioner: DeviceUse = DeviceUse(driver="manual")
+    sensors: tuple[DeviceUse, ...] = ()
+    hand_eye: PoseSpec
+    artefacts: tuple[str, ...] = Field(min_length=1)        # artefact YAML files, relative to the plan
+    stations: tuple[StationPlace, ...] = Field(min_length=1)
+    exposures: int = Field(default=3, ge=1)
+    steps: tuple[AnyStep, ...] = Field(min_length=1)
+    accept: Acceptance = Acceptance()
+    fake: dict[str, Any] = {}                               # what the fake cell conceals; a real run ignores it
