@@ -1,0 +1,19 @@
+"""Imports that are slow or need help, made where they are used."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+
+def open3d() -> ModuleType:
+    """Open3D, also on a machine without a system libusb: its shared library is preloaded from the libusb-package wheel."""
+    try:
+        import open3d
+    except ImportError:
+        import ctypes
+
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+        import open3d
+    return open3d
