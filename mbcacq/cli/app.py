@@ -1,0 +1,61 @@
+"""The command group: names and one-line helps stand here, each command's module is imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from mbcacq import __version__
+from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
+
+COMMANDS = {
+    "run": "execute a plan, record it, calibrate the cell",
+    "plan": "show, check or design a plan, without opening a socket",
+    "calibrate": "calibrate the cell from a run, a recording or an observation set",
+    "compare": "compare calibration methods on the same data",
+    "diagnose": "say where simulation and recording part, and what physics was left out",
+    "simulate": "write what the calibrated model says a plan would record",
+    "challenge": "conceal effects in the fake cell, diagnose blind, score",
+    "view": "open a recording in the rerun viewer",
+    "export": "write results or observations in the formats of other programs",
+    "apply": "bring a scan taken at a pose into the base frame",
+    "recover": "make a torn recording readable",
+    "fakes": "start the fake cell of a plan in the foreground",
+    "drivers": "list the installed drivers",
+    "schema": "print the JSON Schema of a plan",
+}
+
+
+class LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        return importlib.import_module(f"mbcacq.cli.{name}").command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def main(self, *args, **kwargs):
+        try:
+            return super().main(*args, **kwargs)
+        except MbcacqError as error:
+            click.echo(f"mbcacq: {error}", err=True)
+            sys.exit(error.exit_code)
+
+
+EPILOG = "Exit codes: " + ", ".join(f"{code.value} {EXIT_CODE_MEANING[code]}" for code in ExitCode) + "."
+
+
+@click.group(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="mbcacq")
+def app() -> None:
+    """Acquire with a robot-mounted 3D scanner, calibrate the cell, explain what is left.
+
+    Try it without hardware: mbcacq run plans/kuka.yaml --dry-run
+    """
