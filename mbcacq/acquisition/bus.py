@@ -1,0 +1,32 @@
+"""Events to subscribers, from the runner's thread and the cycle pump's."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+
+from mbcacq.acquisition.events import Event
+
+Subscriber = Callable[[Event], None]
+
+
+class EventBus:
+    """Hands each event to every subscriber, one event at a time. An error of a subscriber (a full disk) reaches the emitter."""
+
+    def __init__(self, subscribers: Iterable[Subscriber] = ()) -> None:
+        self._subscribers = list(subscribers)
+        self._lock = threading.RLock()
+        self._start = time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the run started."""
+        return time.monotonic() - self._start
+
+    def emit(self, kind: type[Event], *args, **fields) -> None:
+        """Build ``kind(time_s=now, ...)`` and deliver it."""
+        with self._lock:
+            event = kind(self.elapsed, *args, **fields)
+            for subscriber in self._subscribers:
+                subscriber(event)

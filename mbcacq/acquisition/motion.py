@@ -1,0 +1,68 @@
+"""One checked joint motion, from command to standstill."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from mbcacq.acquisition.pump import CyclePump
+from mbcacq.devices import DeviceTimeout, MotionLimits, Robot, RobotState, SafetyStop
+from mbcacq.plan import LoadedPlan
+
+POLL_S = 0.003
+DEFAULT_SPEED = np.radians(60.0)  # rad/s, for a model whose source gives no speeds
+MOVED = 1e-4                      # rad; less is no motion that could change the sense of a gear
+
+
+def motion_limits(loaded: LoadedPlan) -> MotionLimits:
+    """The plan's speed limits applied to the model's: rad/s, rad/s^2, rad/s^3."""
+    use, model = loaded.plan.robot, loaded.cell.robot
+    fastest = model.speed if model.speed is not None else np.full(model.n, DEFAULT_SPEED)
+    speed = use.speed * fastest
+    acceleration = speed / use.acceleration_time_s
+    if model.acceleration is not None:
+        acceleration = np.minimum(acceleration, model.acceleration)
+    return MotionLimits(speed, acceleration, acceleration / use.jerk_time_s, np.radians(use.tolerance_deg), use.settle_s)
+
+
+def check_target(target: np.ndarray, limits: np.ndarray) -> None:
+    """Last gate before a command. Raises SafetyStop for a target that is not finite or outside the joint limits (n, 2) rad."""
+    outside = ~np.isfinite(target) | (target < limits[:, 0]) | (target > limits[:, 1])
+    if outside.any():
+        axis = int(np.argmax(outside))
+        low, high = np.degrees(limits[axis])
+        raise SafetyStop(f"A{axis + 1} would go to {np.degrees(target[axis]):.2f} deg, outside its limits {low:g}..{high:g} deg; nothing was moved")
+
+
+def longest_duration(start: np.ndarray, target: np.ndarray, limits: MotionLimits) -> float:
+    """Generous bound (s, robot clock) on how long a motion may take before something is wrong."""
+    ramp = np.max(limits.speed / limits.acceleration + limits.acceleration / limits.jerk)
+    return 10.0 + limits.settle_s + 3.0 * float(np.max(np.abs(target - start) / limits.speed) + 2.0 * ramp)
+
+
+class Mover:
+    """Moves the arm and remembers from which side each axis arrived."""
+
+    def __init__(self, robot: Robot, joint_limits: np.ndarray, limits: MotionLimits, pump: CyclePump) -> None:
+        self._robot, self._joint_limits, self._limits, self._pump = robot, joint_limits, limits, pump
+        self.direction = np.zeros(len(joint_limits), dtype=int)
+
+    def go(self, target: np.ndarray) -> RobotState:
+        """Move to ``target`` (n,) rad, wait until the measured joints stand there. Raises what stopped the arm."""
+        check_target(target, self._joint_limits)
+        start = self._robot.state()
+        travel = target - start.q
+        self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)
+        self._robot.move_to(target, self._limits)
+        deadline = start.time_s + longest_duration(start.q, target, self._limits)
+        while True:
+            self._pump.check()
+            state = self._robot.state()
+            if state.arrived:
+                return state
+            if state.time_s > deadline:
+                self._robot.stop()
+                away = np.degrees(np.max(np.abs(target - state.q)))
+                raise DeviceTimeout(f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the program override 100 %?")
+            time.sleep(POLL_S)
