@@ -1,0 +1,100 @@
+"""What the fake arm does right now, in shared memory: written by the fake controller each cycle, read by any process."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import dataclass
+from multiprocessing import resource_tracker, shared_memory
+from types import TracebackType
+from typing import Self
+
+FAULTS = (
+    "", "controller stopped by its operator", "late packets: RSI stopped", "overspeed: command velocity",
+    "permissible overall correction exceeded", "software limit switch",
+)
+
+_COUNT = struct.Struct("<q")
+_SLOT = struct.Struct("<22d")
+_SLOT_AT = (64, 64 + 256)  # two slots on cache lines of their own; the one not being written is always whole
+_SIZE = 64 + 2 * 256
+
+
+@dataclass(frozen=True)
+class ArmReading:
+    """One consistent state. q (6,) rad as the controller reports it, qd (6,) rad/s, direction (6,) -1, 0 or 1: sense of each axis' last motion.
+
+    arrivals counts how often the arm came to a standstill; fault is '' or why the controller stopped.
+    """
+
+    time_s: float
+    q: tuple[float, ...]
+    qd: tuple[float, ...]
+    direction: tuple[float, ...]
+    standstill: bool
+    arrivals: int
+    fault: str
+
+
+class ArmState:
+    """A named block of shared memory. One process creates it (and unlinks it on close), any number attach by ``name``."""
+
+    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
+        self._memory, self._owner, self._count = memory, owner, 0
+        self.name = memory.name
+
+    @classmethod
+    def create(cls, q: tuple[float, ...] = (0.0,) * 6, name: str | None = None) -> ArmState:
+        """A new block holding an arm at rest at ``q`` (6,) rad."""
+        state = cls(shared_memory.SharedMemory(name=name, create=True, size=_SIZE), True)
+        state.write(0.0, q, (0.0,) * 6, (0.0,) * 6, True, 0)
+        return state
+
+    @classmethod
+    def attach(cls, name: str) -> ArmState:
+        """Raises FileNotFoundError if there is no such block (yet)."""
+        state = cls(attach_shared_memory(name), False)
+        state._count = _COUNT.unpack_from(state._memory.buf, 0)[0]
+        return state
+
+    def write(self, time_s: float, q: tuple[float, ...], qd: tuple[float, ...], direction: tuple[float, ...], standstill: bool,
+              arrivals: int, fault: int = 0) -> None:
+        """Publish a state (one writer only). ``fault`` indexes FAULTS."""
+        count = self._count + 1
+        _SLOT.pack_into(self._memory.buf, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)
+        _COUNT.pack_into(self._memory.buf, 0, count)
+        self._count = count
+
+    def read(self) -> ArmReading:
+        """The latest state, never a mixture of two."""
+        buffer = self._memory.buf
+        while True:
+            (count,) = _COUNT.unpack_from(buffer, 0)
+            v = _SLOT.unpack_from(buffer, _SLOT_AT[count & 1])
+            if _COUNT.unpack_from(buffer, 0)[0] == count:
+                return ArmReading(v[0], v[1:7], v[7:13], v[13:19], v[19] != 0.0, int(v[20]), FAULTS[int(v[21])])
+
+    def close(self) -> None:
+        """Idempotent; the creator also removes the block."""
+        self._memory.close()
+        if self._owner:
+            self._owner = False
+            self._memory.unlink()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+def attach_shared_memory(name: str) -> shared_memory.SharedMemory:
+    """Attach without making this process responsible for the block's removal."""
+    if sys.version_info >= (3, 13):
+        return shared_memory.SharedMemory(name=name, track=False)
+    register = resource_tracker.register
+    resource_tracker.register = lambda *_: None  # Python < 3.13 would unlink the block when this process ends
+    try:
+        return shared_memory.SharedMemory(name=name)
+    finally:
+        resource_tracker.register = register
