@@ -32,7 +32,8 @@ def check_target(target: np.ndarray, limits: np.ndarray) -> None:
     if outside.any():
         axis = int(np.argmax(outside))
         low, high = np.degrees(limits[axis])
-        raise SafetyStop(f"A{axis + 1} would go to {np.degrees(target[axis]):.2f} deg, outside its limits {low:g}..{high:g} deg; nothing was moved")
+        angle = np.degrees(target[axis])
+        raise SafetyStop(f"A{axis + 1} would go to {angle:.2f} deg, outside its limits {low:g}..{high:g} deg; nothing was moved")
 
 
 def longest_duration(start: np.ndarray, target: np.ndarray, limits: MotionLimits) -> float:
@@ -64,5 +65,6 @@ class Mover:
             if state.time_s > deadline:
                 self._robot.stop()
                 away = np.degrees(np.max(np.abs(target - state.q)))
-                raise DeviceTimeout(f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the program override 100 %?")
+                raise DeviceTimeout(
+                    f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the override 100 %?")
             time.sleep(POLL_S)

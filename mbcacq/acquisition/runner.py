@@ -80,7 +80,7 @@ class Runner:
                 if not self._observe(pose, path, mover, pump):
                     missed += 1
                     if missed > max(1, MISSED_SHARE * len(self.poses)):
-                        raise DeviceFault(f"{missed} poses showed too few balls; look at the scans, the exposure and where the artefact stands")
+                        raise DeviceFault(f"{missed} poses showed too few balls; look at the scans, the exposure and the artefact's place")
             self._home(mover)
 
     def _place(self, pose: PlannedPose) -> None:

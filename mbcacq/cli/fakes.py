@@ -1,0 +1,30 @@
+"""``mbcacq fakes``: the fake cell of a plan, in the foreground, at the plan's own addresses."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+
+import click
+
+
+@click.command("fakes")
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.option("--fast", is_flag=True, help="Lock-step: as fast as the client answers, instead of real time at 4 ms.")
+@click.option("--seed", default=0, show_default=True, help="Seed of everything the fake world draws.")
+def command(plan: Path, fast: bool, seed: int) -> None:
+    """Start the fake cell of PLAN; run the plan from another terminal with `mbcacq run PLAN`. Ctrl-C ends it."""
+    from mbcacq.devices import load_driver
+    from mbcacq.plan import expand, load
+
+    loaded = load(plan)
+    quit_event = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: quit_event.set())
+    with load_driver("fakes", "cell")(loaded, expand(loaded), realtime=not fast, seed=seed, ports="plan") as cell:
+        click.echo(f"fake cell of '{loaded.plan.name}' is up:")
+        for role, options in cell.overrides().items():
+            click.echo(f"  {role}: " + ", ".join(f"{k} {v}" for k, v in options.items()))
+        click.echo(f"now, in another terminal: mbcacq run {plan}    (Ctrl-C here ends the fake cell)")
+        quit_event.wait()

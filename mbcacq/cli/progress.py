@@ -1,0 +1,58 @@
+"""Progress of a run on the terminal: a bar where there is one, plain lines otherwise; always on stderr."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from mbcacq.acquisition import events
+
+
+class RunProgress:
+    """Subscriber that shows step, pose k of n, station, balls found and remaining time."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._bar = Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("pose {task.completed:.0f} of {task.total:.0f}"),
+            TextColumn("station {task.fields[station]}  balls {task.fields[balls]}"), TimeElapsedColumn(), TimeRemainingColumn(),
+            console=self._console, disable=quiet or not self._console.is_terminal,
+        )
+        self._task = None
+        self._step, self._station, self._balls, self._done, self._total, self._stepped = "", "-", 0, 0, 0, False
+
+    def __call__(self, event: events.Event) -> None:
+        match event:
+            case events.RunStarted():
+                self._total = event.n_poses
+                self._task = self._bar.add_task("connecting", total=event.n_poses, station="-", balls="-")
+                self._bar.start()
+            case events.StepStarted():
+                self._step, self._stepped = event.name, True
+            case events.StationReached():
+                self._station = event.station
+            case events.PoseReached():
+                self._balls = 0
+            case events.CentresFound():
+                self._balls = max(self._balls, len(event.ball))
+            case events.PoseDone():
+                self._done += 1
+                self._line(event.time_s)
+            case events.Message(level="warning" | "error"):
+                self._console.print(f"{event.level}: {event.text}", markup=False)
+            case events.RunStopped():
+                self._bar.stop()
+                if event.exit_status != "success":
+                    self._console.print(f"run ended after {self._done} of {self._total} poses: {event.reason}", markup=False)
+        if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
+            self._bar.update(self._task, completed=self._done, description=self._step or "connecting", station=self._station,
+                             balls=str(self._balls))
+
+    def _line(self, elapsed: float) -> None:
+        if self._console.is_terminal:
+            return
+        remaining = elapsed / self._done * (self._total - self._done)
+        if self._stepped or self._done % 10 == 0 or self._done == self._total:
+            self._stepped = False
+            self._console.print(f"{self._step}: pose {self._done} of {self._total}, station {self._station}, "
+                                f"{self._balls} balls, {remaining:.0f} s left", markup=False)

@@ -1,0 +1,84 @@
+"""``mbcacq run``: the whole job, from the plan to the before/after table."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+
+import click
+import numpy as np
+
+from mbcacq.errors import Aborted, CalibrationError, ConfigError
+
+
+@click.command("run")
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
+@click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
+@click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run folder: poses already measured are skipped.")
+@click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
+@click.option("--arm", is_flag=True, help="Allow a real arm to move without asking on the terminal.")
+@click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
+@click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, live: bool, arm: bool, yes: bool, seed: int,
+            as_json: bool) -> None:
+    """Execute PLAN, record it, calibrate the cell and show how good it became."""
+    from mbcacq import pipeline
+    from mbcacq.cli.progress import RunProgress
+    from mbcacq.devices import load_driver
+    from mbcacq.plan import expand, load, path, refuse_errors
+
+    loaded = load(plan)
+    poses = expand(loaded)
+    refuse_errors(loaded, poses)
+    if resume and out:
+        raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
+    folder, done, parts = pipeline.resume_folder(resume, loaded) if resume else (pipeline.new_run_folder(out, plan.stem), frozenset(), 0)
+    acquisition = pipeline.Acquisition(loaded, poses, path(loaded, poses), folder, parts)
+    fake = load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed) if dry_run else nullcontext()
+    with fake:
+        overrides = fake.overrides() if dry_run else {}
+        if yes and loaded.plan.positioner.driver == "manual":
+            overrides = {**overrides, "positioner": {**overrides.get("positioner", {}), "assume_yes": True}}
+        confirm = None if dry_run else ask_before_motion(loaded.plan.robot.options, loaded.cell.robot.name, len(poses), arm)
+        acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, confirm=confirm, done=done)
+    limit = loaded.plan.accept.sphere_spacing_error_mm
+    result = pipeline.evaluate(folder, folder, limit)
+    if as_json:
+        click.echo(json.dumps(result))
+    else:
+        from mbcacq.cli.calibrate import print_result
+
+        print_result(result)
+    worst = (result.get("verification") or {}).get("after", {}).get("max_mm")
+    if limit is not None and worst is not None and worst > limit:
+        raise CalibrationError(f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {limit:g} mm; "
+                               f"see {result['files']['report']}")
+
+
+def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> Callable[[np.ndarray], None]:
+    """The last question before a real arm moves. A controller that can only be on this computer is a fake and is not asked about."""
+
+    def confirm(q: np.ndarray) -> None:
+        if arm or _loopback(str(options.get("bind", "127.0.0.1"))):
+            return
+        angles = ", ".join(f"{angle:.1f}" for angle in np.degrees(q))
+        if not sys.stdin.isatty():
+            raise ConfigError(f"this would move {robot} (now at {angles} deg); without a terminal to ask on, say so with --arm")
+        click.echo(f"{robot} stands at {angles} deg and will move through {n_poses} poses. Is the cell clear and the stop button at hand?", err=True)
+        if not click.confirm("Move the robot?", err=True):
+            raise Aborted("the operator did not allow the robot to move")
+
+    return confirm
+
+
+def _loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return address == "localhost"

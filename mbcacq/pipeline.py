@@ -1,0 +1,109 @@
+"""From a plan to a calibrated cell: the rooms of the house in their one direction, for the command line and for programs."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq import __version__
+from mbcacq.acquisition.bus import EventBus, Subscriber
+from mbcacq.acquisition.cell_devices import Overrides, create_devices
+from mbcacq.acquisition.runner import Runner
+from mbcacq.cell import Cell
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+
+def versions() -> dict[str, str]:
+    """Versions that decide a result, by name."""
+    named = {name: version(name) for name in ("numpy", "scipy", "rerun-sdk", "ruckig")}
+    return {"mbcacq": __version__, "python": platform.python_version(), **named}
+
+
+def new_run_folder(out: Path | None, name: str) -> Path:
+    """Create the folder of a run: ``out`` if given (must not hold a run yet), else runs/TIME_NAME."""
+    folder = out or Path("runs") / f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{re.sub(r'[^A-Za-z0-9_-]+', '-', name)}"
+    if (folder / "run.rrd").exists():
+        raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(f"cannot create the run folder {folder}: {error.strerror}; give another --out") from error
+    return folder
+
+
+def resume_folder(folder: Path, loaded: LoadedPlan) -> tuple[Path, frozenset[int], int]:
+    """The folder of an interrupted run, the numbers of the poses it has, and how many recording parts it holds.
+
+    Raises ConfigError where there is no run, or where it belongs to another plan.
+    """
+    journal, plan = folder / "journal.jsonl", folder / "plan.yaml"
+    if not journal.exists() or not plan.exists():
+        raise ConfigError(f"{folder} holds no run to resume (no journal.jsonl and plan.yaml); give the folder of the interrupted run")
+    if plan.read_text(encoding="utf-8") != loaded.text:
+        raise ConfigError(f"the plan was changed since {folder} was recorded; resume with {plan} or start a new run")
+    from mbcacq.recording import poses_done
+
+    return folder, poses_done(folder), len(list(folder.glob("run*.rrd")))
+
+
+def solver_cell(loaded: LoadedPlan) -> Cell:
+    """The cell as a solver may know it: planned station places are aims, not measurements, and are left out."""
+    stations = tuple(replace(s, T_base_station=None, sigma_mm=None) for s in loaded.cell.stations)
+    return replace(loaded.cell, stations=stations)
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What to execute, and where it is written. parts: recording files the folder holds already (a resumed run writes a new one)."""
+
+    loaded: LoadedPlan
+    poses: Sequence[PlannedPose]
+    paths: Sequence[Sequence[np.ndarray]]
+    folder: Path
+    parts: int = 0
+
+    def execute(
+        self, overrides: Overrides | None = None, subscribers: Iterable[Subscriber] = (), *, live: bool = False,
+        confirm: Callable[[np.ndarray], None] | None = None, done: frozenset[int] = frozenset(),
+    ) -> None:
+        """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder."""
+        from mbcacq.recording import Journal, Recorder
+        from mbcacq.recording.cell_yaml import cell_to_yaml
+        from mbcacq.spheres import find_balls
+
+        (self.folder / "plan.yaml").write_text(self.loaded.text, encoding="utf-8")
+        with closing(Recorder(self.folder, live=live, part=self.parts)) as recorder, closing(Journal(self.folder)) as journal:
+            Runner(
+                self.loaded, self.poses, self.paths, create_devices(self.loaded, overrides),
+                EventBus([recorder, journal, *subscribers]), find_balls, cell_to_yaml(solver_cell(self.loaded)), versions(),
+                confirm or (lambda q: None), done,
+            ).run()
+
+
+def evaluate(source: Path, out: Path, limit_mm: float | None = None) -> dict:
+    """Calibrate what was recorded, verify it on the poses kept apart, write result.json and report.html into ``out``.
+
+    Returns the result as written, with 'files' naming both. limit_mm: the plan's limit of the sphere spacing error.
+    """
+    from mbcacq.calibration import calibrate, verify
+    from mbcacq.recording import load
+    from mbcacq.report import report_from_result
+
+    observations = load(source)
+    calibration = calibrate(observations)
+    result = calibration.to_dict()
+    result["verification"] = verify(observations, calibration, limit_mm=limit_mm).to_dict()
+    files = {"recording": str(source), "result": str(out / "result.json"), "report": str(out / "report.html")}
+    (out / "result.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    report_from_result(result, path=out / "report.html")
+    return result | {"files": files}
