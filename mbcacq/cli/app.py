@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 import click
@@ -41,12 +42,29 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
-    def main(self, *args, **kwargs):
+    def main(self, *args, standalone_mode: bool = True, **kwargs):
+        """Run, and end with the exit code that belongs to what happened: one sentence on stderr, no stack trace."""
+        if not standalone_mode:
+            return super().main(*args, standalone_mode=False, **kwargs)
         try:
-            return super().main(*args, **kwargs)
+            code = super().main(*args, standalone_mode=False, **kwargs)
+            sys.exit(code if isinstance(code, int) else ExitCode.OK)
+        except click.ClickException as error:
+            error.show()
+            sys.exit(ExitCode.USAGE)
+        except (KeyboardInterrupt, click.Abort):
+            click.echo("mbcacq: interrupted", err=True)
+            sys.exit(ExitCode.INTERRUPTED)
         except MbcacqError as error:
             click.echo(f"mbcacq: {error}", err=True)
             sys.exit(error.exit_code)
+        except BrokenPipeError:
+            sys.exit(ExitCode.OK)
+        except Exception as error:
+            if os.environ.get("MBCACQ_DEBUG"):
+                raise
+            click.echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True)
+            sys.exit(ExitCode.BUG)
 
 
 EPILOG = "Exit codes: " + ", ".join(f"{code.value} {EXIT_CODE_MEANING[code]}" for code in ExitCode) + "."

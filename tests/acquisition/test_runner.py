@@ -1,0 +1,205 @@
+"""What the runner promises: order of events, means, and a robot at rest whatever happens."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stand_ins import Finder, JumpingRobot, Placer, StillScanner
+
+from mbcacq import devices
+from mbcacq.acquisition import events
+from mbcacq.acquisition.bus import EventBus
+from mbcacq.acquisition.cell_devices import CellDevices
+from mbcacq.acquisition.motion import check_target
+from mbcacq.acquisition.observe import predicted_centres
+from mbcacq.acquisition.runner import Runner
+from mbcacq.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.schema import Plan
+
+CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0.0, 0, -90, 0, 0, 180]), np.array([400.0, 0, 0, 515, 0, 90]),
+              np.array([25.0, 560, 25, 0, 0, 0]), np.radians([-90.0, 0, -90, 90, -90, 180]), np.zeros(6))
+BALLS = Artefact("mbc", "", (1, 2, 3, 4), np.array([[0.0, 0, 0], [20, 0, 0], [0, 30, 0], [0, 0, 40]]), np.full(4, 12.0))
+
+
+@pytest.fixture
+def world():
+    robot = RobotModel("arm", CHAIN, np.radians([[-170.0, 170]] * 6), np.zeros(6), np.zeros((6, 3)), speed=np.ones(6))
+    stations = tuple(Station(s, "mbc", se3.from_abc(np.array([600.0, 0, 100 * k]), np.zeros(3))) for k, s in enumerate("ab"))
+    cell = Cell(robot, np.eye(4), (BALLS,), stations)
+    plan = Plan.model_validate({
+        "format": "mbcacq-plan/1", "name": "test", "robot": {"driver": "x", "model": "x", "home_deg": [0, -90, 90, 0, 0, 0]},
+        "scanner": {"driver": "x", "field_of_view": {"near_z_mm": 50, "far_z_mm": -50, "near_half_mm": [40, 40], "far_half_mm": [50, 50]}},
+        "hand_eye": {}, "artefacts": ["mbc.yaml"], "stations": [{"id": "a", "artefact": "mbc", "pose_in_base": {}}],
+        "steps": [{"do": "joints", "name": "s", "phase": "position", "station": "a", "poses_deg": [[0] * 6]}],
+    })
+    poses = [PlannedPose(k, 0 if k < 2 else 1, "s", "position", "ab"[k // 2], "mbc", np.full(6, 0.1 * (k + 1)), (1, 2, 3, 4), 3, 9)
+             for k in range(4)]
+    return LoadedPlan(Path("plan.yaml"), plan, cell, "text", {}), poses
+
+
+class Recorded:
+    def __init__(self):
+        self.events = []
+
+    def __call__(self, event):
+        self.events.append(event)
+
+    def of(self, kind):
+        return [e for e in self.events if isinstance(e, kind)]
+
+
+def make(world, **changes):
+    loaded, poses = world
+    parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()} | changes
+    seen = Recorded()
+    runner = Runner(loaded, poses, [()] * len(poses), CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
+                    EventBus([seen]), parts["finder"], "cell", done=parts["done"])
+    return runner, seen, parts
+
+
+def test_every_pose_is_observed_once_and_in_order(world):
+    runner, seen, parts = make(world)
+    runner.run()
+    assert [e.pose for e in seen.of(events.PoseDone)] == [0, 1, 2, 3]
+    assert [e.station for e in seen.of(events.StationReached)] == ["a", "b"]
+    assert [e.index for e in seen.of(events.StepStarted)] == [0, 1]
+    assert len(seen.of(events.ScanTaken)) == 12
+    assert seen.events[-1].exit_status == "success"
+    assert parts["robot"].log[-2:] == ["stop", "close"]
+
+
+def test_the_observation_is_the_mean_of_the_exposures(world):
+    runner, seen, _ = make(world)
+    runner.run()
+    loaded, poses = world
+    done = seen.of(events.PoseDone)[0]
+    np.testing.assert_allclose(done.xyz, predicted_centres(loaded.cell, poses[0]) + 0.02, atol=1e-12)
+    np.testing.assert_allclose(done.scatter_mm, 0.01, atol=1e-12)
+    np.testing.assert_allclose(done.q, poses[0].q)
+
+
+def test_no_cycle_is_lost(world):
+    runner, seen, parts = make(world)
+    runner.run()
+    times = np.concatenate([e.cycles.columns["time_s"] for e in seen.of(events.CyclesReceived)])
+    assert times.tolist() == [0.5 * k for k in range(1, len(times) + 1)]
+    assert times[-1] == parts["robot"].time
+
+
+def test_direction_is_the_sense_of_the_last_motion(world):
+    loaded, poses = world
+    back = [*poses[:2], PlannedPose(2, 1, "s", "position", "b", "mbc", np.array([0.2, 0.1, 0.3, 0.2, 0.2, 0.2]), (1, 2, 3, 4), 1, 9)]
+    runner, seen, _ = make((loaded, back))
+    runner.run()
+    last = seen.of(events.PoseDone)[-1]
+    assert last.direction.tolist() == [1, -1, 1, 1, 1, 1]
+
+
+def test_a_device_fault_stops_the_robot_and_ends_the_run(world):
+    scanner = StillScanner()
+    scanner.fault = devices.DeviceTimeout("the scanner fell silent")
+    runner, seen, parts = make(world, scanner=scanner)
+    with pytest.raises(devices.DeviceTimeout):
+        runner.run()
+    assert parts["robot"].log[-1] == "close"
+    assert "stop" in parts["robot"].log
+    assert (seen.events[-1].exit_status, seen.events[-1].reason) == ("fail", "the scanner fell silent")
+
+
+def test_interrupt_is_an_abort(world):
+    scanner = StillScanner()
+    scanner.fault = KeyboardInterrupt()
+    runner, seen, parts = make(world, scanner=scanner)
+    with pytest.raises(KeyboardInterrupt):
+        runner.run()
+    assert seen.events[-1].exit_status == "abort"
+    assert "stop" in parts["robot"].log
+
+
+def test_a_wrong_artefact_ends_the_run_with_what_was_measured_kept(world):
+    class WrongLater(Finder):
+        def __call__(self, *args, **kwargs):
+            self.seen = -1 if self.calls >= 3 else None
+            return super().__call__(*args, **kwargs)
+
+    runner, seen, _ = make(world, finder=WrongLater())
+    with pytest.raises(devices.DeviceFault, match="wrong artefact"):
+        runner.run()
+    assert [e.pose for e in seen.of(events.PoseDone)] == [0]
+
+
+def test_poses_with_too_few_balls_are_left_out_then_end_the_run(world):
+    finder = Finder()
+    finder.seen = 2
+    runner, seen, _ = make(world, finder=finder)
+    with pytest.raises(devices.DeviceFault, match="too few balls"):
+        runner.run()
+    assert not seen.of(events.PoseDone)
+    assert seen.of(events.Message)[-1].level == "warning"
+
+
+def test_resume_skips_what_is_done(world):
+    runner, seen, _ = make(world, done=frozenset({0, 2}))
+    runner.run()
+    assert [e.pose for e in seen.of(events.PoseDone)] == [1, 3]
+
+
+def test_every_device_that_fails_to_connect_is_named(world):
+    class Absent(StillScanner):
+        def connect(self):
+            raise devices.ConnectError("nothing answers at 192.168.1.10:3190")
+
+    class Lost(Placer):
+        def connect(self):
+            raise devices.ConnectError("no positioner on /dev/ttyUSB0")
+
+    runner, seen, parts = make(world, scanner=Absent(), positioner=Lost())
+    with pytest.raises(devices.ConnectError, match=r"192\.168\.1\.10.*ttyUSB0"):
+        runner.run()
+    assert "move" not in parts["robot"].log
+    assert parts["robot"].log[-1] == "close"
+
+
+def test_an_arm_that_never_arrives_is_stopped(world):
+    robot = JumpingRobot()
+    robot.arrives = False
+    runner, _, _ = make(world, robot=robot)
+    with pytest.raises(devices.DeviceTimeout, match="did not arrive"):
+        runner.run()
+    assert robot.log[-2:] == ["stop", "close"]
+
+
+@pytest.mark.parametrize("angle", [np.nan, np.inf, 3.0, -3.0])
+def test_no_target_outside_the_limits_is_ever_sent(angle):
+    target = np.zeros(6)
+    target[4] = angle
+    with pytest.raises(devices.SafetyStop, match="A5"):
+        check_target(target, np.radians([[-170.0, 170]] * 6))
+
+
+def test_a_refused_confirmation_moves_nothing(world):
+    def refuse(q):
+        raise devices.Aborted("no")
+
+    runner, seen, parts = make(world)
+    runner.confirm = refuse
+    with pytest.raises(devices.Aborted):
+        runner.run()
+    assert "move" not in parts["robot"].log
+    assert seen.events[-1].exit_status == "abort"
+
+
+def test_an_error_while_recording_reaches_the_runner(world):
+    runner, _, parts = make(world)
+
+    def full(event):
+        if isinstance(event, events.CyclesReceived):
+            raise devices.MbcacqError("disk full")
+
+    runner.bus._subscribers.append(full)
+    with pytest.raises(devices.MbcacqError, match="disk full"):
+        runner.run()
+    assert "stop" in parts["robot"].log
