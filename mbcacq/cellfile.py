@@ -17,7 +17,7 @@ Vector = tuple[float, float, float]
 class Strict(BaseModel):
     """Unknown keys are refused. A subclass that reads foreign files may allow them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class PoseSpec(Strict):
@@ -29,10 +29,12 @@ class PoseSpec(Strict):
     sigma_mm: float | None = None
 
     def transform(self) -> np.ndarray:
-        """(4, 4); a rotation matrix given with few digits is brought to the nearest rotation."""
+        """(4, 4); a rotation matrix given with few digits is brought to the nearest rotation, one given in full is kept bit for bit."""
         xyz = np.array(self.translation_mm, dtype=float)
         if self.rotation is not None:
-            return se3.transform(se3.nearest_rotation(np.array(self.rotation, dtype=float)), xyz)
+            R = np.array(self.rotation, dtype=float)
+            exact = np.abs(R @ R.T - np.eye(3)).max() < 1e-14 and np.linalg.det(R) > 0
+            return se3.transform(R if exact else se3.nearest_rotation(R), xyz)
         return se3.from_abc(xyz, np.radians(self.abc_deg or (0.0, 0.0, 0.0)))
 
 
@@ -81,7 +83,7 @@ class RobotSpec(Strict):
             gear_ratio=optional["gear_ratio"],
             payload_mass=self.payload.mass_kg,
             payload_com=np.array(self.payload.com_mm, dtype=float),
-            gravity=gravity / np.linalg.norm(gravity),
+            gravity=_unit(gravity),
             repeatability_mm=self.repeatability_mm,
         )
 
@@ -146,6 +148,12 @@ class CellSpec(Strict):
             noise_mm=None if self.scanner.noise_mm is None else np.array(self.scanner.noise_mm),
             measurement=self.measurement,
         )
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    """Normalised; what is normalised already stays as it is, so that writing and reading changes no bit."""
+    length = np.linalg.norm(vector)
+    return vector if abs(length - 1) < 1e-15 else vector / length
 
 
 def _all_or_none(values: list[Any]) -> np.ndarray | None:

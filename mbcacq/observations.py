@@ -20,6 +20,7 @@ class Observations:
     Centres: pose (M,) index into the poses, non-decreasing; ball (M,) index into ``cell.ball_ids``; xyz (M, 3) mm in the
     scanner frame (or the instrument's); n_points (M,); rms_mm (M,); rotation (M, 3, 3) orientation of a 6-dof target.
     extra: columns this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
+    cell_yaml: the text the cell was read from, with its comments; '' if it was not read from a file.
     """
 
     cell: Cell
@@ -41,6 +42,7 @@ class Observations:
     rms_mm: np.ndarray | None = None
     rotation: np.ndarray | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    cell_yaml: str = ""
 
     @property
     def n_poses(self) -> int:

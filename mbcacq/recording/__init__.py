@@ -1,1 +1,32 @@
-""""""
+"""Recordings: written during a run, read back, recovered after a crash, exchanged as observation sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbcacq.observations import Observations
+
+ACCEPTED = "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv)"
+
+
+def load(path: Path | str) -> Observations:
+    """The observations in a run folder, a .rrd file or an observation-set folder.
+
+    Raises ConfigError if it is none of these or its content is wrong, RecordingError if a recording is torn.
+    """
+    from mbcacq.errors import ConfigError
+
+    path = Path(path)
+    if not path.exists():
+        raise ConfigError(f"{path} does not exist; give {ACCEPTED}")
+    if path.is_dir() and (path / "cell.yaml").exists():
+        from mbcacq.recording.observation_set import read_observation_set
+
+        return read_observation_set(path)
+    if path.suffix == ".rrd" or (path.is_dir() and any(path.glob("run*.rrd"))):
+        from mbcacq.recording.reader import read_observations
+
+        return read_observations(path)
+    raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")
