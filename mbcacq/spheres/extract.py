@@ -1,0 +1,157 @@
+"""Cloud to named ball centres: patches, votes, fits, recognition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.cell import Artefact
+from mbcacq.errors import ConfigError, DeviceFault
+from mbcacq.spheres.candidates import ball_candidates
+from mbcacq.spheres.fit import SphereFit, rough_fit, sphere_fit
+from mbcacq.spheres.found import BallOptions, FoundBalls
+from mbcacq.spheres.naming import name_balls
+from mbcacq.spheres.voxels import Patches, Voxels, patches, voxelise
+
+MAX_CANDIDATES = 60
+
+
+def find_balls(points: np.ndarray, artefact: Artefact, *, expected: Sequence[int] | None = None,
+               predicted: np.ndarray | None = None, options: BallOptions | None = None) -> FoundBalls:
+    """Centres of the artefact's balls in one cloud.
+
+    points: (N, 3) float32 or float64, mm, in any order, plates and other things included; rows that are not finite are dropped.
+    expected: certificate ids that should be in view. predicted: (k, 3) mm, rough centres of ``expected`` (or of all balls of the
+    artefact, in its order); needed where fewer than three balls are seen and they cannot be told apart by themselves.
+
+    Raises DeviceFault for a wrong artefact, its mirror image, balls of another diameter, or balls that cannot be told apart;
+    ConfigError for a certificate without diameters or an expected ball that it does not list. A ball that is hidden, too little
+    covered or too rough is absent from the result and named in ``refused`` where something of it was seen.
+    """
+    options = options or BallOptions()
+    _check(artefact, expected, predicted)
+    points = _finite(points)
+    fits: list[tuple[float, SphereFit]] = []
+    refused: list[tuple[str, np.ndarray | None]] = []
+    if len(points) >= options.min_points:
+        surface = Surface(points, artefact.diameters.min() / 2)
+        fits, refused = _fit_all(surface, artefact, options)
+        if not fits and not refused:
+            _other_diameter(surface, artefact, options)
+    return name_balls(fits, refused, artefact, expected, predicted, options)
+
+
+class Surface:
+    """A cloud with its cubes and patches, made once for all radii."""
+
+    def __init__(self, points: np.ndarray, radius: float) -> None:
+        self.points = points
+        self.voxels: Voxels = voxelise(points, radius / 3)
+        if np.median(self.voxels.count) < 10:
+            self.voxels = voxelise(points, radius / 1.8)
+        self.patches: Patches = patches(points, self.voxels)
+
+    def near_shells(self, centres: np.ndarray, radii: np.ndarray, margin: np.ndarray) -> list[np.ndarray]:
+        """For each sphere, the points (n, 3) float64 of all cubes that come within its margin of the shell."""
+        bits = np.zeros(len(self.voxels.count), dtype=np.uint64)
+        middle = self.voxels.corner + self.voxels.size / 2
+        for j, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
+            distance = np.linalg.norm(middle - centre, axis=1)
+            bits[np.abs(distance - radius) < margin[j] + 0.87 * self.voxels.size] |= np.uint64(1 << j)
+        rows = np.flatnonzero((bits != 0)[self.voxels.cell])
+        mine, points = bits[self.voxels.cell[rows]], self.points[rows].astype(np.float64)
+        return [points[(mine & np.uint64(1 << j)) != 0] for j in range(len(centres))]
+
+
+def _fit_all(surface: Surface, artefact: Artefact, options: BallOptions):
+    """Sphere fits (radius, fit) of every ball of a certified diameter, and what was refused."""
+    view = None if options.view is None else np.asarray(options.view, dtype=float) / np.linalg.norm(options.view)
+    starts, radii = [], []
+    limit = min(3 * len(artefact.ball_ids) + 6, MAX_CANDIDATES)
+    for radius in np.unique(artefact.diameters) / 2:
+        found, _ = ball_candidates(surface.patches, radius, view, limit)
+        starts.extend(found)
+        radii.extend([radius] * len(found))
+    starts, radii = np.array(starts).reshape(-1, 3)[:MAX_CANDIDATES], np.array(radii)[:MAX_CANDIDATES]
+    if not len(starts):
+        return [], []
+    clouds = surface.near_shells(starts, radii, 0.12 * radii)
+    rough = [rough_fit(p, c, r, options.max_noise) for p, c, r in zip(clouds, starts, radii, strict=True)]
+    if view is None:
+        total = np.sum([cap for _, cap in rough], axis=0)
+        view = total / (np.linalg.norm(total) or 1.0)
+    fits: list[tuple[float, SphereFit]] = []
+    refused: list[tuple[str, np.ndarray | None]] = []
+    for (centre, _), cloud, start, radius in zip(rough, clouds, starts, radii, strict=True):
+        if np.linalg.norm(centre - start) > 0.5 * radius:
+            continue
+        fit = sphere_fit(cloud, centre, radius, view, options.max_incidence, options.max_noise)
+        if fit is None or any(np.linalg.norm(fit.centre - other.centre) < 0.5 * radius for _, other in fits):
+            continue
+        fault, telling = _judge(fit, radius, options)
+        if fault is None:
+            fits.append((radius, fit))
+        elif telling:
+            refused.append((fault, fit.centre))
+    return fits, refused
+
+
+def _judge(fit: SphereFit, radius: float, options: BallOptions) -> tuple[str | None, bool]:
+    """Why a fit is not a ball, and whether it looks enough like one to be worth a word."""
+    if fit.n_points < options.min_points:
+        return f"{fit.n_points} points on a ball of {2 * radius:g} mm are too few", False
+    if fit.coverage < options.min_coverage:
+        return f"only {fit.coverage:.0%} of the visible cap of a ball of {2 * radius:g} mm is covered", fit.coverage > 0.6 * options.min_coverage
+    if fit.noise_mm > options.max_noise:
+        return f"its surface is {fit.noise_mm:.3f} mm rough", True
+    if abs(fit.radius_error) > options.radius_tolerance * radius + 5 * fit.radius_sigma:
+        return f"its diameter is {2 * (radius + fit.radius_error):.3f} mm, not {2 * radius:g} mm", fit.coverage > 0.5
+    return None, True
+
+
+def _other_diameter(surface: Surface, artefact: Artefact, options: BallOptions) -> None:
+    """Raise if balls of a diameter that the certificate does not know are in view."""
+    best = None
+    size = surface.voxels.size
+    for radius in size * np.geomspace(1.0, 15.0, 28):
+        starts, votes = ball_candidates(surface.patches, radius, None, 3)
+        for start, count in zip(starts, votes, strict=True):
+            cloud = surface.near_shells(start[None], np.array([radius]), np.array([0.12 * radius]))[0]
+            centre, cap = rough_fit(cloud, start, radius, 0.1 * radius)
+            view = cap / (np.linalg.norm(cap) or 1.0)
+            fit = None
+            for _ in range(4):
+                fit = sphere_fit(cloud, centre, radius, view, options.max_incidence, 0.02 * radius)
+                if fit is None:
+                    break
+                centre, radius = fit.centre, float(np.clip(radius + fit.radius_error, 0.5 * radius, 2 * radius))
+            if fit is not None and fit.coverage > 0.5 and fit.noise_mm < options.max_noise and fit.n_points >= options.min_points \
+                    and (best is None or count > best[0]):
+                best = (count, radius)
+    if best is not None:
+        wanted = ", ".join(f"{d:g}" for d in np.unique(artefact.diameters))
+        raise DeviceFault(f"wrong artefact in view: a ball of {2 * best[1]:.2f} mm diameter is seen, artefact '{artefact.id}' has balls of "
+                          f"{wanted} mm; put the right artefact in place or correct the plan")
+
+
+def _check(artefact: Artefact, expected: Sequence[int] | None, predicted: np.ndarray | None) -> None:
+    if not (artefact.diameters > 0).all():
+        raise ConfigError(f"artefact '{artefact.id}' has a ball without diameter_mm: it is needed to find balls in a cloud; add it to the certificate")
+    ids = artefact.ball_ids if expected is None else tuple(expected)
+    for ball in ids:
+        if ball not in artefact.ball_ids:
+            raise ConfigError(f"ball {ball} is expected in view, but artefact '{artefact.id}' has the balls {list(artefact.ball_ids)}; correct the plan")
+    if predicted is not None and np.shape(predicted) != (len(ids), 3):
+        raise ConfigError(f"predicted centres have shape {np.shape(predicted)}, for {len(ids)} balls ({len(ids)}, 3) is needed")
+
+
+def _finite(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ConfigError(f"a cloud must have shape (N, 3), this one has {points.shape}")
+    if points.dtype not in (np.float32, np.float64):
+        points = points.astype(np.float64)
+    if len(points) and not np.isfinite(points.sum(dtype=np.float64)):
+        points = points[np.isfinite(points).all(axis=1)]
+    return points

@@ -1,0 +1,51 @@
+"""What ball extraction returns, and what may be adjusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class BallOptions:
+    """Limits of ball extraction. Lengths mm, angles rad.
+
+    max_incidence: points whose surface normal is further from the line of sight are left out (grazing, edge and mixed points).
+    max_noise: largest credible noise of a point along the normal. min_points, min_coverage: a ball with fewer points, or less of the
+    cap up to ``max_incidence`` seen, is refused. radius_tolerance: relative; how far the freely fitted radius may be off.
+    centre_tolerance: how far a ball may be from its certified place and still be recognised; scale_tolerance: relative; the same
+    for all lengths together (scanner scale, temperature). centre_sigma: systematic part of a centre's uncertainty, for telling
+    two assignments apart. view: (3,) direction from the balls to the scanner, or None to take it from the data.
+    """
+
+    max_incidence: float = np.radians(65.0)
+    max_noise: float = 0.08
+    min_points: int = 60
+    min_coverage: float = 0.25
+    radius_tolerance: float = 0.01
+    centre_tolerance: float = 0.25
+    scale_tolerance: float = 1.5e-3
+    centre_sigma: float = 0.01
+    view: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class FoundBalls:
+    """Balls recognised in one cloud, in the order of the certificate.
+
+    ball: (k,) certificate ids. xyz: (k, 3) float64 mm, scanner frame. n_points: (k,) points that carried the fit. rms_mm: (k,) of their
+    distances to the sphere. covariance: (k, 3, 3) mm^2 of each centre, from the fit. radius_error_mm: (k,) freely fitted minus certified
+    radius. refused: (reason, place) of what looked like a ball and was not used; the place is (3,) mm, or None where it has none.
+    """
+
+    ball: np.ndarray
+    xyz: np.ndarray
+    n_points: np.ndarray
+    rms_mm: np.ndarray
+    covariance: np.ndarray
+    radius_error_mm: np.ndarray
+    refused: list[tuple[str, np.ndarray | None]] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.ball)

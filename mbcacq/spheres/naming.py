@@ -1,0 +1,116 @@
+"""Fitted balls to certificate ids, or a refusal that says what was seen and what was wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.cell import Artefact
+from mbcacq.errors import DeviceFault
+from mbcacq.spheres.fit import SphereFit
+from mbcacq.spheres.found import BallOptions, FoundBalls
+from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_cost
+
+Refusals = list[tuple[str, np.ndarray | None]]
+
+
+def name_balls(fits: list[tuple[float, SphereFit]], refused: Refusals, artefact: Artefact, expected: Sequence[int] | None,
+               predicted: np.ndarray | None, options: BallOptions) -> FoundBalls:
+    """See :func:`mbcacq.spheres.find_balls`. fits: (radius, fit) of every ball seen."""
+    centres = np.array([f.centre for _, f in fits]).reshape(-1, 3)
+    radii = np.array([r for r, _ in fits])
+    sigma = np.array([np.sqrt(np.trace(f.covariance)) for _, f in fits])
+    allowed = np.isclose(radii[:, None], artefact.diameters / 2)
+    if expected is not None and len(expected) < 3:
+        allowed &= np.isin(artefact.ball_ids, list(expected))
+    guess = _guess(artefact, expected, predicted)
+    possible = assignments(centres, sigma, allowed, artefact.centres, options)
+    chosen = _choose(possible, centres, artefact, expected, guess, options)
+    refused = list(refused)
+    if chosen is None:
+        refused += [("its id cannot be told: too few balls are in view, and no expected ball or predicted place decides", c) for c in centres]
+        return _found([], [], fits, artefact, refused)
+    _check_artefact(chosen, centres, radii, artefact, expected, guess, options)
+    for i in sorted(set(range(len(centres))) - set(chosen.seen.tolist())):
+        refused.append((f"a ball of {2 * radii[i]:g} mm that does not belong to artefact '{artefact.id}'", centres[i]))
+    order = np.argsort(chosen.certified)
+    found = _found(chosen.seen[order], chosen.certified[order], fits, artefact, refused)
+    for ball in expected or ():
+        if ball not in found.ball:
+            found.refused.append((f"ball {ball} was expected and is not seen", None))
+    return found
+
+
+def _choose(possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None,
+            guess: np.ndarray | None, options: BallOptions) -> Assignment | None:
+    """The one assignment that the data, or failing that the prediction, single out; None where nothing does."""
+    if not possible:
+        return None
+    size = len(possible[0].seen)
+    if size >= 3:
+        # a mirror image has the right distances, but no rotation takes it to the certificate
+        proper = [p for p in possible if p.rms < max(2 * options.centre_tolerance, 3 * p.mirrored)]
+        if not proper:
+            raise DeviceFault(f"wrong artefact in view: the {size} balls seen are a mirror image of artefact '{artefact.id}' (rms {possible[0].rms:.2f} mm "
+                              f"as certified, {possible[0].mirrored:.3f} mm mirrored); put the right artefact in place or correct the certificate")
+        rivals = [p for p in proper[1:] if not decided(proper[0], p, options.centre_sigma)]
+        if not rivals:
+            return proper[0]
+        possible = [proper[0], *rivals]
+    elif len(possible) == 1 and (size == len(artefact.ball_ids) or expected is not None and size == len(expected)):
+        # a single ball where one is expected, or two of different diameters
+        if guess is None or len(centres) == 1:
+            return possible[0]
+    if guess is not None:
+        costs = [prediction_cost(p, centres, guess) for p in possible]
+        order = np.argsort(costs)
+        if np.isfinite(costs[order[0]]) and (len(costs) == 1 or costs[order[0]] < 0.5 * costs[order[1]]):
+            return possible[order[0]]
+    if size >= 3:
+        raise DeviceFault(f"cannot tell which ball is which: the {size} balls seen fit artefact '{artefact.id}' in {len(possible)} ways; "
+                          "show more of its balls, or use an artefact without symmetry")
+    return None
+
+
+def _check_artefact(chosen: Assignment, centres: np.ndarray, radii: np.ndarray, artefact: Artefact, expected: Sequence[int] | None,
+                    guess: np.ndarray | None, options: BallOptions) -> None:
+    """Raise unless most of the balls seen belong to the artefact at distances that fit."""
+    n, k = len(centres), len(chosen.seen)
+    few = expected is not None and len(expected) < 3 or len(artefact.ball_ids) < 3
+    limit = options.centre_tolerance * (0.4 if k == 3 else 1.0)
+    if (few or guess is not None) and k < 3 and (k == n or guess is not None or k == len(artefact.ball_ids)):
+        return
+    if k >= 3 and 2 * k > n and chosen.rms < limit:
+        return
+    raise DeviceFault(f"wrong artefact in view: {n} balls with the distances {_distances(centres)} mm are seen, of which at most {k} fit artefact "
+                      f"'{artefact.id}' with {_distances(artefact.centres)} mm; put the right artefact in place or correct the plan")
+
+
+def _distances(centres: np.ndarray) -> str:
+    i, j = np.triu_indices(len(centres), 1)
+    values = np.sort(np.linalg.norm(centres[i] - centres[j], axis=1))
+    return ", ".join(f"{d:.2f}" for d in values[:6]) + (" ..." if len(values) > 6 else "") if len(values) else "(none)"
+
+
+def _guess(artefact: Artefact, expected: Sequence[int] | None, predicted: np.ndarray | None) -> np.ndarray | None:
+    """(B, 3) predicted places in the order of the certificate, NaN where there is none."""
+    if predicted is None:
+        return None
+    out = np.full((len(artefact.ball_ids), 3), np.nan)
+    for ball, place in zip(artefact.ball_ids if expected is None else expected, predicted, strict=True):
+        out[artefact.ball_ids.index(ball)] = place
+    return out
+
+
+def _found(seen, certified, fits, artefact: Artefact, refused: Refusals) -> FoundBalls:
+    mine = [fits[i][1] for i in seen]
+    return FoundBalls(
+        ball=np.array([artefact.ball_ids[a] for a in certified], dtype=int),
+        xyz=np.array([f.centre for f in mine]).reshape(-1, 3),
+        n_points=np.array([f.n_points for f in mine], dtype=int),
+        rms_mm=np.array([f.rms_mm for f in mine]),
+        covariance=np.array([f.covariance for f in mine]).reshape(-1, 3, 3),
+        radius_error_mm=np.array([f.radius_error for f in mine]),
+        refused=refused,
+    )

@@ -1,0 +1,43 @@
+"""Ball centres from a cloud in a file, as another laboratory would send it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.cell import Artefact
+from mbcacq.errors import ConfigError
+from mbcacq.lazy import open3d
+from mbcacq.spheres.extract import find_balls
+from mbcacq.spheres.found import BallOptions, FoundBalls
+
+MAX_BYTES = 4 * 2**30
+
+
+def read_cloud(path: str | Path) -> np.ndarray:
+    """Points (N, 3) mm of a PLY or PCD file (float32 or float64 as stored). Raises ConfigError naming the file."""
+    path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such cloud")
+    if path.suffix.lower() not in (".ply", ".pcd"):
+        raise ConfigError(f"{path}: a cloud must be a .ply or .pcd file")
+    if path.stat().st_size > MAX_BYTES:
+        raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
+    o3d = open3d()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        try:
+            cloud = o3d.t.io.read_point_cloud(str(path))
+            points = cloud.point.positions.numpy() if "positions" in cloud.point else np.empty((0, 3))
+        except RuntimeError as error:
+            raise ConfigError(f"{path}: cannot be read as a cloud: {str(error).strip().splitlines()[-1]}") from error
+    if not len(points):
+        raise ConfigError(f"{path}: holds no points, or is not a complete {path.suffix[1:].upper()} file")
+    return points
+
+
+def centres_from_ply(path: str | Path, artefact: Artefact, *, expected: Sequence[int] | None = None,
+                     predicted: np.ndarray | None = None, options: BallOptions | None = None) -> FoundBalls:
+    """:func:`find_balls` on the cloud in a file (mm, scanner frame)."""
+    return find_balls(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)

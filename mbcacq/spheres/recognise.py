@@ -1,0 +1,106 @@
+"""Which ball is which: the largest set of seen balls whose distances agree with the certificate.
+
+A pair (seen i, certified a) is a node; two nodes agree if the distance seen equals the certified one within tolerance. The
+largest cliques are the possible assignments; a rigid fit with a free scale then tells them apart, and mirror images out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.spheres.found import BallOptions
+
+MAX_CLIQUES = 200
+DECISIVE = 25.0
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """seen, certified: index pairs (k,); rms: mm after a rigid fit with free scale; mirrored: rms of the fit with a reflection."""
+
+    seen: np.ndarray
+    certified: np.ndarray
+    rms: float
+    mirrored: float
+
+
+def assignments(centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, certified: np.ndarray,
+                options: BallOptions) -> list[Assignment]:
+    """All largest assignments of seen centres (k, 3) to certified ones (B, 3), best rms first.
+
+    sigma: (k,) mm uncertainty of each centre. allowed: (k, B) bool, which may be which (diameter, expectation).
+    """
+    seen, ball = np.nonzero(allowed)
+    if len(seen) == 0:
+        return []
+    D_seen = np.linalg.norm(centres[:, None] - centres, axis=2)
+    D_ball = np.linalg.norm(certified[:, None] - certified, axis=2)
+    wanted = D_ball[np.ix_(ball, ball)]
+    tolerance = options.centre_tolerance + options.scale_tolerance * wanted + 5 * np.hypot(sigma[seen][:, None], sigma[seen])
+    agree = np.abs(D_seen[np.ix_(seen, seen)] - wanted) < tolerance
+    agree &= (seen[:, None] != seen) & (ball[:, None] != ball)
+    found = []
+    for clique in _largest_cliques(agree):
+        i, a = seen[clique], ball[clique]
+        found.append(Assignment(i, a, similarity_rms(certified[a], centres[i]), similarity_rms(certified[a], centres[i], mirror=True)))
+    return sorted(found, key=lambda x: x.rms)
+
+
+def similarity_rms(source: np.ndarray, target: np.ndarray, mirror: bool = False) -> float:
+    """Rms distance (mm) left by the best rotation, translation and scale taking source (k, 3) to target (Umeyama 1991)."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    sign = np.linalg.det(u) * np.linalg.det(vt) * (-1.0 if mirror else 1.0)
+    s = s * np.array([1.0, 1.0, np.sign(sign) or 1.0])
+    size = float(np.sum(a * a))
+    rest = float(np.sum(b * b)) - (float(s.sum()) ** 2 / size if size > 0 else 0.0)
+    return float(np.sqrt(max(rest, 0.0) / len(a)))
+
+
+def decided(best: Assignment, other: Assignment, sigma: float) -> bool:
+    """Whether the data prefer one assignment of the same size to another beyond doubt; sigma mm of a centre, all causes."""
+    return len(best.seen) * (other.rms**2 - best.rms**2) / sigma**2 > DECISIVE
+
+
+def prediction_cost(assignment: Assignment, centres: np.ndarray, predicted: np.ndarray) -> float:
+    """Rms distance (mm) to the predicted places (B, 3, NaN unknown), a shift common to all counting only in part."""
+    shift = centres[assignment.seen] - predicted[assignment.certified]
+    if not np.isfinite(shift).all():
+        return np.inf
+    common = shift.mean(axis=0)
+    return float(np.sqrt(np.mean(np.sum((shift - common) ** 2, axis=1)) + 0.1 * common @ common))
+
+
+def _largest_cliques(agree: np.ndarray) -> list[list[int]]:
+    """All maximum cliques of a graph (n, n) bool, at most MAX_CLIQUES (Bron-Kerbosch with pivoting, on bit masks)."""
+    n = len(agree)
+    neighbours = [int.from_bytes(np.packbits(row, bitorder="little").tobytes(), "little") for row in agree]
+    best: list[list[int]] = []
+    largest = 1
+
+    def grow(clique: list[int], open_: int, closed: int) -> None:
+        nonlocal best, largest
+        if len(clique) + open_.bit_count() < largest or len(best) >= MAX_CLIQUES and len(clique) + open_.bit_count() <= largest:
+            return
+        if not open_:
+            if not closed and len(clique) >= largest:
+                best = [*(best if len(clique) == largest else []), clique]
+                largest = len(clique)
+            return
+        pivot = max(_bits(open_ | closed), key=lambda v: (open_ & neighbours[v]).bit_count())
+        for v in _bits(open_ & ~neighbours[pivot]):
+            grow([*clique, v], open_ & neighbours[v], closed & neighbours[v])
+            open_ &= ~(1 << v)
+            closed |= 1 << v
+
+    grow([], (1 << n) - 1, 0)
+    return best
+
+
+def _bits(mask: int):
+    while mask:
+        low = mask & -mask
+        yield low.bit_length() - 1
+        mask ^= low
