@@ -1,0 +1,80 @@
+"""What the fake world needs to know of a cell, as plain arrays that travel into another process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbcacq_fakes.world.arm import Masses
+
+
+@dataclass(frozen=True)
+class ArtefactFacts:
+    """A certificate: centres (B, 3) mm in the artefact's frame, diameters (B,) mm, standard uncertainty of a coordinate."""
+
+    id: str
+    balls: tuple[int, ...]
+    centres: np.ndarray
+    diameters: np.ndarray
+    uncertainty_mm: float
+    reference_temperature_C: float = 20.0
+    expansion_ppm_per_K: float = 1.5
+
+
+@dataclass(frozen=True)
+class View:
+    """Frustum of the scanner in its own frame; z points back to the scanner, so near_z > far_z. Half widths (2,) mm along x, y."""
+
+    near_z: float = 55.0
+    far_z: float = -55.0
+    near_half: np.ndarray = field(default_factory=lambda: np.array([35.5, 49.0]))
+    far_half: np.ndarray = field(default_factory=lambda: np.array([50.0, 77.0]))
+
+
+@dataclass(frozen=True)
+class CellFacts:
+    """Nominal arm (sign (n,), rows (n, 5), masses), first guess of the hand-eye transform, artefacts, planned stations."""
+
+    sign: np.ndarray
+    rows: np.ndarray
+    masses: Masses
+    gear_ratio: np.ndarray
+    hand_eye: np.ndarray
+    artefacts: tuple[ArtefactFacts, ...]
+    station_ids: tuple[str, ...]
+    station_artefact: np.ndarray
+    station_pose: np.ndarray
+    view: View = View()
+
+    @property
+    def n(self) -> int:
+        return len(self.sign)
+
+    @property
+    def balls(self) -> tuple[int, ...]:
+        return tuple(b for a in self.artefacts for b in a.balls)
+
+
+def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
+    """From an mbcacq.cell.Cell (duck-typed) and a plan's field_of_view. A station without a pose is put at the base origin."""
+    robot, chain = cell.robot, cell.robot.chain
+    ids = [a.id for a in cell.artefacts]
+    return CellFacts(
+        sign=np.array(chain.sign, dtype=float),
+        rows=np.stack([chain.theta, chain.d, chain.a, chain.alpha, chain.beta], axis=1).astype(float),
+        masses=Masses(np.array(robot.mass, dtype=float), np.array(robot.com, dtype=float), float(robot.payload_mass),
+                      np.array(robot.payload_com, dtype=float), np.array(robot.gravity, dtype=float)),
+        gear_ratio=np.full(len(chain.sign), 100.0) if robot.gear_ratio is None else np.array(robot.gear_ratio, dtype=float),
+        hand_eye=np.array(cell.T_flange_scanner, dtype=float),
+        artefacts=tuple(ArtefactFacts(a.id, tuple(a.ball_ids), np.array(a.centres, dtype=float), np.array(a.diameters, dtype=float),
+                                      float(a.uncertainty_mm), float(a.reference_temperature_C),
+                                      1.5 if a.expansion_ppm_per_K is None else float(a.expansion_ppm_per_K)) for a in cell.artefacts),
+        station_ids=tuple(str(s.id) for s in cell.stations),
+        station_artefact=np.array([ids.index(s.artefact) for s in cell.stations], dtype=int),
+        station_pose=np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations], dtype=float),
+        view=View() if field_of_view is None else View(
+            float(field_of_view.near_z_mm), float(field_of_view.far_z_mm),
+            np.array(field_of_view.near_half_mm, dtype=float), np.array(field_of_view.far_half_mm, dtype=float)),
+    )
