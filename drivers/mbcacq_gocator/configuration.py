@@ -1,0 +1,96 @@
+"""The sensor's live configuration, ``_live.cfg``: reading settings and changing the exposure.
+
+What is sent back carries values only. Attributes that the sensor adds for its clients (limits, options, effective
+values) are left out, as the vendor's client leaves them out; the sensor merges the values into its own file.
+"""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+from defusedxml import ElementTree as SafeTree
+from defusedxml.common import DefusedXmlException
+
+from mbcacq.devices import ConfigError, ProtocolError
+
+TRIGGER_SOURCES = {0: "time", 1: "encoder", 2: "input", 3: "software"}
+SCAN_MODES = {0: "video", 1: "range", 2: "profile", 3: "surface"}
+SOFTWARE = 3
+SURFACE = 3
+_TOLD_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "value"}
+_MAX_SIZE = 16 * 2**20
+
+
+class Configuration:
+    """One reading of ``_live.cfg``. Raises ProtocolError where the file is not what a sensor serves."""
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) > _MAX_SIZE:
+            raise ProtocolError(f"the sensor's configuration has {len(data)} bytes, more than {_MAX_SIZE}")
+        try:
+            self._root = SafeTree.fromstring(data, forbid_dtd=True)
+        except (ElementTree.ParseError, DefusedXmlException, ValueError) as error:
+            raise ProtocolError(f"the sensor's configuration cannot be read as XML: {error}") from None
+        if self._root.tag != "Configuration":
+            raise ProtocolError(f"the sensor's configuration starts with <{self._root.tag}> instead of <Configuration>")
+
+    @property
+    def scan_mode(self) -> int:
+        return int(self._number("Setup/ScanMode"))
+
+    @property
+    def trigger_source(self) -> int:
+        return int(self._number("Setup/Trigger/Source"))
+
+    @property
+    def uniform_spacing(self) -> bool:
+        return bool(self._number("Setup/UniformSpacingEnabled"))
+
+    @property
+    def intensity(self) -> bool:
+        return bool(self._number("Setup/IntensityEnabled"))
+
+    @property
+    def exposure_us(self) -> float:
+        return self._number(self._exposure_path)
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """Raises ConfigError outside the limits that the sensor states."""
+        node = self._node(self._exposure_path)
+        low, high = (_float(node.get(name), default) for name, default in (("min", 0.0), ("max", float("inf"))))
+        if not low <= exposure_us <= high:
+            raise ConfigError(f"an exposure of {exposure_us:g} us is outside the {low:g} to {high:g} us that the Gocator allows; "
+                              "change it in the plan")
+        node.text = f"{exposure_us:.6f}"
+
+    def values_only(self) -> bytes:
+        """The file to write back."""
+        root = SafeTree.fromstring(ElementTree.tostring(self._root), forbid_dtd=True)
+        for node in root.iter():
+            for name in _TOLD_BY_SENSOR & node.attrib.keys():
+                del node.attrib[name]
+        return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True).replace(b"\n", b"\r\n")
+
+    @property
+    def _exposure_path(self) -> str:
+        return "Setup/Devices/Device[@role='0']/Exposure"
+
+    def _node(self, path: str) -> ElementTree.Element:
+        node = self._root.find(path)
+        if node is None:
+            raise ProtocolError(f"the sensor's configuration has no {path}; this driver knows files of firmware 4.x to 6.x")
+        return node
+
+    def _number(self, path: str) -> float:
+        node = self._node(path)
+        value = _float(node.text, None)
+        if value is None:
+            raise ProtocolError(f"the sensor's configuration says '{node.text}' for {path} instead of a number")
+        return value
+
+
+def _float(value: str | None, default: float | None) -> float | None:
+    try:
+        return float(value) if value is not None else default
+    except ValueError:
+        return default

@@ -1,0 +1,54 @@
+"""A data set: the messages of one frame, up to the one that is marked as the last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mbcacq.devices import ProtocolError
+from mbcacq_gocator import layouts
+from mbcacq_gocator.decode import ArrayMessage, Measurement, Stamp, Unknown, decode
+from mbcacq_gocator.wire import MessageReader
+
+_MAX_MESSAGES = 10_000
+
+
+@dataclass
+class DataSet:
+    """Arrays are views into the reader's buffer, valid until the next set is read."""
+
+    stamp: Stamp | None = None
+    arrays: dict[int, ArrayMessage] = field(default_factory=dict)
+    measurements: dict[str, float] = field(default_factory=dict)
+    skipped: set[int] = field(default_factory=set)
+
+    @property
+    def surface(self) -> ArrayMessage | None:
+        """The point cloud, or the uniform surface where the job switches uniform spacing on."""
+        return self.arrays.get(layouts.SURFACE_POINTS) or self.arrays.get(layouts.UNIFORM_SURFACE)
+
+    @property
+    def contents(self) -> str:
+        """What came besides the stamp, for messages to people."""
+        names = [layouts.TYPE_NAMES.get(kind, f"type {kind}") for kind in sorted(self.arrays.keys() | self.skipped)]
+        return ", ".join(names + (["measurements"] if self.measurements else []))
+
+
+def read_set(reader: MessageReader, deadline: float) -> DataSet:
+    """The next whole set. Raises DeviceTimeout, Dropped (a ConnectError), ProtocolError, Aborted."""
+    reader.rewind()
+    result = DataSet()
+    for _ in range(_MAX_MESSAGES):
+        message, last = decode(reader.read(deadline))
+        if isinstance(message, Stamp):
+            result.stamp = message
+        elif isinstance(message, ArrayMessage):
+            # The first of a kind is the scan; further ones are outputs of tools.
+            result.arrays.setdefault(message.type, message)
+        elif isinstance(message, Measurement):
+            for index, value in enumerate(message.value.tolist()):
+                result.measurements[f"measurement_{message.id}" + (f".{index}" if index else "")] = value
+        elif isinstance(message, Unknown):
+            result.skipped.add(message.type)
+        if last:
+            return result
+    raise ProtocolError(f"the Gocator sent {_MAX_MESSAGES} messages without ending its data set")
