@@ -1,1 +1,1 @@
-""""""
+"""Physical effects of a cell, one file each; see docs/effects.md for how to add one."""

@@ -1,0 +1,96 @@
+"""Start and fit of the free geometry alone: Gauss-Newton on whitened rows, with gross outliers set aside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.calibration import forward
+from mbcacq.calibration.forward import CellState
+from mbcacq.cell import TARGET_IN_BASE
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.whitening import Noise
+from mbcacq.geometry import se3
+from mbcacq.observations import Observations
+
+
+def start(obs: Observations) -> CellState:
+    """Nominal arm, given hand-eye; each station's pose from its points brought into the base frame."""
+    cell = obs.cell
+    T_base_scanner = cell.robot.chain.frames(obs.q)[:, -1] @ cell.T_flange_scanner
+    T = np.tile(np.eye(4), (len(cell.stations), 1, 1))
+    for s, station in enumerate(cell.stations):
+        rows = obs.station[obs.pose] == s
+        if station.T_base_station is not None:
+            T[s] = station.T_base_station
+        elif rows.any() and cell.measurement == TARGET_IN_BASE:
+            T[s] = match(obs.xyz[rows], T_base_scanner[obs.pose[rows], :3, 3])
+        elif rows.any():
+            T[s] = match(cell.ball_centres[obs.ball[rows]], se3.apply(T_base_scanner[obs.pose[rows]], obs.xyz[rows]))
+    return CellState(cell.robot.chain, cell.T_flange_scanner, T, cell.ball_centres.copy())
+
+
+def match(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Rigid transform (4, 4) that brings points a (N, 3) onto b, least squares over robust centre (Kabsch)."""
+    ca, cb = np.median(a, axis=0), np.median(b, axis=0)
+    R = se3.nearest_rotation((b - cb).T @ (a - ca)) if len(a) > 1 else np.eye(3)
+    return se3.transform(R, np.median(b - a @ R.T, axis=0))
+
+
+def first_noise(obs: Observations) -> Noise:
+    """Stated noise where there is one, and the repeatability turned into angles at the arm's reach."""
+    robot = obs.cell.robot
+    reach = max(float(np.sum(np.hypot(robot.chain.a, robot.chain.d))), 1.0)
+    point = np.full(3, 0.02) if obs.cell.noise_mm is None else np.maximum(obs.cell.noise_mm, 1e-4)
+    repeatability = robot.repeatability_mm or 0.06
+    return Noise(point, np.full(robot.n, repeatability / 4 / reach), 1e-4)
+
+
+def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds: int = 8) -> tuple[CellState, np.ndarray]:
+    """Fitted state and (M,) bool of the centres kept."""
+    keep = np.ones(obs.n_centres, bool)
+    state = start(obs) if state is None else state
+    for _ in range(rounds):
+        linear = Linear(obs, state, keep)
+        whiten = linear.whitener(noise)
+        columns, sigma, layout = linear.nuisance()
+        J, r = whiten(columns), whiten(linear.residual)
+        step = ridge_solve(J, r, sigma)
+        state = linear.moved(step, layout)
+        left = forward.residual(obs, forward.predict(obs, state))
+        new = keep_after(obs, left)
+        settled = np.linalg.norm(r) ** 2 - np.linalg.norm(r - J @ step) ** 2 < 0.05 and np.array_equal(new, keep)
+        keep = new
+        if settled:
+            break
+    return state, keep
+
+
+def ridge_solve(J: np.ndarray, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Least squares with a zero-mean prior of the given sigma on each parameter."""
+    scaled = J * sigma
+    normal = scaled.T @ scaled
+    normal[np.diag_indices_from(normal)] += 1.0
+    return sigma * np.linalg.solve(normal, scaled.T @ r)
+
+
+def keep_after(obs: Observations, residual: np.ndarray) -> np.ndarray:
+    """Centres not grossly off: within ten robust scales of their robot-wide median distance, and of their pose's own common offset."""
+    distance = np.linalg.norm(residual[:, :3], axis=1)
+    keep = distance < 8 * max(np.median(distance), 1e-6)
+    if residual.shape[1] == 6:
+        turn = np.linalg.norm(residual[:, 3:], axis=1)
+        keep &= turn < 8 * max(np.median(turn), 1e-9)
+    count = np.bincount(obs.pose, minlength=obs.n_poses)
+    if np.median(count) >= 3:
+        centre = np.stack([_pose_median(obs, residual[:, c]) for c in range(3)], axis=1)
+        apart = np.linalg.norm(residual[:, :3] - centre[obs.pose], axis=1)
+        keep &= (apart < 8 * max(np.median(apart[apart > 0]), 1e-6)) | (count[obs.pose] < 3)
+    return keep
+
+
+def _pose_median(obs: Observations, values: np.ndarray) -> np.ndarray:
+    order = np.lexsort((values, obs.pose))
+    count = np.bincount(obs.pose, minlength=obs.n_poses)
+    first = np.cumsum(count) - count
+    middle = np.minimum(first + count // 2, len(values) - 1)
+    return values[order][middle]

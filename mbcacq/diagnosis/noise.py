@@ -1,0 +1,108 @@
+"""Noise of a recording, estimated from the data: restricted maximum likelihood of variance components with log-normal priors.
+
+Components: instrument noise along each axis (with a measured orientation: its rotational noise too) and repeatability of each joint, which moves
+all centres of a pose together. Stated figures and the repeatability on the data sheet are priors, not truths.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.whitening import Noise
+
+LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 1.0, 0.35
+
+
+def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Noise, prior: Noise, rounds: int = 12) -> Noise:
+    """Most probable noise given that ``columns`` (M, R, z; prior sigma (z,)) explain what is not noise.
+
+    Fisher scoring with the average information matrix (Gilmour, Thompson, Cullis 1995), on logarithms of the sigmas.
+    """
+    n, width = len(start.joint), linear.width
+    turn = width == 6
+    theta = pack(start, turn)
+    centre = pack(prior, turn)
+    precision = prior_precision(n, turn, linear.obs.cell.noise_mm is not None)
+    for _ in range(rounds):
+        noise = unpack(theta, n, turn)
+        score, information = _score(linear, columns, sigma, noise, turn)
+        score = score - precision @ (theta - centre)
+        step = np.linalg.solve(information + precision, score)
+        theta = theta + np.clip(step, -1.0, 1.0)
+        if np.abs(step).max() < 0.02:
+            break
+    return unpack(theta, n, turn)
+
+
+def pack(noise: Noise, turn: bool) -> np.ndarray:
+    return np.log(np.concatenate([noise.point, noise.joint, [noise.turn] if turn else []]))
+
+
+def unpack(theta: np.ndarray, n: int, turn: bool) -> Noise:
+    value = np.exp(theta)
+    return Noise(value[:3], value[3:3 + n], float(value[-1]) if turn else 1e-4)
+
+
+def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
+    """Joints share an unknown common level (LOG_SD_COMMON) and differ from it by LOG_SD_JOINT."""
+    size = 3 + n + turn
+    out = np.zeros((size, size))
+    out[:3, :3] = np.eye(3) / (LOG_SD_STATED if stated else LOG_SD_GUESSED) ** 2
+    out[3:3 + n, 3:3 + n] = np.linalg.inv(LOG_SD_JOINT**2 * np.eye(n) + LOG_SD_COMMON**2)
+    if turn:
+        out[-1, -1] = 1 / LOG_SD_GUESSED**2
+    return out
+
+
+def _score(linear: Linear, columns: np.ndarray, sigma: np.ndarray, noise: Noise, turn: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and average information of the restricted log likelihood by the log sigmas."""
+    whiten = linear.whitener(noise)
+    Z = whiten(columns) * sigma
+    L = np.linalg.cholesky(Z.T @ Z + np.eye(Z.shape[1]))
+    Q = np.linalg.solve(L, Z.T).T
+    r = whiten(linear.residual)
+    r = r - Q @ (Q.T @ r)
+    pose_first, by_pose = pose_sums(linear)
+    y, score = [], []
+    for c in range(3 + turn):
+        value, trace, image = _row_component(linear, whiten, Q, r, c, noise)
+        score.append(value - trace)
+        y.append(image)
+    joints = whiten(linear.joint * noise.joint)
+    for j in range(joints.shape[1]):
+        z = joints[:, j]
+        b = by_pose(z * r)
+        taken = by_pose(z[:, None] * Q)
+        trace = by_pose(z * z).sum() - np.sum(taken**2)
+        score.append(np.sum(b**2) - trace)
+        y.append(z * b[pose_first])
+    Y = np.stack(y, axis=1)
+    taken = Q.T @ Y
+    return np.array(score), 2 * (Y.T @ Y - taken.T @ taken)
+
+
+def _row_component(linear, whiten, Q, r, c, noise):
+    """r'PKPr, tr(PK) and W K W' r for K = variance of axis c (c = 3: the three rotational rows)."""
+    rows = slice(c, c + 1) if c < 3 else slice(3, 6)
+    level = noise.point[c] if c < 3 else noise.turn
+    back = whiten.transpose(r)[:, rows] * level
+    value = float(np.sum(back**2))
+    q = whiten.transpose(Q)[:, rows] * level
+    trace = whiten.row_norms()[:, rows].sum() * level**2 - float(np.sum(q**2))
+    image = np.zeros((linear.obs.n_centres, linear.width))
+    image[:, rows] = back * level
+    return value, trace, whiten(image)
+
+
+def pose_sums(linear: Linear):
+    """(row -> pose index (M R,)) and a function summing rows (M R, ...) over each pose -> (P, ...)."""
+    pose = np.repeat(linear.obs.pose, linear.width)
+    starts = np.flatnonzero(np.r_[True, np.diff(pose) > 0])
+    used = pose[starts]
+
+    def by_pose(values: np.ndarray) -> np.ndarray:
+        out = np.zeros((linear.obs.n_poses, *values.shape[1:]))
+        out[used] = np.add.reduceat(values, starts, axis=0)
+        return out
+    return pose, by_pose

@@ -1,0 +1,47 @@
+"""Periodic error of a joint in its own angle; the orders are found by a spectral scan, not assumed."""
+
+import numpy as np
+
+from mbcacq.physics.effect import Candidate, Hyper, Part, number
+from mbcacq.physics.situation import Situation
+
+NAME = "gear_transmission_error"
+LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    gear = s.obs.cell.robot.gear_ratio
+    out = []
+    for i in range(s.n):
+        q = s.obs.q[:, i]
+        span = np.ptp(q)
+        if span < 0.05:
+            continue
+        ratio = None if gear is None else abs(float(gear[i]))
+        highest = HIGHEST_ORDER if ratio is None else max(HIGHEST_ORDER, 2.1 * ratio)
+        step = 0.25 * 2 * np.pi / span
+        orders = np.arange(max(LOWEST_ORDER, 0.0), highest, min(step, 0.5))
+        preferred = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
+        hyper = Hyper("order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred)
+
+        def functions(values, q=q):
+            phase = values[:, None] * q
+            return np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+
+        out.append(Candidate(
+            NAME, (f"A{i + 1}",), f"q{i + 1}", lambda h, i=i, f=functions: [Part("joint", i, 0, f(np.array([h]))[0])], report_for(f"A{i + 1}"),
+            np.array([3e-5, 3e-5]), hyper, (("joint", i, 0),), functions, several=True))
+    return out
+
+
+def report_for(joint: str):
+    def report(c, v, order):
+        amplitude = np.hypot(c[0], c[1])
+        along = np.array([c[0], c[1]]) / max(amplitude, 1e-30)
+        across = np.array([-c[1], c[0]]) / max(amplitude, 1e-30) ** 2
+        return {
+            f"{joint}.order": number(order, 0.0),
+            f"{joint}.amplitude_deg": number(np.degrees(amplitude), np.degrees(np.sqrt(along @ v @ along))),
+            f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.sqrt(across @ v @ across))),
+        }
+    return report

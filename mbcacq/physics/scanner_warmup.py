@@ -1,0 +1,22 @@
+"""The scanner's offset right after switching on, fading with time."""
+
+import numpy as np
+
+from mbcacq.physics import warming
+from mbcacq.physics.effect import Candidate, Part, number, vector
+from mbcacq.physics.situation import Situation
+
+NAME = "scanner_warmup"
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    hyper, functions = warming.time_constant(s), warming.fading(s)
+
+    def build(tau):
+        fade = functions(np.array([tau]))[0]
+        return [Part("point", 0, c, fade * np.eye(3)[c]) for c in range(3)]
+
+    def report(c, v, tau):
+        return {"offset_mm": vector(c, v), "time_constant_s": number(tau, 0.0)}
+
+    return [Candidate(NAME, ("scanner",), "time", build, report, np.full(3, 0.02), hyper, tuple(("point", 0, c) for c in range(3)), functions)]

@@ -1,0 +1,28 @@
+"""The moment of a sudden change: a step between two poses in the order they were measured."""
+
+import numpy as np
+
+from mbcacq.physics.effect import Hyper
+from mbcacq.physics.situation import Situation
+
+
+def moment(s: Situation) -> Hyper:
+    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread."""
+    margin = 2
+    ranks = np.arange(margin, s.obs.n_poses - margin + 1)
+    if len(ranks) > 400:
+        ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
+    return Hyper("at_pose", ranks.astype(float), 0.5 * len(ranks), refine=False)
+
+
+def step_functions(s: Situation):
+    order = s.order
+
+    def functions(values: np.ndarray) -> np.ndarray:
+        return (order[None] >= np.asarray(values)[:, None]).astype(float)[..., None]
+    return functions
+
+
+def pose_at(s: Situation, rank: float) -> int:
+    """Number of the pose (column ``pose``) that is the first after the change."""
+    return int(s.obs.pose_id[np.flatnonzero(s.order == int(rank))[0]])

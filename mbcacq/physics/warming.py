@@ -1,0 +1,17 @@
+"""Warm-up with time: an exponential whose time constant is to be found."""
+
+import numpy as np
+
+from mbcacq.physics.effect import Hyper
+from mbcacq.physics.situation import Situation
+
+
+def time_constant(s: Situation) -> Hyper:
+    total = float(np.ptp(s.time))
+    return Hyper("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 4.0)
+
+
+def fading(s: Situation):
+    """exp(-t / tau): (H,) s -> (H, P, 1)."""
+    time = s.time
+    return lambda values: np.exp(-time[None] / np.asarray(values)[:, None])[..., None]
