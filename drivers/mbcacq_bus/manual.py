@@ -1,0 +1,76 @@
+"""The positioner that is a person: asked on the terminal to place the artefact."""
+
+from __future__ import annotations
+
+import select
+import sys
+import threading
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from mbcacq.devices import Aborted, ConfigError, Description, Field
+from mbcacq_bus.options import Options, parse
+
+POLL_S = 0.1
+
+
+class ManualOptions(Options):
+    assume_yes: bool = False
+
+
+class ManualPositioner:
+    """Prints the prompt on stderr and waits for Enter; 'q' ends the run. ``assume_yes``: believe that all is in place."""
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._name, self._options = name, parse(ManualOptions, "the manual positioner", options)
+        self._stopped = threading.Event()
+
+    def connect(self) -> None:
+        """Raises ConfigError where nobody can be asked."""
+        self._stopped.clear()
+        if not self._options.assume_yes and not _interactive():
+            raise ConfigError("the manual positioner must ask an operator, but standard input is not a terminal; "
+                              "run in a terminal, or use --yes if every artefact is already in place")
+
+    def describe(self) -> Description:
+        return Description("positioner", "operator", (Field("station", "", meaning="where the operator has put the artefact"),))
+
+    def go_to(self, station: str, prompt: str) -> None:
+        """Raises Aborted if the operator says so, closes the input, or ``stop`` is called meanwhile."""
+        if self._options.assume_yes:
+            return
+        if not _interactive():
+            raise ConfigError(f"station {station} needs an operator, but standard input is not a terminal; use --yes or a terminal")
+        print(f"{prompt}\n  press Enter when it stands still, q and Enter to end the run: ", end="", file=sys.stderr, flush=True)
+        answer = self._answer()
+        if answer is None or answer.strip().lower() in ("q", "quit"):
+            raise Aborted(f"the operator ended the run while station {station} was being prepared")
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def close(self) -> None:
+        self.stop()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _answer(self) -> str | None:
+        """The line typed, None at the end of input or after ``stop``."""
+        while not self._stopped.is_set():
+            try:
+                ready = bool(select.select([sys.stdin], [], [], POLL_S)[0])
+            except (OSError, ValueError):  # where a terminal cannot be polled (Windows), wait for the line itself
+                ready = True
+            if ready:
+                return sys.stdin.readline() or None
+        return None
+
+
+def _interactive() -> bool:
+    return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()

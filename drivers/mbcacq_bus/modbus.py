@@ -1,0 +1,159 @@
+"""Positioner and sensor behind Modbus registers that the plan describes."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from pydantic import Field as Option
+from pydantic import model_validator
+
+from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field
+from mbcacq_bus.modbus_link import Connection, ModbusLink
+from mbcacq_bus.options import parse
+from mbcacq_bus.registers import Register
+
+POLL_S = 0.02
+
+
+class PositionerOptions(Connection):
+    """stations: station id -> commanded position. Arrival: ``in_position`` is set, and ``actual`` (where there is one) is near.
+
+    A controller lowers its flag only some time after a command: without ``actual``, the flag is believed after ``flag_delay_s``.
+    """
+
+    stations: dict[str | int, float] = Option(min_length=1)
+    position: Register
+    in_position: Register
+    actual: Register | None = None
+    tolerance: float = Option(default=0.05, gt=0)
+    start: Register | None = None
+    fault: Register | None = None
+    halt: Register | None = None
+    move_timeout_s: float = Option(default=120.0, gt=0)
+    flag_delay_s: float = Option(default=0.2, ge=0)
+    settle_s: float = Option(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _writable(self) -> PositionerOptions:
+        for name in ("position", "start", "halt"):
+            register = getattr(self, name)
+            if register is not None and register.table not in ("holding", "coil"):
+                raise ValueError(f"{name} must be a holding register or a coil, a {register.table} cannot be written")
+        return self
+
+
+class SensorOptions(Connection):
+    values: dict[str, Register] = Option(min_length=1)
+
+
+class _ModbusDevice:
+    """Connection life cycle, common to both kinds."""
+
+    def __init__(self, device: str, options: Connection) -> None:
+        self._device, self._link = device, ModbusLink(device, options)
+
+    def connect(self) -> None:
+        self._link.open()
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.stop()
+        self._link.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+class ModbusPositioner(_ModbusDevice):
+    """Moves the artefact by writing a position and waiting for the controller's flag."""
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._options = parse(PositionerOptions, "the Modbus positioner", options)
+        super().__init__(f"positioner {model}".strip(), self._options)
+        self._targets = {str(k): v for k, v in self._options.stations.items()}
+        self._model, self._stopped = model, threading.Event()
+
+    def describe(self) -> Description:
+        unit = self._options.position.unit
+        return Description("positioner", self._model, (Field("position", unit, meaning="commanded position of the artefact"),))
+
+    def connect(self) -> None:
+        self._stopped.clear()
+        super().connect()
+
+    def go_to(self, station: str, prompt: str) -> None:
+        """Raises ConfigError for an unknown station, DeviceTimeout, DeviceFault, Aborted after ``stop``."""
+        o = self._options
+        if station not in self._targets:
+            raise ConfigError(f"the plan gives no position for station {station}; add it to the positioner's stations")
+        target = self._targets[station]
+        self._stopped.clear()
+        try:
+            self._link.write(o.position, target)
+        except ValueError as error:
+            raise ConfigError(f"position of station {station}: {error}; correct the positioner's stations") from error
+        if o.start is not None:
+            self._link.write(o.start, 1)
+        self._wait(station, target)
+        if self._stopped.wait(o.settle_s):
+            raise Aborted(f"stopped on the way to station {station}")
+
+    def stop(self) -> None:
+        """Also writes the ``halt`` register where the plan names one."""
+        self._stopped.set()
+        if self._options.halt is not None and self._link.connected:
+            try:
+                self._link.write(self._options.halt, 1)
+            except Exception:  # stop never raises; the positioner's own watchdog is the last line
+                return
+
+    def _wait(self, station: str, target: float) -> None:
+        o, began = self._options, time.monotonic()
+        where = "in an unknown place"
+        while True:
+            if self._stopped.is_set():
+                raise Aborted(f"stopped on the way to station {station}")
+            if o.fault is not None and (code := self._link.read(o.fault)):
+                raise DeviceFault(f"the positioner reports fault {code:g} on the way to station {station}; clear it at its controller")
+            elapsed = time.monotonic() - began
+            flag = bool(self._link.read(o.in_position)) and (o.actual is not None or elapsed >= o.flag_delay_s)
+            if o.actual is not None:
+                actual = self._link.read(o.actual)
+                where = f"at {actual:g} {o.actual.unit}".rstrip()
+                flag = flag and abs(actual - target) <= o.tolerance
+            if flag:
+                return
+            if elapsed > o.move_timeout_s:
+                raise DeviceTimeout(f"the positioner did not reach station {station} ({target:g}) within {o.move_timeout_s:g} s: "
+                                    f"it is {where}; see what holds it")
+            self._stopped.wait(POLL_S)
+
+
+class ModbusSensor(_ModbusDevice):
+    """Reads named values, e.g. temperatures, from registers."""
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._options = parse(SensorOptions, "the Modbus sensor", options)
+        super().__init__(f"sensor {model}".strip(), self._options)
+        self._model = model
+
+    def describe(self) -> Description:
+        return Description("sensor", self._model, tuple(Field(k, r.unit) for k, r in self._options.values.items()))
+
+    def read(self) -> dict[str, float]:
+        values = {name: self._link.read(register) for name, register in self._options.values.items()}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise DeviceFault(f"{self._device} reports {value} for {name}; is its probe connected?")
+        return values

@@ -1,0 +1,178 @@
+"""A sensor that talks in text lines over a serial port (or a serial server: socket://host:port)."""
+
+from __future__ import annotations
+
+import math
+import re
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from pydantic import Field as Option
+
+from mbcacq.devices import ConfigError, ConnectError, Description, DeviceTimeout, Field, IdentityError, ProtocolError
+from mbcacq_bus.options import Options, parse
+
+MAX_LINE = 1024
+
+
+class SerialIdentity(Options):
+    """Send ``ask`` on connecting; a line must match ``expect`` as a whole."""
+
+    ask: str
+    expect: str
+
+
+class SerialOptions(Options):
+    """line: regular expression for a whole line; its named groups are the values. ask: sent before each reading, if needed."""
+
+    port: str
+    baudrate: int = 9600
+    parity: Literal["N", "E", "O"] = "N"
+    stopbits: Literal[1, 2] = 1
+    line: str
+    ask: str | None = None
+    units: dict[str, str] = {}
+    timeout_s: float = Option(default=2.0, gt=0)
+    identity: SerialIdentity | None = None
+
+
+class SerialSensor:
+    """Keeps the latest line in a thread, so that a reading is never older than ``timeout_s`` and never waits without need."""
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._options = parse(SerialOptions, "the serial sensor", options)
+        self._pattern = _compile(self._options.line, "line")
+        if not self._pattern.groupindex:
+            raise ConfigError("options of the serial sensor: line needs named groups, e.g. T=(?P<air_C>[-+0-9.]+); correct the plan")
+        self._identity = None if self._options.identity is None else _compile(self._options.identity.expect, "identity.expect")
+        self._device = f"sensor {model}".strip() + f" at {self._options.port}"
+        self._model, self._port, self._thread = model, None, None
+        self._news = threading.Condition()
+        self._values: dict[str, float] = {}
+        self._stamp, self._failure, self._quit = -math.inf, "", threading.Event()
+
+    def connect(self) -> None:
+        """Raises ConnectError, IdentityError."""
+        import serial
+
+        o = self._options
+        try:
+            self._port = serial.serial_for_url(o.port, baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, timeout=0.2)
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise ConnectError(f"{self._device} cannot be opened: {error}; check the port's name and the cable") from error
+        try:
+            self._identify()
+        except BaseException:
+            self.close()
+            raise
+        self._quit.clear()
+        self._failure, self._stamp = "", -math.inf
+        self._thread = threading.Thread(target=self._listen, name="serial-sensor", daemon=True)
+        self._thread.start()
+
+    def describe(self) -> Description:
+        return Description("sensor", self._model, tuple(Field(k, self._options.units.get(k, "")) for k in self._pattern.groupindex))
+
+    def read(self) -> dict[str, float]:
+        """The newest complete line's values. Raises DeviceTimeout, ProtocolError."""
+        if self._port is None:
+            raise ConnectError(f"{self._device} is not connected")
+        o, now = self._options, time.monotonic()
+        oldest = now - o.timeout_s
+        if o.ask is not None:
+            oldest = now
+            self._send(o.ask)
+        with self._news:
+            self._news.wait_for(lambda: self._stamp >= oldest or bool(self._failure), timeout=o.timeout_s)
+            if self._stamp >= oldest:
+                return dict(self._values)
+            if self._failure:
+                raise ProtocolError(f"{self._device}: {self._failure}")
+        raise DeviceTimeout(f"{self._device} sent nothing that matches '{o.line}' for {o.timeout_s:g} s; is it on, is the baud rate right?")
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self._quit.set()
+        port, self._port = self._port, None
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+            self._thread = None
+        if port is not None:
+            with suppress(Exception):
+                port.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _send(self, text: str) -> None:
+        try:
+            self._port.write(text.encode())
+        except OSError as error:
+            raise DeviceTimeout(f"{self._device} was lost: {error}") from error
+
+    def _identify(self) -> None:
+        if self._identity is None:
+            return
+        self._send(self._options.identity.ask)
+        deadline, heard = time.monotonic() + self._options.timeout_s, ""
+        while time.monotonic() < deadline:
+            line = self._port.read_until(b"\n", MAX_LINE).decode("ascii", "replace").strip()
+            if self._identity.fullmatch(line):
+                return
+            heard = line or heard
+        raise IdentityError(f"{self._device} answered '{heard[:60]}' where '{self._options.identity.expect}' was expected; "
+                            "is this the right sensor?")
+
+    def _listen(self) -> None:
+        # A line that was already under way when we came may be cut, and a cut number is a wrong number.
+        whole, port, pending = self._options.ask is not None or self._identity is not None, self._port, b""
+        while not self._quit.is_set():
+            try:
+                pending += port.read_until(b"\n", MAX_LINE)
+            except Exception as error:
+                with self._news:
+                    self._failure = f"the connection was lost ({error})"
+                    self._news.notify_all()
+                return
+            if not pending.endswith(b"\n"):
+                if len(pending) > MAX_LINE:
+                    pending, whole = b"", False
+                continue
+            line, pending = pending.decode("ascii", "replace").strip(), b""
+            if whole:
+                self._take(line)
+            whole = True
+
+    def _take(self, line: str) -> None:
+        match = self._pattern.fullmatch(line)
+        if match is None:
+            return
+        try:
+            values = {name: float(text) for name, text in match.groupdict().items() if text is not None}
+            if not all(map(math.isfinite, values.values())):
+                raise ValueError("not finite")
+        except ValueError:
+            with self._news:
+                self._failure = f"'{line[:60]}' matches the line pattern, but not every group is a number; correct the pattern"
+                self._news.notify_all()
+            return
+        with self._news:
+            self._values, self._stamp, self._failure = values, time.monotonic(), ""
+            self._news.notify_all()
+
+
+def _compile(pattern: str, option: str) -> re.Pattern[str]:
+    try:
+        return re.compile(pattern)
+    except re.error as error:
+        raise ConfigError(f"options of the serial sensor: {option} is not a regular expression: {error}; correct the plan") from error
