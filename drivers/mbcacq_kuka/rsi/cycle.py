@@ -1,0 +1,120 @@
+"""The RSI cycle, in a process of its own: receive, next set point, answer, record. Nothing else may share its interpreter.
+
+Started as ``python -m mbcacq_kuka.rsi.cycle`` with its settings as one JSON line on standard input. It answers 'ready' (or why
+not) on standard output. When standard input ends, because the driver closed it or died, it brakes, ends the session and exits.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from typing import Any
+
+from mbcacq_kuka.rsi.session import Session
+from mbcacq_kuka.rsi.shared import Shared
+from mbcacq_kuka.rsi.telegram import MAX_DATAGRAM
+
+_POLL_S = 0.05
+_PRIORITY = 50
+
+
+def open_socket(address: str, port: int) -> socket.socket:
+    """Bound exclusively: a second program on the port would silently take the controller's telegrams."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        sock.bind((address, port))
+    except (OSError, OverflowError):
+        sock.close()
+        raise
+    sock.settimeout(_POLL_S)
+    return sock
+
+
+def become_real_time() -> bool:
+    """A fixed high priority and no garbage collection; quietly without, where it is not permitted."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+def run(sock: socket.socket, session: Session, parent_gone: threading.Event) -> None:
+    """Until the session is over."""
+    receive, monotonic = sock.recvfrom, time.monotonic
+    while not session.over:
+        if parent_gone.is_set():
+            session.close(monotonic())
+        try:
+            data, source = receive(MAX_DATAGRAM)
+        except TimeoutError:
+            session.idle(monotonic())
+            continue
+        except ConnectionError:  # Windows reports an unreachable controller here; its silence says the same
+            continue
+        now = monotonic()
+        if now - session.last_heard > 1.5 * session.cycle_s:
+            data, source = _newest(sock, session, data, source, now)
+        answer = session.answer(data, source, now)
+        if answer is not None:
+            try:
+                sock.sendto(answer, source)
+            except OSError:
+                pass  # counts as a late answer, which the controller reports back
+
+
+def _newest(sock: socket.socket, session: Session, data: bytes, source: Any, now: float) -> tuple[bytes, Any]:
+    """After a stall telegrams queue up. Only the newest can still be answered in time; the others are recorded."""
+    sock.setblocking(False)
+    try:
+        while True:
+            newer = sock.recvfrom(MAX_DATAGRAM)
+            session.answer(data, source, now, in_time=False)
+            data, source = newer
+    except BlockingIOError:
+        return data, source
+    finally:
+        sock.settimeout(_POLL_S)
+
+
+def main() -> int:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the driver's process, which ends us in order
+    settings = json.loads(sys.stdin.readline())
+    parent_gone = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: parent_gone.set())
+    shared = Shared.attach(settings["shared"])
+    try:
+        try:
+            sock = open_socket(settings["bind"], settings["port"])
+        except (OSError, OverflowError) as error:
+            print(json.dumps({"error": str(error)}), flush=True)
+            return 1
+        with sock:
+            session = Session(shared, settings)
+            real_time = become_real_time()
+            threading.Thread(target=_await_end_of_input, args=(parent_gone,), daemon=True).start()
+            print(json.dumps({"ready": sock.getsockname()[1], "real_time": real_time}), flush=True)
+            run(sock, session, parent_gone)
+        return 0
+    finally:
+        shared.close()
+
+
+def _await_end_of_input(gone: threading.Event) -> None:
+    sys.stdin.read()
+    gone.set()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""Set points of one arm, one a controller cycle: jerk-limited, joint-straight from rest, braking within the same limits. deg, s."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
+
+from mbcacq_kuka.rsi.shared import Command
+
+
+class Refused(ValueError):
+    """A motion that cannot be made within its limits."""
+
+
+class Motion:
+    """The commanded joint angles. ``step`` gives the next ones; without a motion they stay."""
+
+    def __init__(self, start: Sequence[float], cycle_s: float, joint_limits: Sequence[tuple[float, float]]) -> None:
+        n = len(start)
+        self._otg, self._trajectory, self._n = Ruckig(n), Trajectory(n), n
+        self._cycle_s, self._joint_limits = cycle_s, joint_limits
+        self._elapsed = self._duration = 0.0
+        self._dynamics: tuple[list[float], list[float], list[float]] | None = None
+        self._velocity = self._acceleration = [0.0] * n
+        self.position: tuple[float, ...] = tuple(start)
+        self.moving = False
+
+    def move(self, command: Command) -> None:
+        """Turn towards a target from whatever the arm is doing now. Raises Refused; then the present motion goes on."""
+        limits = (list(command.speed), list(command.acceleration), list(command.jerk))
+        ask = self._ask(limits)
+        ask.target_position = list(command.target)
+        ask.synchronization = Synchronization.Phase  # a straight line in joint space, as the path was checked for collisions
+        trajectory = Trajectory(self._n)
+        self._calculate(ask, trajectory)
+        for axis, (extrema, (low, high)) in enumerate(zip(trajectory.position_extrema, self._joint_limits, strict=True)):
+            if self.moving and (extrema.min < low - 1e-9 or extrema.max > high + 1e-9):
+                reach = f"{extrema.min:.2f}..{extrema.max:.2f} deg"
+                raise Refused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g} deg")
+        self._dynamics = limits
+        self._begin(trajectory)
+
+    def stop(self) -> None:
+        """Brake every axis as fast as the last motion's limits allow, then hold."""
+        if not self.moving or self._dynamics is None:
+            return
+        ask = self._ask(self._dynamics)
+        ask.control_interface = ControlInterface.Velocity
+        ask.synchronization = Synchronization.No
+        trajectory = Trajectory(self._n)
+        try:
+            self._calculate(ask, trajectory)
+        except Refused:
+            return  # the motion under way ends at rest in any case
+        self._begin(trajectory)
+
+    def step(self) -> tuple[float, ...]:
+        """The set point of the next cycle, (n,) deg."""
+        if self.moving:
+            self._elapsed += self._cycle_s
+            position, self._velocity, self._acceleration = self._trajectory.at_time(self._elapsed)
+            if self._elapsed >= self._duration:
+                self.moving = False
+                self._velocity = self._acceleration = [0.0] * self._n
+            self.position = tuple(position)
+        return self.position
+
+    def _ask(self, limits: tuple[list[float], list[float], list[float]]) -> InputParameter:
+        ask = InputParameter(self._n)
+        ask.current_position, ask.current_velocity, ask.current_acceleration = list(self.position), self._velocity, self._acceleration
+        ask.target_velocity = ask.target_acceleration = [0.0] * self._n
+        ask.max_velocity, ask.max_acceleration, ask.max_jerk = limits
+        return ask
+
+    def _calculate(self, ask: InputParameter, trajectory: Trajectory) -> None:
+        try:
+            result = self._otg.calculate(ask, trajectory)
+        except RuckigError as error:
+            raise Refused(f"no motion within the limits exists: {error}") from error
+        if result not in (Result.Working, Result.Finished):
+            raise Refused(f"no motion within the limits exists ({result})")
+
+    def _begin(self, trajectory: Trajectory) -> None:
+        self._trajectory, self._duration, self._elapsed = trajectory, trajectory.duration, 0.0
+        self.moving = True

@@ -1,0 +1,84 @@
+"""Raw cycles out of the shared ring, as arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbcacq.devices import Cycles
+from mbcacq_kuka.rsi.shared import FIXED, Shared
+
+_AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+_RENAMED = {"MACur": "current_percent", "Delay.D": "delay", "IPOC": "ipoc"}
+
+
+class Reader:
+    """Reads a session's rows exactly once each. ``lost`` counts rows that were overwritten before they were read."""
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared: Shared | None = shared
+        self._rows = np.empty((0, len(FIXED)))
+        self._tail = self.lost = 0
+        self._columns: dict[str, Any] = {}
+        self._rest = np.empty((0, len(FIXED)))
+
+    def begin(self) -> None:
+        """The session's layout is known: at least one row is there."""
+        shared = self._shared
+        self._rows = np.frombuffer(shared.ring).reshape(shared.capacity, shared.width)
+        self._columns = _columns(shared.names())
+        self.start = self._rows[0][self._columns["q"]].copy()
+
+    def last(self) -> dict[str, Any]:
+        """The newest row: time_s, flags, command as numbers and q (6,) deg."""
+        row = self._rows[(self._shared.head - 1) % len(self._rows)].copy()
+        return {"time_s": float(row[1]), "flags": row[2], "command": row[3], "q": row[self._columns["q"]]}
+
+    def drain(self) -> Cycles:
+        """All rows since the last call."""
+        return self._convert(self._take()) if self._columns else Cycles({})
+
+    def detach(self) -> None:
+        """The block goes away: keep what was not read yet."""
+        if self._columns:
+            self._rest = self._take()
+        self._shared, self._rows = None, np.empty((0, 0))
+
+    def _take(self) -> np.ndarray:
+        if self._shared is None:
+            rows, self._rest = self._rest, self._rest[:0]
+            return rows
+        head, capacity = self._shared.head, len(self._rows)
+        first = max(self._tail, head - capacity)
+        rows = self._rows[np.arange(first, head) % capacity]
+        overwritten = min(max(self._shared.head - capacity - first, 0), len(rows))  # while they were being copied
+        self.lost += first - self._tail + overwritten
+        self._tail = head
+        return rows[overwritten:]
+
+    def _convert(self, rows: np.ndarray) -> Cycles:
+        columns: dict[str, np.ndarray] = {name: rows[:, where] for name, where in self._columns.items()}
+        columns.setdefault("q_set", np.full((len(rows), 6), np.nan))
+        for name in ("q", "q_set", "q_command"):
+            columns[name] = np.radians(columns[name])
+        columns["answered"] = (columns.pop("flags").astype(int) >> 2 & 1).astype(bool)
+        return Cycles(columns)
+
+
+def _columns(names: list[str]) -> dict[str, Any]:
+    """Column name -> where it is in a row. Elements with attributes become one (k, n) column under the element's name."""
+    offset = len(FIXED)
+    where: dict[str, Any] = {"host_time_s": 0, "time_s": 1, "flags": 2, "q_command": slice(4, 10)}
+    grouped: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        if name in _RENAMED or "." not in name:
+            where[_RENAMED.get(name, name)] = offset + i
+        else:
+            grouped.setdefault(name.split(".")[0], []).append(offset + i)
+    for element, key in (("AIPos", "q"), ("ASPos", "q_set")):
+        if all(f"{element}.{a}" in names for a in _AXES):
+            where[key] = [offset + names.index(f"{element}.{a}") for a in _AXES]
+            grouped.pop(element)
+    where.update({_RENAMED.get(element, element): slots for element, slots in grouped.items()})
+    return where

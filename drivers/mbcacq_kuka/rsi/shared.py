@@ -1,0 +1,143 @@
+"""Memory shared by the driver and its cycle process: commands one way, raw cycles and the fault the other. No locks on either side.
+
+Layout: int64 header | two command slots | names (JSON) | fault (JSON) | ring of rows of doubles. Only plain stores are used, each
+followed by the counter that makes it visible.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing import resource_tracker, shared_memory
+from typing import Any
+
+MOVE, STOP, CLOSE = 1, 2, 3
+MOVING, ARRIVED, ANSWERED = 1, 2, 4
+FIXED = ("host_time_s", "time_s", "flags", "command", "cA1", "cA2", "cA3", "cA4", "cA5", "cA6")
+
+_COMMAND_SEQ, _HEAD, _WIDTH, _CAPACITY, _FAULT_SIZE, _NAMES_SIZE = range(6)
+_COMMAND = struct.Struct("<27d")
+_COMMAND_AT = (128, 512)
+_NAMES_AT, _FAULT_AT, _RING_AT = 1024, 24576, 32768
+_MAX_FAULT = _RING_AT - _FAULT_AT
+_MAX_NAMES = _FAULT_AT - _NAMES_AT
+RING_BYTES = 16 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Command:
+    """kind: MOVE, STOP or CLOSE. target, speed, acceleration, jerk: (6,) deg, deg/s...; tolerance deg; settle_s on the robot's clock."""
+
+    kind: int
+    target: Sequence[float] = (0.0,) * 6
+    speed: Sequence[float] = (0.0,) * 6
+    acceleration: Sequence[float] = (0.0,) * 6
+    jerk: Sequence[float] = (0.0,) * 6
+    tolerance: float = 0.0
+    settle_s: float = 0.0
+
+
+class Shared:
+    """One session's block. The driver creates it, the cycle process attaches."""
+
+    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
+        self._memory, self._owner = memory, owner
+        self.name = memory.name
+        self._header = memory.buf[:64].cast("q")
+
+    @classmethod
+    def create(cls) -> Shared:
+        return cls(shared_memory.SharedMemory(create=True, size=_RING_AT + RING_BYTES), True)
+
+    @classmethod
+    def attach(cls, name: str) -> Shared:
+        if sys.version_info >= (3, 13):
+            return cls(shared_memory.SharedMemory(name=name, track=False), False)
+        register = resource_tracker.register
+        resource_tracker.register = lambda *_: None  # Python < 3.13 would remove the block when this process ends
+        try:
+            return cls(shared_memory.SharedMemory(name=name), False)
+        finally:
+            resource_tracker.register = register
+
+    def close(self) -> None:
+        self._header.release()
+        self._memory.close()
+        if self._owner:
+            self._memory.unlink()
+
+    # commands: one writer at a time (the driver holds a lock), one reader
+
+    @property
+    def command_seq(self) -> int:
+        return self._header[_COMMAND_SEQ]
+
+    def send(self, command: Command) -> int:
+        """Publish a command; its number comes back in the ``command`` column of the cycles that follow it."""
+        seq = self._header[_COMMAND_SEQ] + 1
+        _COMMAND.pack_into(self._memory.buf, _COMMAND_AT[seq & 1], command.kind, *command.target, *command.speed, *command.acceleration,
+                           *command.jerk, command.tolerance, command.settle_s)
+        self._header[_COMMAND_SEQ] = seq
+        return seq
+
+    def receive(self) -> tuple[int, Command]:
+        while True:
+            seq = self._header[_COMMAND_SEQ]
+            v = _COMMAND.unpack_from(self._memory.buf, _COMMAND_AT[seq & 1])
+            if self._header[_COMMAND_SEQ] == seq:
+                return seq, Command(int(v[0]), v[1:7], v[7:13], v[13:19], v[19:25], v[25], v[26])
+
+    # cycles: rows of doubles, FIXED and then the session's values
+
+    def begin(self, names: Sequence[str]) -> None:
+        """Lay out the ring for a session that sends ``names``; until then there are no rows."""
+        text = json.dumps(list(names)).encode()
+        if len(text) > _MAX_NAMES:
+            raise ValueError("the names of the telegram's elements are too long")
+        self._memory.buf[_NAMES_AT:_NAMES_AT + len(text)] = text
+        width = len(FIXED) + len(names)
+        self._row = struct.Struct(f"<{width}d")
+        self._header[_NAMES_SIZE], self._header[_WIDTH] = len(text), width
+        self._header[_CAPACITY] = self._capacity = RING_BYTES // self._row.size
+
+    def append(self, host_time_s: float, time_s: float, flags: int, command: int, degrees: Sequence[float],
+               values: Sequence[float]) -> None:
+        head = self._header[_HEAD]
+        self._row.pack_into(self._memory.buf, _RING_AT + head % self._capacity * self._row.size, host_time_s, time_s, flags, command,
+                            *degrees, *values)
+        self._header[_HEAD] = head + 1
+
+    @property
+    def head(self) -> int:
+        """How many rows were ever written."""
+        return self._header[_HEAD]
+
+    @property
+    def width(self) -> int:
+        return self._header[_WIDTH]
+
+    @property
+    def capacity(self) -> int:
+        return self._header[_CAPACITY]
+
+    @property
+    def ring(self) -> memoryview:
+        return self._memory.buf[_RING_AT:_RING_AT + self.capacity * self.width * 8]
+
+    def names(self) -> list[str]:
+        return json.loads(bytes(self._memory.buf[_NAMES_AT:_NAMES_AT + self._header[_NAMES_SIZE]]))
+
+    # the first fault of a session
+
+    def fail(self, kind: str, text: str) -> None:
+        if self._header[_FAULT_SIZE] == 0:
+            raw = json.dumps({"kind": kind, "text": text}).encode()[:_MAX_FAULT]
+            self._memory.buf[_FAULT_AT:_FAULT_AT + len(raw)] = raw
+            self._header[_FAULT_SIZE] = len(raw)
+
+    def fault(self) -> dict[str, Any] | None:
+        size = self._header[_FAULT_SIZE]
+        return json.loads(bytes(self._memory.buf[_FAULT_AT:_FAULT_AT + size])) if size else None

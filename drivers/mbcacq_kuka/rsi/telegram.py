@@ -1,0 +1,179 @@
+"""The two RSI telegrams: ``<Rob>`` (controller to us) parsed by name, ``<Sen>`` (our answer) composed.
+
+Hand-written, because GPIO attributes (``<GPIO 01="1"/>``) are no legal XML names, and because a 4 ms deadline is no place for a
+general parser. Nothing is accepted that an RSI controller does not send: no DTD, no entities, no nesting, bounded sizes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+
+MAX_VALUES = 192
+MAX_DATAGRAM = 65535
+
+_NAME = rb"[\w.:\-]{1,64}"
+_ATTRIBUTE = re.compile(rb"\s+(" + _NAME + rb")\s*=\s*(?:\"([^\"<&]{0,256})\"|'([^'<&]{0,256})')")
+_ROOT = re.compile(rb"\s*(?:<\?xml[^<>&]{0,200}\?>\s*)?<Rob(?=[\s>])")
+_CHILD = re.compile(rb"\s*<([A-Za-z_][\w.\-]{0,63})(?=[\s/>])")
+_CLOSE = re.compile(rb"\s*(/?)>")
+_TEXT = re.compile(rb"\s*([^<&]{0,256}?)\s*</(" + _NAME + rb")\s*>")
+_END = re.compile(rb"\s*</Rob\s*>[\s\0]*")
+_NUMBER = re.compile(rb"[-+]?(?:\d{1,20}\.?\d{0,32}|\.\d{1,32})(?:[eE][-+]?\d{1,3})?")
+_NUMBER_GROUP = rb"([-+.\deE]{1,48})"
+_TEXT_GROUP = rb"[^\"'<&]{0,256}"
+
+
+class Malformed(ValueError):
+    """A datagram that is no ``<Rob>`` telegram."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value of a telegram: ``name`` is 'AIPos.A1' for an attribute, 'IPOC' for element text; data[start:end] is its text."""
+
+    name: str
+    start: int
+    end: int
+    numeric: bool
+
+
+def scan(data: bytes) -> list[Value]:
+    """All values of a ``<Rob>`` telegram in wire order, in any order, spacing and notation. Raises Malformed."""
+    root = _ROOT.match(data)
+    if root is None:
+        raise Malformed("it does not begin with <Rob")
+    values: list[Value] = []
+    position = root.end()
+    while attribute := _ATTRIBUTE.match(data, position):  # Type or TYPE: of no use to us
+        position = attribute.end()
+    position = _close(data, position, b"Rob", allow_empty=False)
+    while not (end := _END.match(data, position)):
+        child = _CHILD.match(data, position)
+        if child is None:
+            raise Malformed(f"unexpected text at byte {position}")
+        position = _element(data, child, values)
+        if len(values) > MAX_VALUES:
+            raise Malformed(f"more than {MAX_VALUES} values")
+    if end.end() != len(data):
+        raise Malformed(f"bytes after </Rob> at byte {end.end()}")
+    if len({v.name for v in values}) != len(values):
+        raise Malformed("a value appears twice")
+    return values
+
+
+def _element(data: bytes, child: re.Match[bytes], values: list[Value]) -> int:
+    tag, position, first = child[1], child.end(), len(values)
+    while attribute := _ATTRIBUTE.match(data, position):
+        start, stop = attribute.span(2) if attribute[2] is not None else attribute.span(3)
+        values.append(_value(data, f"{tag.decode()}.{attribute[1].decode()}", start, stop))
+        position = attribute.end()
+    close = _CLOSE.match(data, position)
+    if close is None:
+        raise Malformed(f"<{tag.decode()}> is not closed at byte {position}")
+    if close[1]:
+        return close.end()
+    text = _TEXT.match(data, close.end())
+    if text is None or text[2] != tag:
+        raise Malformed(f"</{tag.decode()}> is missing at byte {close.end()}")
+    if text[1] or len(values) == first:
+        values.append(_value(data, tag.decode(), *text.span(1)))
+    return text.end()
+
+
+def _value(data: bytes, name: str, start: int, end: int) -> Value:
+    while start < end and data[start] in b" \t\r\n":
+        start += 1
+    while end > start and data[end - 1] in b" \t\r\n":
+        end -= 1
+    return Value(name, start, end, _NUMBER.fullmatch(data, start, end) is not None)
+
+
+def _close(data: bytes, position: int, tag: bytes, allow_empty: bool) -> int:
+    close = _CLOSE.match(data, position)
+    if close is None or (close[1] and not allow_empty):
+        raise Malformed(f"<{tag.decode()}> is not opened properly at byte {position}")
+    return close.end()
+
+
+class Parser:
+    """Numbers of consecutive telegrams of one session, always in the order of ``names``.
+
+    The layout of the first telegram becomes one regular expression, so that all later ones cost a single match; a telegram
+    laid out otherwise (order, spacing) takes the slower way to the same numbers.
+    """
+
+    def __init__(self, first: bytes) -> None:
+        """``first``: a telegram that shows what the session sends. Raises Malformed."""
+        numeric = [v for v in scan(first) if v.numeric]
+        self.names = tuple(v.name for v in numeric)
+        self._slot = {name: i for i, name in enumerate(self.names)}
+        if "IPOC" not in self._slot:
+            raise Malformed("IPOC is missing")
+        self._ipoc = self._slot["IPOC"]
+        pattern, position = [], 0
+        for value in scan(first):
+            pattern += [re.escape(first[position:value.start]), _NUMBER_GROUP if value.numeric else _TEXT_GROUP]
+            position = value.end
+        self._match = re.compile(b"".join(pattern) + re.escape(first[position:])).fullmatch
+
+    def parse(self, data: bytes) -> tuple[bytes, list[float]]:
+        """IPOC as its digits, and all numbers by ``names`` (NaN where missing). Raises Malformed."""
+        match = self._match(data)
+        if match is not None and (groups := match.groups())[self._ipoc].isdigit():
+            try:
+                return groups[self._ipoc], list(map(float, groups))
+            except ValueError:
+                pass
+        return self._parse_slowly(data)
+
+    def _parse_slowly(self, data: bytes) -> tuple[bytes, list[float]]:
+        row, ipoc = [nan] * len(self.names), b""
+        for value in scan(data):
+            if not value.numeric:
+                if value.name in self._slot:
+                    raise Malformed(f"{value.name} is no number")
+                continue
+            if value.name not in self._slot:
+                raise Malformed(f"a new element {value.name} appeared during the session")
+            text = data[value.start:value.end]
+            row[self._slot[value.name]] = float(text)
+            if value.name == "IPOC":
+                ipoc = text
+        if not ipoc.isdigit():
+            raise Malformed("IPOC is missing")
+        return ipoc, row
+
+    def slots(self, element: str, attributes: Sequence[str]) -> list[int] | None:
+        """Where the named attributes of an element are in a row; None if the session does not send all of them."""
+        names = [f"{element}.{a}" for a in attributes]
+        return [self._slot[n] for n in names] if all(n in self._slot for n in names) else None
+
+
+def finite(values: Sequence[float]) -> bool:
+    """True if all are numbers an axis can have (deg)."""
+    return all(isfinite(v) and abs(v) < 1e5 for v in values)
+
+
+class Composer:
+    """``<Sen>`` telegrams: ``compose(correction (6,) deg, IPOC digits)``. ``stop_element`` '' leaves that element out."""
+
+    def __init__(self, sen_type: str, correction: str, stop_element: str) -> None:
+        for name in (sen_type, correction, stop_element or "Stop"):
+            if not re.fullmatch(r"[A-Za-z_][\w.\-]{0,63}", name):
+                raise ValueError(f"'{name}' is no name for an element or a type")
+        axes = " ".join(f'A{i}="%.6f"' for i in range(1, 7))
+        stop = f"<{stop_element}>%d</{stop_element}>" if stop_element else ""
+        self._with_stop = bool(stop)
+        self._head = f'<Sen Type="{sen_type}">{stop}<{correction} {axes}/><IPOC>'.encode()
+        self._last: tuple[object, bytes] = (None, b"")
+
+    def compose(self, degrees: Sequence[float], ipoc: bytes, stop: bool = False) -> bytes:
+        """IPOC goes back digit for digit: a controller silently discards anything else."""
+        key = (degrees, stop)
+        if self._last[0] != key:
+            values = (stop, *degrees) if self._with_stop else tuple(degrees)
+            self._last = (key, self._head % values)
+        return self._last[1] + ipoc + b"</IPOC></Sen>"

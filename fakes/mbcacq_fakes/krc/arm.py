@@ -1,0 +1,90 @@
+"""The arm behind the fake controller: it follows its set point with a dead time and a lag, and knows where its flange is. deg, mm, s."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from math import atan2, copysign, cos, degrees, exp, hypot, radians, sin
+
+_DEAD_CYCLES = 2
+_STILL_DEG = 1e-6
+_STILL_CYCLES = 5
+
+
+class Arm:
+    """Six axes. ``step`` advances one controller cycle towards a set point."""
+
+    def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float) -> None:
+        self.q = list(start)
+        self.qd = [0.0] * 6
+        self.direction = [0.0] * 6
+        self.standstill, self.arrivals, self.still_cycles = True, 0, _STILL_CYCLES
+        self._cycle_s = cycle_s
+        self._share = 1.0 - exp(-cycle_s / lag_s) if lag_s > 0 else 1.0
+        self._ahead = deque([tuple(start)] * _DEAD_CYCLES, maxlen=_DEAD_CYCLES)
+        self._steady: tuple[float, ...] | None = None
+
+    def step(self, set_point: tuple[float, ...]) -> bool:
+        """True if the arm moved."""
+        if self._steady == set_point:  # everything downstream has settled
+            self.still_cycles += 1
+            return False
+        target = self._ahead[0]
+        self._ahead.append(set_point)
+        q, share, fastest = self.q, self._share, 0.0
+        for axis in range(6):
+            away = target[axis] - q[axis]
+            move = away * share if abs(away) > 1e-7 else away
+            if move:
+                q[axis] += move
+                self.direction[axis] = copysign(1.0, move)
+                fastest = max(fastest, abs(move))
+            self.qd[axis] = move / self._cycle_s
+        self._settle(fastest)
+        self._steady = set_point if fastest == 0.0 and self._ahead[0] == set_point == target else None
+        return fastest > 0.0
+
+    def _settle(self, fastest: float) -> None:
+        if fastest > _STILL_DEG:
+            self.standstill, self.still_cycles = False, 0
+            return
+        self.still_cycles += 1
+        if not self.standstill and self.still_cycles >= _STILL_CYCLES:
+            self.standstill = True
+            self.arrivals += 1
+
+    def currents(self) -> list[float]:
+        """A rough picture of motor currents (percent): holding the arm up, and friction."""
+        a2, a23, a5 = radians(self.q[1]), radians(self.q[1] + self.q[2]), radians(self.q[4])
+        forearm = 11.0 * cos(a23)
+        holding = (0.0, 24.0 * cos(a2) + forearm, forearm, 0.0, 2.5 * cos(a23 + a5), 0.0)
+        return [h + (copysign(3.0, v) + 0.08 * v if v else 0.0) for h, v in zip(holding, self.qd, strict=True)]
+
+
+class Kinematics:
+    """Flange pose X, Y, Z, A, B, C (mm, deg) from rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg) of a modified DH chain."""
+
+    def __init__(self, dh: Sequence[Sequence[float]]) -> None:
+        self._rows = []
+        for sign, theta, d, a, alpha, *rest in dh:
+            beta = radians(rest[0]) if rest else 0.0
+            self._rows.append((sign, radians(theta), d, a, cos(radians(alpha)), sin(radians(alpha)), cos(beta), sin(beta)))
+
+    def pose(self, q: Sequence[float]) -> tuple[float, float, float, float, float, float]:
+        if not self._rows:
+            return (0.0,) * 6
+        x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        for angle, (sign, theta, d, a, ca, sa, cb, sb) in zip(q, self._rows, strict=True):
+            turned = sign * radians(angle) + theta
+            c, s = cos(turned), sin(turned)
+            x, y = _mix(x, y, c, s), _mix(x, y, -s, c)
+            p = (p[0] + d * z[0] + a * x[0], p[1] + d * z[1] + a * x[1], p[2] + d * z[2] + a * x[2])
+            y, z = _mix(y, z, ca, sa), _mix(y, z, -sa, ca)
+            if sb:
+                x, z = _mix(x, z, cb, -sb), _mix(x, z, sb, cb)
+        pitch = atan2(-x[2], hypot(x[0], x[1]))
+        return (*p, degrees(atan2(x[1], x[0])), degrees(pitch), degrees(atan2(y[2], z[2])))
+
+
+def _mix(u: Sequence[float], v: Sequence[float], cu: float, cv: float) -> tuple[float, float, float]:
+    return (cu * u[0] + cv * v[0], cu * u[1] + cv * v[1], cu * u[2] + cv * v[2])

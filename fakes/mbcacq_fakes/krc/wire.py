@@ -1,0 +1,72 @@
+"""The telegrams as the controller writes and reads them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+_EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+_POSE = ("X", "Y", "Z", "A", "B", "C")
+_ATTRIBUTES = {"RIst": _POSE, "RSol": _POSE, "AIPos": _AXES, "ASPos": _AXES, "EIPos": _EXTERNAL, "ESPos": _EXTERNAL, "MACur": _AXES,
+               "MECur": _EXTERNAL}
+_MAX_ANSWER = 16384
+
+
+class RobTemplate:
+    """Formats ``<Rob>``: values of each element in the order given, Delay as an integer, IPOC last."""
+
+    def __init__(self, elements: Sequence[str], precision: int, spaced: bool = False, upper_type: bool = False, swap: bool = False) -> None:
+        self.elements = tuple(e for e in elements if e != "IPOC")
+        number, gap, end = f"%.{precision}f", "\r\n" if spaced else "", " />" if spaced else "/>"
+        parts = []
+        for element in self.elements:
+            if element == "Delay":
+                parts.append(f'<Delay D="%d"{end}')
+            else:
+                parts.append(f"<{element} " + " ".join(f'{a}="{number}"' for a in _ATTRIBUTES[element]) + end)
+        if swap:
+            self.elements = self.elements[::-1]
+            parts.reverse()
+        self._body = f'<Rob {"TYPE" if upper_type else "Type"}="KUKA">{gap}' + "".join(p + gap for p in parts) + "<IPOC>"
+        self._tail = f"</IPOC>{gap}</Rob>"
+
+    def body(self, values: Sequence[float]) -> str:
+        """Everything before the IPOC."""
+        return self._body % tuple(values)
+
+    def finish(self, body: str, ipoc: int) -> bytes:
+        return f"{body}{ipoc}{self._tail}".encode()
+
+
+@dataclass(frozen=True)
+class Answer:
+    ipoc: str
+    sen_type: str
+    correction: dict[str, float]
+    stop: bool
+
+
+class SenReader:
+    """Reads ``<Sen>``: any order, any spacing. None for what is not well-formed."""
+
+    def __init__(self, correction: str, stop_element: str) -> None:
+        self._root = re.compile(rb"\s*<Sen\s+Type\s*=\s*[\"']([^\"'<>&]{0,80})[\"']\s*>(.*)</Sen\s*>[\s\0]*", re.S)
+        self._ipoc = re.compile(rb"<IPOC\s*>\s*(\d{1,20})\s*</IPOC\s*>")
+        self._correction = re.compile(rb"<" + correction.encode() + rb"\s([^<>]*?)/?>")
+        self._axis = re.compile(rb"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+        self._stop = re.compile(b"<" + stop_element.encode() + rb"\s*>\s*(\d+)\s*</") if stop_element else None
+
+    def read(self, data: bytes) -> Answer | None:
+        root = self._root.fullmatch(data) if len(data) <= _MAX_ANSWER and b"<!" not in data else None
+        ipoc = self._ipoc.search(root[2]) if root else None
+        if root is None or ipoc is None:
+            return None
+        found = self._correction.search(root[2])
+        try:
+            correction = {name.decode(): float(value) for name, value in self._axis.findall(found[1])} if found else {}
+        except ValueError:
+            return None
+        stop = self._stop.search(root[2]) if self._stop else None
+        return Answer(ipoc[1].decode(), root[1].decode(), correction, stop is not None and int(stop[1]) != 0)
