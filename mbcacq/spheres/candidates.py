@@ -28,9 +28,13 @@ def ball_candidates(patches: Patches, radius: float, view: np.ndarray | None, li
     for axis in range(3):
         histogram = histogram + np.roll(histogram, -1, axis=axis)
     centres, counts = [], []
-    for start in _peaks(histogram, limit * 3):
+    for start, window in _peaks(histogram, limit * 3):
+        # windows come fullest first; the rest are sheets of votes above plates
+        if window < max(MIN_VOTES, 0.2 * max(counts, default=0)) or len(centres) == limit:
+            break
         centre, count = _climb(votes, low + (np.array(start) + 1) * size, radius)
-        if count >= MIN_VOTES and all(np.linalg.norm(centre - other) > 0.7 * radius for other in centres):
+        new = all(np.linalg.norm(centre - other) > 0.7 * radius for other in centres)
+        if new and count >= max(MIN_VOTES, 0.2 * max(counts, default=0)):
             centres.append(centre)
             counts.append(count)
     order = np.argsort(counts)[::-1][:limit]
@@ -46,13 +50,11 @@ def _votes(patches: Patches, radius: float, view: np.ndarray | None) -> np.ndarr
 
 
 def _peaks(histogram: np.ndarray, limit: int):
-    """Indices of the fullest windows, each blotting out its surroundings."""
+    """Index and votes of the fullest windows, each blotting out its surroundings."""
     left = histogram.copy()
     for _ in range(limit):
         at = np.unravel_index(int(left.argmax()), left.shape)
-        if left[at] < MIN_VOTES:
-            return
-        yield at
+        yield at, int(left[at])
         left[tuple(slice(max(i - 2, 0), i + 3) for i in at)] = 0
 
 

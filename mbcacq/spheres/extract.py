@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq.cell import Artefact
 from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.spheres.candidates import ball_candidates
-from mbcacq.spheres.fit import SphereFit, rough_fit, sphere_fit
+from mbcacq.spheres.fit import SphereFit, rough_fits, sphere_fits
 from mbcacq.spheres.found import BallOptions, FoundBalls
 from mbcacq.spheres.naming import name_balls
 from mbcacq.spheres.voxels import Patches, Voxels, patches, voxelise
@@ -31,13 +31,13 @@ def find_balls(points: np.ndarray, artefact: Artefact, *, expected: Sequence[int
     """
     options = options or BallOptions()
     _check(artefact, expected, predicted)
-    points = _finite(points)
+    columns = _finite(points)
     fits: list[tuple[float, SphereFit]] = []
     refused: list[tuple[str, np.ndarray | None]] = []
-    if len(points) >= options.min_points:
-        surface = Surface(points, artefact.diameters.min() / 2)
+    if columns.shape[1] >= options.min_points:
+        surface = Surface(columns, artefact.diameters.min() / 2)
         fits, refused = _fit_all(surface, artefact, options)
-        if not fits and not refused:
+        if not fits:
             _other_diameter(surface, artefact, options)
     return name_balls(fits, refused, artefact, expected, predicted, options)
 
@@ -45,12 +45,12 @@ def find_balls(points: np.ndarray, artefact: Artefact, *, expected: Sequence[int
 class Surface:
     """A cloud with its cubes and patches, made once for all radii."""
 
-    def __init__(self, points: np.ndarray, radius: float) -> None:
-        self.points = points
-        self.voxels: Voxels = voxelise(points, radius / 3)
+    def __init__(self, columns: np.ndarray, radius: float) -> None:
+        self.columns = columns
+        self.voxels: Voxels = voxelise(columns, radius / 3)
         if np.median(self.voxels.count) < 10:
-            self.voxels = voxelise(points, radius / 1.8)
-        self.patches: Patches = patches(points, self.voxels)
+            self.voxels = voxelise(columns, radius / 1.8)
+        self.patches: Patches = patches(columns, self.voxels)
 
     def near_shells(self, centres: np.ndarray, radii: np.ndarray, margin: np.ndarray) -> list[np.ndarray]:
         """For each sphere, the points (n, 3) float64 of all cubes that come within its margin of the shell."""
@@ -60,7 +60,7 @@ class Surface:
             distance = np.linalg.norm(middle - centre, axis=1)
             bits[np.abs(distance - radius) < margin[j] + 0.87 * self.voxels.size] |= np.uint64(1 << j)
         rows = np.flatnonzero((bits != 0)[self.voxels.cell])
-        mine, points = bits[self.voxels.cell[rows]], self.points[rows].astype(np.float64)
+        mine, points = bits[self.voxels.cell[rows]], self.columns[:, rows].T.astype(np.float64)
         return [points[(mine & np.uint64(1 << j)) != 0] for j in range(len(centres))]
 
 
@@ -77,16 +77,15 @@ def _fit_all(surface: Surface, artefact: Artefact, options: BallOptions):
     if not len(starts):
         return [], []
     clouds = surface.near_shells(starts, radii, 0.12 * radii)
-    rough = [rough_fit(p, c, r, options.max_noise) for p, c, r in zip(clouds, starts, radii, strict=True)]
-    if view is None:
-        total = np.sum([cap for _, cap in rough], axis=0)
-        view = total / (np.linalg.norm(total) or 1.0)
+    centres = rough_fits(clouds, starts, radii, options.max_noise)
+    close = np.linalg.norm(centres - starts, axis=1) < 0.5 * radii
+    if not close.any():
+        return [], []
+    clouds = [cloud for cloud, keep in zip(clouds, close, strict=True) if keep]
     fits: list[tuple[float, SphereFit]] = []
     refused: list[tuple[str, np.ndarray | None]] = []
-    for (centre, _), cloud, start, radius in zip(rough, clouds, starts, radii, strict=True):
-        if np.linalg.norm(centre - start) > 0.5 * radius:
-            continue
-        fit = sphere_fit(cloud, centre, radius, view, options.max_incidence, options.max_noise)
+    found = sphere_fits(clouds, centres[close], radii[close], view, options.max_incidence, options.max_noise)
+    for radius, fit in zip(radii[close], found, strict=True):
         if fit is None or any(np.linalg.norm(fit.centre - other.centre) < 0.5 * radius for _, other in fits):
             continue
         fault, telling = _judge(fit, radius, options)
@@ -102,7 +101,8 @@ def _judge(fit: SphereFit, radius: float, options: BallOptions) -> tuple[str | N
     if fit.n_points < options.min_points:
         return f"{fit.n_points} points on a ball of {2 * radius:g} mm are too few", False
     if fit.coverage < options.min_coverage:
-        return f"only {fit.coverage:.0%} of the visible cap of a ball of {2 * radius:g} mm is covered", fit.coverage > 0.6 * options.min_coverage
+        worth = fit.coverage > 0.6 * options.min_coverage
+        return f"only {fit.coverage:.0%} of the visible cap of a ball of {2 * radius:g} mm is covered", worth
     if fit.noise_mm > options.max_noise:
         return f"its surface is {fit.noise_mm:.3f} mm rough", True
     if abs(fit.radius_error) > options.radius_tolerance * radius + 5 * fit.radius_sigma:
@@ -117,15 +117,14 @@ def _other_diameter(surface: Surface, artefact: Artefact, options: BallOptions) 
     for radius in size * np.geomspace(1.0, 15.0, 28):
         starts, votes = ball_candidates(surface.patches, radius, None, 3)
         for start, count in zip(starts, votes, strict=True):
-            cloud = surface.near_shells(start[None], np.array([radius]), np.array([0.12 * radius]))[0]
-            centre, cap = rough_fit(cloud, start, radius, 0.1 * radius)
-            view = cap / (np.linalg.norm(cap) or 1.0)
+            cloud = surface.near_shells(start[None], np.array([radius]), np.array([0.12 * radius]))
+            centre = rough_fits(cloud, start[None], np.array([radius]), 0.1 * radius)
             fit = None
             for _ in range(4):
-                fit = sphere_fit(cloud, centre, radius, view, options.max_incidence, 0.02 * radius)
+                fit = sphere_fits(cloud, centre, np.array([radius]), None, options.max_incidence, 0.02 * radius)[0]
                 if fit is None:
                     break
-                centre, radius = fit.centre, float(np.clip(radius + fit.radius_error, 0.5 * radius, 2 * radius))
+                centre, radius = fit.centre[None], float(np.clip(radius + fit.radius_error, 0.5 * radius, 2 * radius))
             if fit is not None and fit.coverage > 0.5 and fit.noise_mm < options.max_noise and fit.n_points >= options.min_points \
                     and (best is None or count > best[0]):
                 best = (count, radius)
@@ -137,21 +136,24 @@ def _other_diameter(surface: Surface, artefact: Artefact, options: BallOptions) 
 
 def _check(artefact: Artefact, expected: Sequence[int] | None, predicted: np.ndarray | None) -> None:
     if not (artefact.diameters > 0).all():
-        raise ConfigError(f"artefact '{artefact.id}' has a ball without diameter_mm: it is needed to find balls in a cloud; add it to the certificate")
+        raise ConfigError(f"artefact '{artefact.id}' has a ball without diameter_mm, which finding it in a cloud needs; "
+                          "add it to the certificate")
     ids = artefact.ball_ids if expected is None else tuple(expected)
     for ball in ids:
         if ball not in artefact.ball_ids:
-            raise ConfigError(f"ball {ball} is expected in view, but artefact '{artefact.id}' has the balls {list(artefact.ball_ids)}; correct the plan")
+            raise ConfigError(f"ball {ball} is expected in view, but artefact '{artefact.id}' has the balls "
+                              f"{list(artefact.ball_ids)}; correct the plan")
     if predicted is not None and np.shape(predicted) != (len(ids), 3):
         raise ConfigError(f"predicted centres have shape {np.shape(predicted)}, for {len(ids)} balls ({len(ids)}, 3) is needed")
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
+    """Finite points as columns (3, N), which are quicker to work on."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ConfigError(f"a cloud must have shape (N, 3), this one has {points.shape}")
-    if points.dtype not in (np.float32, np.float64):
-        points = points.astype(np.float64)
-    if len(points) and not np.isfinite(points.sum(dtype=np.float64)):
-        points = points[np.isfinite(points).all(axis=1)]
-    return points
+    kind = points.dtype if points.dtype in (np.float32, np.float64) else np.float64
+    columns = np.ascontiguousarray(points.T, dtype=kind)
+    if columns.size and not np.isfinite(columns.min() + columns.max()):
+        columns = columns[:, np.isfinite(columns).all(axis=0)]
+    return columns

@@ -1,17 +1,24 @@
-"""Sphere of known radius through noisy points: Gauss-Newton on the geometric distance, with Tukey's weights.
+"""Spheres of known radius through noisy points, several at once: Gauss-Newton on the geometric distance, with Tukey's weights.
 
 ``f_i = |p_i - c| - R`` and ``df/dc = -u_i``, u the unit vector from the centre to the point. The weights fall to zero at
 TUKEY times the noise, so that edge and background points have no say; symmetric, so that they do not bias what is left.
+Arrays are (k, 3, n): k spheres, points padded to the longest cloud.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 TUKEY = 6.0
+# for Gaussian noise under these weights: share of the variance that the weighted mean square shows,
+# and the variance of the centre over variance * inverse(normal matrix)
+SEEN_VARIANCE = 0.8924
+COVARIANCE_FACTOR = 0.9657
 NOISE_FLOOR_MM = 1e-4
+MIN_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -19,7 +26,6 @@ class SphereFit:
     """centre (3,) mm; covariance (3, 3) mm^2; noise_mm: estimated sigma of a point; rms_mm and n_points: of the points used.
 
     coverage: share of the cap within the limit of incidence that has points. radius_error, radius_sigma: mm, freely fitted minus given.
-    cap: (3,) mean direction of the points used, not normalised.
     """
 
     centre: np.ndarray
@@ -30,76 +36,116 @@ class SphereFit:
     coverage: float
     radius_error: float
     radius_sigma: float
-    cap: np.ndarray
 
 
-def rough_fit(points: np.ndarray, centre: np.ndarray, radius: float, max_noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and mean direction (3,) of the visible cap, from at most a few hundred of the points."""
-    few = points[:: max(1, len(points) // 400)]
-    gate = 0.1 * radius
-    u = np.zeros((1, 3))
-    for step in range(8):
-        offset = few - centre
-        distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
-        f = distance - radius
-        near = np.abs(f) < gate
-        if near.sum() < 8:
-            return centre, np.zeros(3)
-        u, f = offset[near] / distance[near, None], f[near]
-        scale = min(max(1.4826 * np.median(np.abs(f)), NOISE_FLOOR_MM), max_noise if step > 3 else gate)
-        w = _tukey(f / (TUKEY * scale))
-        normal = (u * w[:, None]).T @ u + 1e-9 * np.eye(3)
-        centre = centre + np.clip(np.linalg.solve(normal, u.T @ (w * f)), -gate, gate)
-    return centre, (u * (w > 0)[:, None]).mean(axis=0)
+@dataclass(frozen=True)
+class _State:
+    """One Gauss-Newton step of all spheres: directions u (k, 3, n), distances f (k, n), weights w (k, n), normal (k, 3, 3),
+    step (k, 3), noise (k,) mm."""
+
+    u: np.ndarray
+    f: np.ndarray
+    w: np.ndarray
+    normal: np.ndarray
+    step: np.ndarray
+    noise: np.ndarray
 
 
-def sphere_fit(points: np.ndarray, centre: np.ndarray, radius: float, view: np.ndarray, max_incidence: float,
-               max_noise: float, iterations: int = 12) -> SphereFit | None:
-    """Fit from a start within about a tenth of the radius. points: (n, 3) float64 mm. None where nothing is left to fit.
+def rough_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, max_noise: float) -> np.ndarray:
+    """Centres (k, 3), good to some micrometres, from a few hundred points (n, 3) of each cloud."""
+    points, valid = _pad([p[:: max(1, len(p) // 250)] for p in clouds])
+    wide = 0.1 * radii
+    for round_ in range(7):
+        ceiling = np.maximum(wide * 0.4**round_, max_noise)
+        state = _step(points, valid, centres, radii, np.minimum(wide, 3 * ceiling), ceiling, None, None, -1.0)
+        centres = centres + np.clip(state.step, -wide[:, None], wide[:, None])
+    return centres
 
-    view: (3,) unit vector towards the scanner; points seen at more than ``max_incidence`` rad are left out by their direction from
-    the centre, which the noise along the normal cannot change.
+
+def sphere_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, view: np.ndarray | None, max_incidence: float,
+                max_noise: float) -> list[SphereFit | None]:
+    """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None where nothing is left to fit.
+
+    view: (3,) unit vector towards the scanner, None to take it from the caps; points seen at more than ``max_incidence`` rad are
+    left out by their direction from the centre, which the noise along the normal cannot change.
     """
-    limit = np.cos(max_incidence)
-    gate = TUKEY * max_noise
-    noise = max_noise
-    for _ in range(iterations):
-        offset = points - centre
-        distance = np.sqrt(np.einsum("ij,ij->i", offset, offset))
-        f = distance - radius
-        use = (np.abs(f) < gate) & (offset @ view > limit * distance)
-        if use.sum() < 8:
-            return None
-        u, f = offset[use] / distance[use, None], f[use]
-        noise = float(np.clip(1.4826 * np.median(np.abs(f)), NOISE_FLOOR_MM, max_noise))
-        gate = min(gate, 4 * TUKEY * noise)
-        w = _tukey(f / (TUKEY * noise))
-        normal = (u * w[:, None]).T @ u
-        try:
-            step = np.linalg.solve(normal, u.T @ (w * f))
-        except np.linalg.LinAlgError:
-            return None
-        centre = centre + step
-        if step @ step < 1e-12:
+    points, valid = _pad(clouds)
+    ceiling = np.full(len(radii), max_noise)
+    gate = TUKEY * ceiling
+    if view is None:
+        for _ in range(4):
+            state = _step(points, valid, centres, radii, gate, ceiling, None, None, -1.0)
+            centres = centres + state.step
+            gate = np.minimum(gate, 4 * TUKEY * state.noise)
+        caps = np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2
+        view = caps.sum(axis=0)
+        view = view / (np.linalg.norm(view) or 1.0)
+    noise = None
+    for round_ in range(20):
+        state = _step(points, valid, centres, radii, gate, ceiling, noise, view, np.cos(max_incidence))
+        centres = centres + state.step
+        if round_ < 4:
+            gate = np.minimum(gate, 4 * TUKEY * state.noise)
+        elif round_ == 4:
+            noise = state.noise  # frozen from here, so that the iteration has a fixed point
+        elif np.max(np.sum(state.step**2, axis=1), initial=0.0) < 1e-12:
             break
-    return _summary(centre, u, f - u @ step, w, normal, view, max_incidence)
+    fits = []
+    for j in range(len(radii)):
+        used = state.w[j] > 0
+        u, f, w = state.u[j].T[used], state.f[j][used], state.w[j][used]
+        f = f - u @ state.step[j]
+        fits.append(_summary(centres[j], u, f, w, state.normal[j], view, max_incidence) if len(f) >= MIN_POINTS else None)
+    return fits
+
+
+def _step(points, valid, centres, radii, gate, ceiling, noise, view, limit) -> _State:
+    offset = points - centres[:, :, None]
+    distance = np.sqrt(np.einsum("kin,kin->kn", offset, offset)) + 1e-300
+    f = distance - radii[:, None]
+    size = np.abs(f)
+    use = valid & (size < gate[:, None])
+    if view is not None:
+        use &= np.einsum("kin,i->kn", offset, view) > limit * distance
+    offset /= distance[:, None]
+    if noise is None:
+        size[~use] = np.inf
+        count = use.sum(axis=1)
+        size.sort(axis=1)
+        median = size[np.arange(len(size)), np.maximum(count // 2, 0)]
+        noise = np.clip(1.4826 * np.where(np.isfinite(median), median, 0.0), NOISE_FLOOR_MM, ceiling)
+    t = f / (TUKEY * noise)[:, None]
+    w = np.maximum(1.0 - t * t, 0.0)
+    w *= w * use
+    weighted = offset * w[:, None]
+    normal = weighted @ np.swapaxes(offset, 1, 2)
+    step = np.linalg.solve(normal + 1e-9 * np.eye(3), weighted @ f[:, :, None])[:, :, 0]
+    return _State(offset, f, w, normal, step, noise)
+
+
+def _pad(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(k, 3, n) points and (k, n) which of them are real."""
+    longest = max(len(p) for p in clouds)
+    points = np.zeros((len(clouds), 3, max(longest, 1)))
+    valid = np.zeros((len(clouds), max(longest, 1)), dtype=bool)
+    for j, cloud in enumerate(clouds):
+        points[j, :, : len(cloud)] = cloud.T
+        valid[j, : len(cloud)] = True
+    return points, valid
 
 
 def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
-    used = w > 0
-    n = int(used.sum())
     total = float(w.sum())
-    variance = float(w @ f**2) / max(total - 3, 1.0)
-    covariance = variance * np.linalg.inv(normal + 1e-12 * np.eye(3))
-    # one more Gauss-Newton step with the radius free: f + u dc - dR = 0
-    free = np.zeros((4, 4))
+    variance = float(w @ f**2) / max(total - 3, 1.0) / SEEN_VARIANCE
+    covariance = COVARIANCE_FACTOR * variance * np.linalg.inv(normal + 1e-12 * np.eye(3))
+    # one more Gauss-Newton step with the radius free: f = u dc + dR
+    free = np.empty((4, 4))
     free[:3, :3], free[3, 3] = normal, total
     free[:3, 3] = free[3, :3] = u.T @ w
     inverse = np.linalg.inv(free + 1e-12 * np.eye(4))
-    radius_error = float((inverse @ np.append(u.T @ (w * f), w @ f))[3])
-    return SphereFit(centre, covariance, float(np.sqrt(variance)), float(np.sqrt(np.mean(f[used] ** 2))), n,
-                     _coverage(u[used], view, max_incidence), radius_error, float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
-                     u[used].mean(axis=0))
+    radius_error = float(inverse[3] @ np.append(u.T @ (w * f), w @ f))
+    return SphereFit(centre, covariance, float(np.sqrt(variance)), float(np.sqrt(np.mean(f**2))), len(f),
+                     _coverage(u, view, max_incidence), radius_error, float(np.sqrt(variance * max(inverse[3, 3], 0.0))))
 
 
 def _coverage(u: np.ndarray, view: np.ndarray, max_incidence: float) -> float:
@@ -115,8 +161,3 @@ def _coverage(u: np.ndarray, view: np.ndarray, max_incidence: float) -> float:
     middle = (np.arange(cells) + 0.5) / (cells / 2) - 1
     inside = middle[:, None] ** 2 + middle**2 < 1
     return float(np.count_nonzero(seen & inside) / np.count_nonzero(inside))
-
-
-def _tukey(t: np.ndarray) -> np.ndarray:
-    inside = np.maximum(1.0 - t * t, 0.0)
-    return inside * inside

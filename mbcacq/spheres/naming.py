@@ -26,12 +26,14 @@ def name_balls(fits: list[tuple[float, SphereFit]], refused: Refusals, artefact:
         allowed &= np.isin(artefact.ball_ids, list(expected))
     guess = _guess(artefact, expected, predicted)
     possible = assignments(centres, sigma, allowed, artefact.centres, options)
-    chosen = _choose(possible, centres, artefact, expected, guess, options)
     refused = list(refused)
+    if possible:
+        _check_artefact(possible, centres, artefact, expected, options)
+    chosen = _choose(possible, centres, artefact, expected, guess, options)
     if chosen is None:
-        refused += [("its id cannot be told: too few balls are in view, and no expected ball or predicted place decides", c) for c in centres]
+        reason = "its id cannot be told: too few balls are in view, and no expected ball or predicted place decides"
+        refused += [(reason, centre) for centre in centres]
         return _found([], [], fits, artefact, refused)
-    _check_artefact(chosen, centres, radii, artefact, expected, guess, options)
     for i in sorted(set(range(len(centres))) - set(chosen.seen.tolist())):
         refused.append((f"a ball of {2 * radii[i]:g} mm that does not belong to artefact '{artefact.id}'", centres[i]))
     order = np.argsort(chosen.certified)
@@ -52,8 +54,9 @@ def _choose(possible: list[Assignment], centres: np.ndarray, artefact: Artefact,
         # a mirror image has the right distances, but no rotation takes it to the certificate
         proper = [p for p in possible if p.rms < max(2 * options.centre_tolerance, 3 * p.mirrored)]
         if not proper:
-            raise DeviceFault(f"wrong artefact in view: the {size} balls seen are a mirror image of artefact '{artefact.id}' (rms {possible[0].rms:.2f} mm "
-                              f"as certified, {possible[0].mirrored:.3f} mm mirrored); put the right artefact in place or correct the certificate")
+            raise DeviceFault(f"wrong artefact in view: the {size} balls seen are a mirror image of artefact '{artefact.id}' "
+                              f"(rms {possible[0].rms:.2f} mm as certified, {possible[0].mirrored:.3f} mm mirrored); "
+                              "put the right artefact in place or correct the certificate")
         rivals = [p for p in proper[1:] if not decided(proper[0], p, options.centre_sigma)]
         if not rivals:
             return proper[0]
@@ -73,18 +76,20 @@ def _choose(possible: list[Assignment], centres: np.ndarray, artefact: Artefact,
     return None
 
 
-def _check_artefact(chosen: Assignment, centres: np.ndarray, radii: np.ndarray, artefact: Artefact, expected: Sequence[int] | None,
-                    guess: np.ndarray | None, options: BallOptions) -> None:
-    """Raise unless most of the balls seen belong to the artefact at distances that fit."""
-    n, k = len(centres), len(chosen.seen)
-    few = expected is not None and len(expected) < 3 or len(artefact.ball_ids) < 3
-    limit = options.centre_tolerance * (0.4 if k == 3 else 1.0)
-    if (few or guess is not None) and k < 3 and (k == n or guess is not None or k == len(artefact.ball_ids)):
-        return
-    if k >= 3 and 2 * k > n and chosen.rms < limit:
-        return
-    raise DeviceFault(f"wrong artefact in view: {n} balls with the distances {_distances(centres)} mm are seen, of which at most {k} fit artefact "
-                      f"'{artefact.id}' with {_distances(artefact.centres)} mm; put the right artefact in place or correct the plan")
+def _check_artefact(possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None,
+                    options: BallOptions) -> None:
+    """Raise unless most of the balls seen are at distances that the certificate knows."""
+    n, k = len(centres), len(possible[0].seen)
+    if k < 3:
+        fits = k == min(n, len(artefact.ball_ids if expected is None else expected))
+    else:
+        # three distances agree by chance sooner than six, so they must agree better
+        rms = min(min(p.rms, p.mirrored) for p in possible)
+        fits = 2 * k > n and rms < options.centre_tolerance * (0.4 if k == 3 else 1.0)
+    if not fits:
+        raise DeviceFault(f"wrong artefact in view: {n} balls with the distances {_distances(centres)} mm are seen, "
+                          f"of which at most {k} fit artefact '{artefact.id}' with {_distances(artefact.centres)} mm; "
+                          "put the right artefact in place or correct the plan")
 
 
 def _distances(centres: np.ndarray) -> str:

@@ -33,24 +33,23 @@ class Patches:
     spread: np.ndarray
 
 
-def voxelise(points: np.ndarray, size: float) -> Voxels:
-    """Sort finite points (N, 3) into cubes of edge ``size``."""
-    low = points.min(axis=0).astype(np.float64)
-    extent = (points.max(axis=0) - low) / size
+def voxelise(columns: np.ndarray, size: float) -> Voxels:
+    """Sort finite points, given as columns (3, N), into cubes of edge ``size``."""
+    low = columns.min(axis=1).astype(np.float64)
+    extent = (columns.max(axis=1) - low) / size
     if not np.all(extent < 2**20):
         raise ValueError("the cloud spans more than a million cells")
     shape = extent.astype(np.int64) + 1
-    index = np.int32 if np.prod(shape) <= MAX_DENSE_CELLS else np.int64
-    steps = (index(shape[1] * shape[2]), index(shape[2]), index(1))
-    key = np.zeros(len(points), dtype=index)
-    scale = points.dtype.type(1.0 / size)
-    for axis, step in enumerate(steps):
-        column = points[:, axis] - points.dtype.type(low[axis])
-        column *= scale
-        part = np.minimum(column.astype(index), index(shape[axis] - 1))
-        part *= step
-        key += part
-    if index is np.int32:
+    dense = np.prod(shape) <= MAX_DENSE_CELLS
+    index = np.int32 if dense else np.int64
+    scale = columns.dtype.type(1.0 / size)
+    key = np.zeros(columns.shape[1], dtype=index)
+    for axis in range(3):
+        place = columns[axis] - columns.dtype.type(low[axis])
+        place *= scale
+        key *= index(shape[axis])
+        key += np.minimum(place.astype(index), index(shape[axis] - 1))
+    if dense:
         total = np.bincount(key, minlength=int(np.prod(shape)))
         occupied = np.flatnonzero(total)
         number = np.zeros(len(total), dtype=np.int32)
@@ -62,18 +61,20 @@ def voxelise(points: np.ndarray, size: float) -> Voxels:
     return Voxels(cell.astype(np.int32, copy=False), corner, size, count)
 
 
-def patches(points: np.ndarray, voxels: Voxels) -> Patches:
+def patches(columns: np.ndarray, voxels: Voxels) -> Patches:
     """Centroid and normal of the cubes whose points are flat; the densest clouds are thinned first."""
     from scipy.sparse import csc_array
 
     typical = np.sort(voxels.count)[len(voxels.count) // 2 :]
     stride = max(1, int(typical[0] // POINTS_PER_PATCH))
     cell = voxels.cell[::stride]
-    local = points[::stride] - voxels.corner.astype(points.dtype)[cell] - points.dtype.type(voxels.size / 2)
-    n, m = len(cell), len(voxels.count)
-    x, y, z = local.T
-    moments = np.stack([np.ones(n, points.dtype), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
-    gather = csc_array((np.ones(n, points.dtype), cell, np.arange(n + 1, dtype=np.int32)), shape=(m, n))
+    n, m, kind = len(cell), len(voxels.count), columns.dtype.type
+    middle = (voxels.corner + voxels.size / 2).T.astype(kind)
+    x, y, z = (columns[axis, ::stride] - middle[axis][cell] for axis in range(3))
+    moments = np.empty((n, 10), dtype=kind)
+    for j, column in enumerate((kind(1), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x)):
+        moments[:, j] = column
+    gather = csc_array((np.ones(n, kind), cell, np.arange(n + 1, dtype=np.int32)), shape=(m, n))
     total = (gather @ moments).astype(np.float64)
     keep = total[:, 0] >= MIN_PATCH_POINTS
     total = total[keep] / total[keep, :1]
