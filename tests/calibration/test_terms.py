@@ -1,0 +1,67 @@
+"""The design matrix of a term is the derivative of the forward model by its coefficients."""
+
+import numpy as np
+import pytest
+from cells import scanner_cell, tracker_cell
+
+from mbcacq.calibration import forward
+from mbcacq.calibration.terms import Part, accumulate, columns, term
+
+
+def residual_derivative(obs, state, one, h=1e-4):
+    """Central differences of (measured minus predicted), sign turned."""
+    out = []
+    for j in range(one.size):
+        c = np.zeros(one.size)
+        c[j] = h
+        up = forward.residual(obs, forward.predict(obs, state, accumulate(obs, [one], [c])))
+        c[j] = -h
+        down = forward.residual(obs, forward.predict(obs, state, accumulate(obs, [one], [c])))
+        out.append((down - up) / (2 * h))
+    return np.stack(out, axis=-1)
+
+
+PLACES = [("joint", i, 0) for i in (0, 3, 5)] + [("frame", i, c) for i in (0, 2, 6) for c in range(6)] \
+    + [("station", 0, c) for c in range(6)] + [("point", 0, c) for c in range(3)] + [("ball", 0, c) for c in range(3)]
+
+
+@pytest.mark.parametrize(("place", "index", "component"), PLACES)
+def test_columns_are_derivatives_with_a_scanner(place, index, component):
+    rng = np.random.default_rng(1)
+    cell = scanner_cell(rng, stations=2, per_station=2)
+    obs, state = cell.observations, cell.truth
+    rows = obs.n_poses if place in ("joint", "frame", "station") else obs.n_centres
+    one = term("x", [Part(place, index, component, rng.normal(size=(rows, 2)))])
+    analytic = columns(obs, forward.predict(obs, state), one)
+    np.testing.assert_allclose(analytic, residual_derivative(obs, state, one), atol=2e-4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("orientation", [False, True])
+@pytest.mark.parametrize(("place", "index", "component"), [p for p in PLACES if p[0] != "ball"])
+def test_columns_are_derivatives_with_a_tracker(place, index, component, orientation):
+    rng = np.random.default_rng(2)
+    cell = tracker_cell(rng, poses=5, orientation=orientation)
+    obs, state = cell.observations, cell.truth
+    one = term("x", [Part(place, index, component, rng.normal(size=(5, 2)))])
+    analytic = columns(obs, forward.predict(obs, state), one)
+    np.testing.assert_allclose(analytic, residual_derivative(obs, state, one), atol=2e-4, rtol=1e-6)
+
+
+def test_parts_share_their_coefficients():
+    rng = np.random.default_rng(3)
+    cell = scanner_cell(rng, stations=1, per_station=3)
+    obs, state = cell.observations, cell.truth
+    a = Part("joint", 1, 0, rng.normal(size=(obs.n_poses, 1)))
+    b = Part("point", 0, 2, rng.normal(size=(obs.n_centres, 1)))
+    prediction = forward.predict(obs, state)
+    both = columns(obs, prediction, term("both", [a, b]))
+    np.testing.assert_allclose(both, columns(obs, prediction, term("a", [a])) + columns(obs, prediction, term("b", [b])))
+
+
+def test_shapes_that_disagree_are_refused():
+    rng = np.random.default_rng(4)
+    obs = scanner_cell(rng, stations=1, per_station=2).observations
+    with pytest.raises(ValueError, match="different numbers"):
+        term("x", [Part("joint", 0, 0, np.zeros((2, 1))), Part("joint", 1, 0, np.zeros((2, 2)))])
+    with pytest.raises(ValueError, match="rows, expected 16"):
+        accumulate(obs, [term("x", [Part("point", 0, 0, np.zeros((2, 1)))])], [np.zeros(1)])
