@@ -52,8 +52,9 @@ class ControlChannel:
         try:
             self.version = self._probe() or self._ask_version()
             if self.version[0] != PROTOCOL_MAJOR:
-                raise IdentityError(f"the sensor at {self._address}:{self._port} speaks Gocator protocol {self.version[0]}.{self.version[1]}, "
-                                    f"this driver {PROTOCOL_MAJOR}.x; use a sensor firmware of 4.x to 6.x")
+                spoken = ".".join(map(str, self.version))
+                raise IdentityError(f"the sensor at {self._address}:{self._port} speaks Gocator protocol {spoken}, this driver "
+                                    f"{PROTOCOL_MAJOR}.x; use a sensor firmware of 4.x to 6.x")
         except BaseException:
             self.close()
             raise
@@ -114,7 +115,7 @@ class ControlChannel:
     def _ask_version(self) -> tuple[int, int]:
         body = self.request(commands.PROTOCOL_VERSION)
         if len(body) < 2:
-            raise ProtocolError(f"the sensor's version reply has {len(body)} bytes instead of 2; something else listens at port {self._port}")
+            raise ProtocolError(f"the version reply at port {self._port} has {len(body)} bytes instead of 2; no Gocator listens there")
         return body[0], body[1]
 
 
@@ -133,7 +134,7 @@ def _read_reply(sock: socket.socket, what: str, deadline: float) -> tuple[int, i
     wire.receive_exactly(sock, header, what, deadline)
     length, identifier, status = _REPLY.unpack(header)
     if not _REPLY.size <= length <= MAX_REPLY:
-        raise ProtocolError(f"the Gocator's {what} announces {length} bytes; no Gocator listens at this port, or the connection is out of step")
+        raise ProtocolError(f"the {what} announces {length} bytes; no Gocator listens at this port, or the connection is out of step")
     body = memoryview(bytearray(length - _REPLY.size))
     wire.receive_exactly(sock, body, what, deadline, started=True)
     return length, identifier, status, body

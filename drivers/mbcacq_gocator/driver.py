@@ -114,7 +114,8 @@ class Gocator:
 
     def _capture(self) -> Scan:
         session = self._session
-        assert session is not None and session.reader is not None and session.configuration is not None
+        assert session is not None
+        assert session.configuration is not None
         wanted = self._wanted_exposure_us
         if wanted is not None and abs(session.configuration.exposure_us - wanted) > 1e-3:
             if self._running:
@@ -133,6 +134,7 @@ class Gocator:
 
     def _wait_for_surface(self, session: Session, asked: int) -> DataSet:
         """The first data set with a surface that was exposed after ``asked`` (ticks)."""
+        assert session.reader is not None
         deadline = time.monotonic() + self.options.timeout_s
         stamp_only, early, other = 0, 0, ""
         while True:
@@ -152,11 +154,11 @@ class Gocator:
     def _explained(self, session: Session, error: DeviceTimeout, stamp_only: int, early: int, other: str) -> DeviceTimeout:
         waited = f"no scan within {self.options.timeout_s:g} s"
         if stamp_only and not other:
-            return DeviceTimeout(f"{waited}: {stamp_only} data set(s) came with only a stamp; in the job, open Output > Ethernet, choose the protocol "
-                                 "Gocator and tick the surface, then save the job")
+            return DeviceTimeout(f"{waited}: {stamp_only} data set(s) came with only a stamp; in the job, open Output > Ethernet, choose "
+                                 "the protocol Gocator and tick the surface, then save the job")
         if other:
-            return DeviceTimeout(f"{waited}: the sensor sent {other} but no surface; set the job's scan mode to Surface and tick the surface "
-                                 "under Output > Ethernet")
+            return DeviceTimeout(f"{waited}: the sensor sent {other} but no surface; set the job's scan mode to Surface and tick the "
+                                 "surface under Output > Ethernet")
         if early:
             return DeviceTimeout(f"{waited}: only {early} older data set(s) came; check that nothing else triggers the sensor")
         return DeviceTimeout(f"{waited}: {error}; in the job, tick the surface under Output > Ethernet > Gocator, and check that "
@@ -164,7 +166,8 @@ class Gocator:
 
     def _scan(self, session: Session, data: DataSet) -> Scan:
         surface = data.surface
-        assert surface is not None and session.configuration is not None
+        assert surface is not None
+        assert session.configuration is not None
         points, pixel = surface_points(surface)
         shape = surface.array.shape[:2]
         grey = data.arrays.get(SURFACE_INTENSITY)

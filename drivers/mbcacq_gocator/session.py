@@ -119,7 +119,7 @@ class Session:
                 self.write_file(LIVE_CONFIGURATION, configuration.values_only())
                 configuration = self.read_configuration()
                 if abs(configuration.exposure_us - exposure_us) > 0.5:
-                    raise DeviceFault(f"the Gocator took {configuration.exposure_us:g} us instead of the exposure of {exposure_us:g} us asked for; "
+                    raise DeviceFault(f"the Gocator took an exposure of {configuration.exposure_us:g} us instead of {exposure_us:g} us; "
                                       "check the exposure mode of the job")
             self.configuration = configuration
 
@@ -130,7 +130,7 @@ class Session:
             info = information.parse_info_1(self.control.request(commands.SYSTEM_INFO_1))
         info.check_model(self._model)
         if info.state == information.CONFLICT:
-            raise DeviceFault(f"the Gocator {info.model} (serial {info.serial}) reports a conflict; look at it in its web page, and restart it")
+            raise DeviceFault(f"the Gocator {info.model} (serial {info.serial}) reports a conflict; see its web page, and restart it")
         states = self.states()
         if states.get("security") and not states.get("login"):
             raise ConnectError(f"the Gocator {info.model} (serial {info.serial}) demands a log-in; switch its security off in its web page")
@@ -143,8 +143,9 @@ class Session:
             raise ConfigError(f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(configuration.scan_mode, '?')}'; "
                               "choose the scan mode Surface")
         if self.options.mode == "trigger" and configuration.trigger_source != SOFTWARE:
-            raise ConfigError(f"the Gocator's job '{self._job_name()}' is triggered by '{TRIGGER_SOURCES.get(configuration.trigger_source, '?')}'; "
-                              "choose Software as trigger source, or the scanner option mode: snapshot")
+            source = TRIGGER_SOURCES.get(configuration.trigger_source, "?")
+            raise ConfigError(f"the Gocator's job '{self._job_name()}' is triggered by '{source}'; choose Software as trigger source, "
+                              "or the scanner option mode: snapshot")
 
     def _job_name(self) -> str:
         try:
