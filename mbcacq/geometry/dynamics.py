@@ -1,0 +1,75 @@
+"""Torque of a rigid arm in motion, linear in its inertial parameters.
+
+Per link: mass (kg), first moment m c (kg m) and inertia about the link frame's origin (kg m^2), all in the link frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.gravity import STANDARD_GRAVITY
+
+INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+
+
+def regressor(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """Drive torque per inertial parameter: (T, n, n, 10) N m per unit of link l's parameter k, recursive Newton-Euler.
+
+    q, qd, qdd: (T, n) rad, rad/s, rad/s^2 in the controller's sense; gravity: (3,) unit vector in the base frame. The torque
+    counts in the controller's sense and is what the drives must exert.
+    """
+    H = chain.link_transforms(q)
+    R, t = H[..., :3, :3], H[..., :3, 3] * 1e-3
+    T, n = q.shape
+    out = np.zeros((T, n, n, 10))
+    omega, alpha = np.zeros((T, 3)), np.zeros((T, 3))
+    acceleration = np.broadcast_to(-STANDARD_GRAVITY * np.asarray(gravity, dtype=float), (T, 3))
+    axis = np.array([0.0, 0.0, 1.0])
+    for link in range(n):
+        # The axis is z of the frame before the link; everything is then turned into the link's own frame.
+        rate, jolt = (chain.sign[link] * qd[:, link])[:, None] * axis, (chain.sign[link] * qdd[:, link])[:, None] * axis
+        alpha = alpha + jolt + np.cross(omega, rate)
+        omega = omega + rate
+        lever = t[:, link]
+        acceleration = acceleration + np.cross(alpha, lever) + np.cross(omega, np.cross(omega, lever))
+        back = np.swapaxes(R[:, link], -1, -2)
+        omega, alpha, acceleration = (np.einsum("tij,tj->ti", back, v) for v in (omega, alpha, acceleration))
+        force, moment = _wrench(omega, alpha, acceleration)
+        for joint in range(link, -1, -1):
+            force = np.einsum("tij,tjk->tik", R[:, joint], force)
+            moment = np.einsum("tij,tjk->tik", R[:, joint], moment) + np.cross(t[:, joint, :, None], force, axis=1)
+            out[:, joint, link] = chain.sign[joint] * moment[:, 2]
+    return out
+
+
+def _wrench(omega: np.ndarray, alpha: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force and moment (T, 3, 10) about the link frame's origin by unit inertial parameters."""
+    T = len(omega)
+    force, moment = np.zeros((T, 3, 10)), np.zeros((T, 3, 10))
+    force[:, :, 0] = acceleration
+    for k in range(3):
+        unit = np.broadcast_to(np.eye(3)[k], (T, 3))
+        force[:, :, 1 + k] = np.cross(alpha, unit) + np.cross(omega, np.cross(omega, unit))
+        moment[:, :, 1 + k] = np.cross(unit, acceleration)
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), start=4):
+        tensor = np.zeros((3, 3))
+        tensor[i, j] = tensor[j, i] = 1.0
+        spin = omega @ tensor
+        moment[:, :, k] = alpha @ tensor + np.cross(omega, spin)
+    return force, moment
+
+
+def nominal_parameters(mass: np.ndarray, com: np.ndarray, payload_mass: float = 0.0, payload_com: np.ndarray | None = None) -> np.ndarray:
+    """(n, 10) of links as point masses: mass (n,) kg, com (n, 3) mm; the payload rides on the last link."""
+    c = com * 1e-3
+    out = _point_masses(mass, c)
+    if payload_mass:
+        out[-1] += _point_masses(np.array([payload_mass]), np.asarray(payload_com, dtype=float)[None] * 1e-3)[0]
+    return out
+
+
+def _point_masses(mass: np.ndarray, c: np.ndarray) -> np.ndarray:
+    x, y, z = c.T
+    columns = [np.ones_like(x), x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
+    return mass[:, None] * np.stack(columns, axis=1)
