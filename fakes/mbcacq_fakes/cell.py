@@ -1,0 +1,203 @@
+"""The whole fake cell: controller, scanner, positioner and sensors at the wire, one world behind them."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import threading
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from mbcacq.errors import ConfigError, ConnectError
+from mbcacq_fakes import options as fake_options
+from mbcacq_fakes.arm_state import ArmState
+from mbcacq_fakes.build import check, make_world
+from mbcacq_fakes.cell_ports import ipv4, scanner_place, udp_port
+from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.world.description import CellFacts, from_cell
+
+LOOPBACK = "127.0.0.1"
+CLOCK_START_MS = 1_000_000
+
+
+class FakeCell:
+    """Context manager. loaded, poses: the plan and its expansion (mbcacq.plan.LoadedPlan, list of PlannedPose; read only by name).
+
+    realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
+    127.0.0.1, which ``overrides()`` tells to the drivers; 'plan' listens where the plan's drivers will look. Everything the
+    world draws follows from ``seed``. The plan's ``fake:`` section says what the world conceals (docs/fakes.md).
+    """
+
+    def __init__(self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0,
+                 ports: Literal["free", "plan"] = "free") -> None:
+        plan = loaded.plan
+        if plan.robot.driver != "kuka_rsi" or plan.scanner.driver != "gocator":
+            raise ConfigError("the fake cell plays a KUKA controller and a Gocator; for other drivers use their makers' simulators")
+        self._plan, self._robot, self._realtime, self._ports = plan, loaded.cell.robot, realtime, ports
+        self._options = fake_options.parse(plan.fake)
+        self._facts: CellFacts = from_cell(loaded.cell, plan.scanner.field_of_view)
+        self._seed = seed if self._options.seed is None else self._options.seed
+        check(self._options, self._facts)
+        make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later
+        self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, self._facts.n)
+        self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
+        self._state: ArmState | None = None
+        self._krc: FakeKrc | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lock = threading.Lock()
+        self._overrides: dict[str, dict[str, Any]] = {}
+        self.faults = CellFaults(self)
+
+    def start(self) -> Self:
+        """Returns when every server listens. Raises ConfigError, ConnectError (an address cannot be taken)."""
+        if self._process is not None:
+            return self
+        home = tuple(np.radians(self._plan.robot.home_deg))
+        try:
+            self._state = ArmState.create(home)
+            command = [sys.executable, "-m", "mbcacq_fakes.cell_process"]
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self._send(self._job())
+            robot = self._start_controller()
+            addresses = self._receive()
+        except BaseException:
+            self.stop()
+            raise
+        self._overrides = {"robot": robot, **addresses}
+        return self
+
+    def stop(self) -> None:
+        """Idempotent; no process and no shared memory stays behind."""
+        process, self._process = self._process, None
+        if process is not None:
+            try:
+                process.communicate(timeout=5.0)  # end of its input is its sign to go
+            except (subprocess.TimeoutExpired, ValueError, BrokenPipeError):
+                process.kill()
+                process.wait()
+        krc, self._krc = self._krc, None
+        if krc is not None:
+            krc.stop()
+        state, self._state = self._state, None
+        if state is not None:
+            state.close()
+
+    def overrides(self) -> dict[str, dict[str, Any]]:
+        """Options by role ('robot', 'scanner', 'positioner', 'sensor 1'...) that lead the plan's drivers here."""
+        return {role: dict(values) for role, values in self._overrides.items()}
+
+    def truth(self) -> dict[str, Any]:
+        """True errors (n, 5) rad and mm, T_flange_scanner, T_base_station by id, balls by id, effects; also before ``start``."""
+        if self._process is None:
+            return make_world(self._facts, self._options, self._seed).truth()
+        return self.ask("truth")
+
+    def alive(self) -> bool:
+        """Both child processes still run."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def arm(self) -> ArmState:
+        """What the arm does right now."""
+        assert self._state is not None, "the fake cell is not started"
+        return self._state
+
+    @property
+    def krc(self) -> FakeKrc:
+        assert self._krc is not None, "the fake cell is not started"
+        return self._krc
+
+    def ask(self, command: str, **arguments: Any) -> Any:
+        """Ask the world's process; see cell_process.Servers."""
+        with self._lock:
+            self._send((command, arguments))
+            return self._receive()
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()
+
+    def _job(self) -> dict[str, Any]:
+        plan = self._plan
+        assert self._state is not None
+        return {
+            "facts": self._facts, "options": self._options.model_dump(), "seed": self._seed, "state": self._state.name,
+            "planned_q": self._planned_q, "planned_station": self._planned_station, "clock_start_s": CLOCK_START_MS * 1e-3,
+            "exposure_us": plan.scanner.exposure_us, "model": plan.scanner.model, "ports": self._ports, "realtime": self._realtime,
+            "scanner_options": dict(plan.scanner.options), "scanner": scanner_place(plan.scanner.options, self._ports),
+            "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
+            "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
+        }
+
+    def _start_controller(self) -> dict[str, Any]:
+        plan, robot, given = self._plan, self._robot, dict(self._plan.robot.options)
+        if self._ports == "plan":
+            client = (ipv4(str(given.get("bind", LOOPBACK))), int(given.get("port", 49152)))
+        else:
+            client = (LOOPBACK, udp_port())
+        same = {k: given[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms") if k in given}
+        settings: dict[str, Any] = {
+            "client": client, "realtime": self._realtime, "start_deg": tuple(map(float, plan.robot.home_deg)), "ipoc": CLOCK_START_MS,
+            "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())), "dh": self._nominal_rows(), "seed": self._seed, **same,
+        }
+        if robot.speed is not None:
+            settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
+        try:
+            self._krc = FakeKrc(self._state, **{**settings, **self._options.robot})
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"fake.robot: {error}; correct the plan") from error
+        self._krc.start()
+        return {"bind": client[0], "port": client[1]}
+
+    def _nominal_rows(self) -> tuple[tuple[float, ...], ...]:
+        """What the controller believes of its arm: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg."""
+        rows = self._facts.rows.copy()
+        rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
+        return tuple(map(tuple, np.column_stack([self._facts.sign, rows]).tolist()))
+
+    def _send(self, message: Any) -> None:
+        try:
+            pickle.dump(message, self._process.stdin)
+            self._process.stdin.flush()
+        except (BrokenPipeError, ValueError, AttributeError) as error:
+            raise ConnectError("the fake cell's process has ended; start the cell again") from error
+
+    def _receive(self) -> Any:
+        try:
+            kind, value = pickle.load(self._process.stdout)
+        except (EOFError, AttributeError, pickle.UnpicklingError) as error:
+            raise ConnectError("the fake cell's process has ended; its last words are above") from error
+        if kind == "error":
+            raise value
+        return value
+
+
+class CellFaults:
+    """What can be done to the cell while it runs."""
+
+    def __init__(self, cell: FakeCell) -> None:
+        self._cell = cell
+
+    def robot(self, **faults: float) -> None:
+        """See mbcacq_fakes.krc.settings.FAULTS."""
+        self._cell.krc.inject(**faults)
+
+    def scanner(self, fault: str, value: Any = True, times: int | None = None) -> None:
+        """See mbcacq_fakes.gocator.FAULTS."""
+        self._cell.ask("scanner_fault", fault=fault, value=value, times=times)
+
+    def clear_scanner(self, fault: str | None = None) -> None:
+        self._cell.ask("clear_scanner_fault", fault=fault)
+
+    def positioner(self, **values: Any) -> None:
+        """Set ``stuck`` (bool), ``fault`` (code) or ``silent`` (bool) of a Modbus positioner."""
+        self._cell.ask("positioner_fault", **values)
+
+    def mishap(self, kind: str, **details: Any) -> None:
+        """wrong_artefact (station, artefact), hidden_ball (ball), bumped_tripod (station, shift_mm, rotation_deg), empty_scene."""
+        self._cell.ask("mishap", kind=kind, **details)

@@ -1,0 +1,39 @@
+"""Where the fake cell's servers stand."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Mapping
+from typing import Any
+
+from mbcacq.errors import ConfigError
+
+LOOPBACK = "127.0.0.1"
+ANY = ("0.0.0.0", "", "::")
+
+
+def udp_port() -> int:
+    """A UDP port that is free now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind((LOOPBACK, 0))
+        return probe.getsockname()[1]
+
+
+def ipv4(host: str) -> str:
+    """An address to send to, for one that a client binds."""
+    return LOOPBACK if host in ANY else host
+
+
+def scanner_place(options: Mapping[str, Any], ports: str) -> dict[str, Any]:
+    """Host and ports (0: any free) of the fake Gocator. Raises ConfigError where the plan's address is not this computer's."""
+    if ports == "free":
+        return {"host": LOOPBACK, "control_port": 0, "health_port": 0, "data_port": 0}
+    host = str(options.get("address", LOOPBACK))
+    try:
+        with socket.create_server((host, 0)):
+            pass
+    except OSError as error:
+        raise ConfigError(f"the fake Gocator cannot listen at the plan's address {host} ({error.strerror}); "
+                          "set the scanner's address to 127.0.0.1 to try the plan against fakes") from error
+    return {"host": host, "control_port": int(options.get("control_port", 3190)), "health_port": int(options.get("health_port", 3194)),
+            "data_port": int(options.get("data_port", 3196))}

@@ -1,0 +1,102 @@
+"""What the scanner's protocol server asks for: one exposure of the world as it is at this moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from mbcacq_fakes.frame import Frame
+from mbcacq_fakes.options import FakeOptions, Mishap
+from mbcacq_fakes.world.hooks import Moments
+from mbcacq_fakes.world.operator import NOBODY, Operator
+from mbcacq_fakes.world.scanner import Scanner
+from mbcacq_fakes.world.world import SCAN, World
+
+
+class Arm(Protocol):
+    """The part of ArmState that is read here."""
+
+    def read(self) -> Any: ...
+
+
+class Camera:
+    """Callable as the ``source`` of a scanner server.
+
+    Several exposures at one standstill share the arm's rest position; each has its own scanner noise. clock_start_s: what the
+    robot's clock showed when the cell was switched on.
+    """
+
+    def __init__(self, world: World, scanner: Scanner, operator: Operator, arm: Arm, options: FakeOptions,
+                 right_exposure_us: float | None = None, clock_start_s: float = 0.0) -> None:
+        self.world, self.scanner, self.operator = world, scanner, operator
+        self._arm, self._options, self._clock_start = arm, options, clock_start_s
+        self._stand: Callable[[], int | None] = lambda: None
+        self._mishaps = list(options.mishaps)
+        self._right_exposure, self._frames = right_exposure_us, 0
+
+    def __call__(self, exposure_us: float = 0.0) -> Frame:
+        reading = self._arm.read()
+        self._happen(reading.arrivals)
+        at = self.moment(reading)
+        moved = self.world.displaced(at)
+        hidden, bump = self.operator.hidden, self.operator.bumps.get(int(at.station[0]))
+        scene = self.world.scene(at, moved, hidden, bump, self._options.furniture)
+        rng = np.random.default_rng([self.world.seed, SCAN, self._frames])
+        self._frames += 1
+        points = self.scanner.measure(scene, rng, self._brightness(exposure_us))
+        points.xyz[:] = self.world.warp(points.xyz, np.zeros(len(points.xyz), dtype=int), at)
+        return self.scanner.frame(points, float(reading.time_s))
+
+    def follow(self, stand: Callable[[], int | None]) -> None:
+        """From now on ``stand()`` says which station a positioner has driven to (index, or NOBODY)."""
+        self._stand = stand
+
+    def moment(self, reading: Any) -> Moments:
+        q = np.array(reading.q)
+        stand = self._stand()
+        station = self.operator.station_for(q) if stand is None else stand
+        return self.world.moments(
+            q[None], np.array(reading.qd)[None], np.array(reading.direction)[None], np.array([reading.arrivals]),
+            np.array([self._time(reading)]), np.array([station]), np.array([self.operator.artefact_at(station)]))
+
+    def temperatures(self) -> dict[str, float]:
+        """What the cell's thermometers show now."""
+        time_s = self.world.environment.clock(np.array(self._time(self._arm.read())))
+        return {"air_C": float(self.world.environment.air(time_s)), "robot_C": float(self.world.environment.robot(time_s))}
+
+    def mishap(self, mishap: Mishap) -> None:
+        """Let something go wrong, now or from the arrival it names."""
+        self._mishaps.append(mishap)
+
+    def _time(self, reading: Any) -> float:
+        return max(reading.time_s - self._clock_start, 0.0)
+
+    def _brightness(self, exposure_us: float) -> float:
+        """Light relative to the right exposure, which is the plan's, or the first one asked for."""
+        if exposure_us <= 0:
+            return 1.0
+        if self._right_exposure is None:
+            self._right_exposure = exposure_us
+        return exposure_us / self._right_exposure
+
+    def _happen(self, arrivals: int) -> None:
+        due = [m for m in self._mishaps if arrivals >= m.from_arrival]
+        self._mishaps = [m for m in self._mishaps if arrivals < m.from_arrival]
+        for mishap in due:
+            self._apply(mishap)
+
+    def _apply(self, mishap: Mishap) -> None:
+        facts, operator = self.world.facts, self.operator
+        stations = range(len(facts.station_ids)) if mishap.station is None else [facts.station_ids.index(str(mishap.station))]
+        if mishap.kind == "empty_scene":
+            operator.empty = True
+        elif mishap.kind == "hidden_ball":
+            operator.hidden.add(int(mishap.ball or 0))
+        elif mishap.kind == "bumped_tripod":
+            for s in stations:
+                operator.bumps[s] = np.concatenate([mishap.shift_mm, np.radians(mishap.rotation_deg)])
+        else:
+            other = NOBODY if mishap.artefact is None else [a.id for a in facts.artefacts].index(mishap.artefact)
+            operator.wrong.update(dict.fromkeys(stations, other))
