@@ -41,7 +41,7 @@ class SphereFit:
 @dataclass(frozen=True)
 class _State:
     """One Gauss-Newton step of all spheres: directions u (k, 3, n), distances f (k, n), weights w (k, n), normal (k, 3, 3),
-    step (k, 3), noise (k,) mm."""
+    step (k, 3), noise (k,) mm. Valid until the next step."""
 
     u: np.ndarray
     f: np.ndarray
@@ -53,11 +53,11 @@ class _State:
 
 def rough_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, max_noise: float) -> np.ndarray:
     """Centres (k, 3), good to some micrometres, from a few hundred points (n, 3) of each cloud."""
-    points, valid = _pad([p[:: max(1, len(p) // 250)] for p in clouds])
+    work = _Work([p[:: max(1, len(p) // 250)] for p in clouds])
     wide = 0.1 * radii
     for round_ in range(7):
         ceiling = np.maximum(wide * 0.4**round_, max_noise)
-        state = _step(points, valid, centres, radii, np.minimum(wide, 3 * ceiling), ceiling, None, None, -1.0)
+        state = work.step(centres, radii, np.minimum(wide, 3 * ceiling), ceiling, None, None, -1.0)
         centres = centres + np.clip(state.step, -wide[:, None], wide[:, None])
     return centres
 
@@ -69,26 +69,26 @@ def sphere_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.nda
     view: (3,) unit vector towards the scanner, None to take it from the caps; points seen at more than ``max_incidence`` rad are
     left out by their direction from the centre, which the noise along the normal cannot change.
     """
-    points, valid = _pad(clouds)
+    work = _Work(clouds)
     ceiling = np.full(len(radii), max_noise)
     gate = TUKEY * ceiling
+    noise = None
     if view is None:
-        for _ in range(4):
-            state = _step(points, valid, centres, radii, gate, ceiling, None, None, -1.0)
+        for round_ in range(4):
+            state = work.step(centres, radii, gate, ceiling, noise, None, -1.0)
             centres = centres + state.step
             gate = np.minimum(gate, 4 * TUKEY * state.noise)
+            noise = state.noise if round_ == 1 else None
         caps = np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2
         view = caps.sum(axis=0)
         view = view / (np.linalg.norm(view) or 1.0)
-    noise = None
     for round_ in range(20):
-        state = _step(points, valid, centres, radii, gate, ceiling, noise, view, np.cos(max_incidence))
+        state = work.step(centres, radii, gate, ceiling, noise, view, np.cos(max_incidence))
         centres = centres + state.step
-        if round_ < 4:
-            gate = np.minimum(gate, 4 * TUKEY * state.noise)
-        elif round_ == 4:
-            noise = state.noise  # frozen from here, so that the iteration has a fixed point
-        elif np.max(np.sum(state.step**2, axis=1), initial=0.0) < 1e-12:
+        gate = np.minimum(gate, 4 * TUKEY * state.noise)
+        # estimated anew in two rounds, then kept, so that the iteration has a fixed point
+        noise = None if round_ in (0, 2) else state.noise
+        if round_ > 3 and np.max(np.sum(state.step**2, axis=1), initial=0.0) < 1e-12:
             break
     fits = []
     for j in range(len(radii)):
@@ -99,39 +99,47 @@ def sphere_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.nda
     return fits
 
 
-def _step(points, valid, centres, radii, gate, ceiling, noise, view, limit) -> _State:
-    offset = points - centres[:, :, None]
-    distance = np.sqrt(np.einsum("kin,kin->kn", offset, offset)) + 1e-300
-    f = distance - radii[:, None]
-    size = np.abs(f)
-    use = valid & (size < gate[:, None])
-    if view is not None:
-        use &= np.einsum("kin,i->kn", offset, view) > limit * distance
-    offset /= distance[:, None]
-    if noise is None:
-        size[~use] = np.inf
-        count = use.sum(axis=1)
-        size.sort(axis=1)
-        median = size[np.arange(len(size)), np.maximum(count // 2, 0)]
-        noise = np.clip(1.4826 * np.where(np.isfinite(median), median, 0.0), NOISE_FLOOR_MM, ceiling)
-    t = f / (TUKEY * noise)[:, None]
-    w = np.maximum(1.0 - t * t, 0.0)
-    w *= w * use
-    weighted = offset * w[:, None]
-    normal = weighted @ np.swapaxes(offset, 1, 2)
-    step = np.linalg.solve(normal + 1e-9 * np.eye(3), weighted @ f[:, :, None])[:, :, 0]
-    return _State(offset, f, w, normal, step, noise)
+class _Work:
+    """Points (k, 3, n) of k spheres, which of them are real (k, n), and arrays used again in every step (fresh memory is what costs)."""
 
+    def __init__(self, clouds: Sequence[np.ndarray]) -> None:
+        longest = max(1, max(len(p) for p in clouds))
+        self.points = np.zeros((len(clouds), 3, longest))
+        self.valid = np.zeros((len(clouds), longest), dtype=bool)
+        for j, cloud in enumerate(clouds):
+            self.points[j, :, : len(cloud)] = cloud.T
+            self.valid[j, : len(cloud)] = True
+        self.offset, self.weighted = np.empty_like(self.points), np.empty_like(self.points)
+        self.distance, self.f, self.w, self.size = (np.empty(self.valid.shape) for _ in range(4))
 
-def _pad(clouds: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(k, 3, n) points and (k, n) which of them are real."""
-    longest = max(len(p) for p in clouds)
-    points = np.zeros((len(clouds), 3, max(longest, 1)))
-    valid = np.zeros((len(clouds), max(longest, 1)), dtype=bool)
-    for j, cloud in enumerate(clouds):
-        points[j, :, : len(cloud)] = cloud.T
-        valid[j, : len(cloud)] = True
-    return points, valid
+    def step(self, centres, radii, gate, ceiling, noise, view, limit) -> _State:
+        """One step of all spheres; noise (k,) mm is estimated if None, and at most ``ceiling`` (k,)."""
+        offset, distance, f, w, size = self.offset, self.distance, self.f, self.w, self.size
+        np.subtract(self.points, centres[:, :, None], out=offset)
+        np.einsum("kin,kin->kn", offset, offset, out=distance)
+        np.sqrt(distance, out=distance)
+        np.subtract(distance, radii[:, None], out=f)
+        np.abs(f, out=size)
+        use = self.valid & (size < gate[:, None])
+        if view is not None:
+            np.multiply(distance, limit, out=w)
+            use &= np.einsum("kin,i->kn", offset, view, out=self.weighted[:, 0]) > w
+        distance += 1e-300
+        offset /= distance[:, None]
+        if noise is None:
+            median = [np.partition(row, len(row) // 2)[len(row) // 2] if len(row) else 0.0
+                      for row in (size[j][use[j]] for j in range(len(size)))]
+            noise = np.clip(1.4826 * np.array(median), NOISE_FLOOR_MM, ceiling)
+        np.divide(f, (TUKEY * noise)[:, None], out=w)
+        w *= w
+        np.subtract(1.0, w, out=w)
+        np.maximum(w, 0.0, out=w)
+        w *= w
+        w *= use
+        np.multiply(offset, w[:, None], out=self.weighted)
+        normal = self.weighted @ np.swapaxes(offset, 1, 2)
+        step = np.linalg.solve(normal + 1e-9 * np.eye(3), self.weighted @ f[:, :, None])[:, :, 0]
+        return _State(offset, f, w, normal, step, noise)
 
 
 def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
