@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import ConfigError
+from mbcacq_kuka.rsi.telegram import Composer
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,16 @@ def read_options(name: str, given: Mapping[str, Any]) -> Options:
     values["limits_deg"] = tuple((float(low), float(high)) for low, high in _array(name, "limits_deg", given["limits_deg"], (6, 2)))
     for key in ("speed_deg_s", "correction_limit_deg"):
         if values.get(key) is not None:
-            values[key] = tuple(float(v) for v in _array(name, key, np.broadcast_to(_array(name, key, values[key]), (6,)), (6,)))
+            one_or_six = _array(name, key, values[key])
+            values[key] = tuple(float(v) for v in (np.full(6, one_or_six) if one_or_six.ndim == 0 else _array(name, key, one_or_six, (6,))))
     options = Options(**values)
     for key in ("connect_timeout_s", "silence_s", "late_limit", "follow_tolerance_deg", "follow_cycles"):
         if not isinstance(getattr(options, key), int | float) or not getattr(options, key) > 0:
             raise ConfigError(f"robot '{name}': option {key} must be a positive number, it is {getattr(options, key)!r}")
+    try:
+        Composer(options.sen_type, options.correction, options.stop_element)
+    except ValueError as error:
+        raise ConfigError(f"robot '{name}': options sen_type, correction, stop_element: {error}") from error
     if options.cycle_ms not in (4, 12):
         raise ConfigError(f"robot '{name}': option cycle_ms must be 4 or 12, it is {options.cycle_ms!r}")
     if not isinstance(options.port, int) or not 0 <= options.port < 65536:

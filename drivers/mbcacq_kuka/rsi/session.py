@@ -20,7 +20,8 @@ AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _LEARN = 5           # telegrams answered with zero before the session counts as connected
 _PATIENCE = 5        # telegrams that are no use before we say so
 _STILL_DEG = 1e-3    # less motion in a cycle is standing still
-_STILL_CYCLES = 12
+_REST_CYCLES = 5     # standing still so long is being at rest
+_END_CYCLES = 12     # and so long, before the session is ended
 _STOP_CYCLES = 250
 _CLOSE_S = 5.0
 
@@ -178,7 +179,7 @@ class Session:
         self._still = self._still + 1 if still and not motion.moving else 0
         if not self._arrived:
             self._judge_arrival(measured, time_s)
-        flags = (0 if self._still else MOVING) | (ARRIVED if self._arrived else 0) | (ANSWERED if in_time else 0)
+        flags = (0 if self._still >= _REST_CYCLES else MOVING) | (ARRIVED if self._arrived else 0) | (ANSWERED if in_time else 0)
         self._shared.append(now, time_s, flags, self._seq, position, row)
         correction = tuple([p - r for p, r in zip(position, self._reference, strict=True)])
         return self._composer.compose(correction, digits, self._closing and self._ending(now))
@@ -227,7 +228,7 @@ class Session:
 
     def _ending(self, now: float) -> bool:
         """While closing: True once the arm stands and the controller may be told to end the session."""
-        standing = self._still >= _STILL_CYCLES or now - self._close_began > _CLOSE_S
+        standing = self._still >= _END_CYCLES or now - self._close_began > _CLOSE_S
         if standing:
             self._stops += 1
             self.over = not self._settings["stop_at_close"] or self._stops > _STOP_CYCLES

@@ -110,7 +110,7 @@ class Parser:
         numeric = [v for v in scan(first) if v.numeric]
         self.names = tuple(v.name for v in numeric)
         self._slot = {name: i for i, name in enumerate(self.names)}
-        if "IPOC" not in self._slot:
+        if not any(v.name == "IPOC" and first[v.start:v.end].isdigit() for v in numeric):
             raise Malformed("IPOC is missing")
         self._ipoc = self._slot["IPOC"]
         pattern, position = [], 0

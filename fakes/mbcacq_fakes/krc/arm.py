@@ -73,18 +73,17 @@ class Kinematics:
     def pose(self, q: Sequence[float]) -> tuple[float, float, float, float, float, float]:
         if not self._rows:
             return (0.0,) * 6
-        x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), px, py, pz = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.0
         for angle, (sign, theta, d, a, ca, sa, cb, sb) in zip(q, self._rows, strict=True):
             turned = sign * radians(angle) + theta
             c, s = cos(turned), sin(turned)
-            x, y = _mix(x, y, c, s), _mix(x, y, -s, c)
-            p = (p[0] + d * z[0] + a * x[0], p[1] + d * z[1] + a * x[1], p[2] + d * z[2] + a * x[2])
-            y, z = _mix(y, z, ca, sa), _mix(y, z, -sa, ca)
+            # the columns x, y, z of the rotation and the origin p, multiplied from the right by Rz, Tz, Tx, Rx, Ry
+            x0, x1, x2, y0, y1, y2 = (c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2,
+                                      c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2)
+            px, py, pz = px + d * z0 + a * x0, py + d * z1 + a * x1, pz + d * z2 + a * x2
+            y0, y1, y2, z0, z1, z2 = (ca * y0 + sa * z0, ca * y1 + sa * z1, ca * y2 + sa * z2,
+                                      ca * z0 - sa * y0, ca * z1 - sa * y1, ca * z2 - sa * y2)
             if sb:
-                x, z = _mix(x, z, cb, -sb), _mix(x, z, sb, cb)
-        pitch = atan2(-x[2], hypot(x[0], x[1]))
-        return (*p, degrees(atan2(x[1], x[0])), degrees(pitch), degrees(atan2(y[2], z[2])))
-
-
-def _mix(u: Sequence[float], v: Sequence[float], cu: float, cv: float) -> tuple[float, float, float]:
-    return (cu * u[0] + cv * v[0], cu * u[1] + cv * v[1], cu * u[2] + cv * v[2])
+                x0, x1, x2, z0, z1, z2 = (cb * x0 - sb * z0, cb * x1 - sb * z1, cb * x2 - sb * z2,
+                                          cb * z0 + sb * x0, cb * z1 + sb * x1, cb * z2 + sb * x2)
+        return px, py, pz, degrees(atan2(x1, x0)), degrees(atan2(-x2, hypot(x0, x1))), degrees(atan2(y2, z2))

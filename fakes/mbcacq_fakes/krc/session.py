@@ -23,7 +23,8 @@ class RsiSession:
         self.active = False  # an operator waits: nothing is counted before the first valid answer
         self.delay = 0
         self.ended: int | None = None
-        self._cycle_s = settings.cycle_ms * 1e-3
+        self._largest_step = [v * settings.overspeed * settings.cycle_ms * 1e-3 + 1e-6 for v in settings.speed_deg_s]
+        self._range: tuple[float | None, list[tuple[float, float]]] | None = None
 
     def accept(self, answer: Answer | None, ipoc: int) -> bool:
         """True for an answer with the right IPOC and type; anything else is thrown away without a word."""
@@ -55,10 +56,11 @@ class RsiSession:
         wanted = self.applied if ignore else self._correction
         if wanted == self.applied:
             return
-        wanted = tuple([self._limit(axis, value, clamp_deg) for axis, value in enumerate(wanted)])
+        bounds = self._bounds(clamp_deg)
+        wanted = tuple([low if v < low else high if v > high else v for v, (low, high) in zip(wanted, bounds, strict=True)])
         watch = self._settings.monitor_deg
-        for axis, (value, before) in enumerate(zip(wanted, self.applied, strict=True)):
-            if abs(value - before) > self._settings.speed_deg_s[axis] * self._settings.overspeed * self._cycle_s + 1e-6:
+        for value, before, largest in zip(wanted, self.applied, self._largest_step, strict=True):
+            if abs(value - before) > largest:
                 self.ended = OVERSPEED
             elif watch is not None and abs(value) > watch:
                 self.ended = MONITOR
@@ -66,8 +68,10 @@ class RsiSession:
             self.applied = wanted
             self.set_point = tuple([s + c for s, c in zip(self.start, wanted, strict=True)])
 
-    def _limit(self, axis: int, value: float, clamp_deg: float | None) -> float:
-        low, high = (limit - self.start[axis] for limit in self._settings.limits_deg[axis])
-        if clamp_deg is not None:
-            low, high = max(low, -clamp_deg), min(high, clamp_deg)
-        return min(max(value, low), high)
+    def _bounds(self, clamp_deg: float | None) -> list[tuple[float, float]]:
+        """Range of each axis' correction: up to the software limits, as our KRL program opens it, or AXISCORR's own."""
+        if self._range is None or self._range[0] != clamp_deg:
+            reach = float("inf") if clamp_deg is None else clamp_deg
+            limits = zip(self._settings.limits_deg, self.start, strict=True)
+            self._range = (clamp_deg, [(max(low - s, -reach), min(high - s, reach)) for (low, high), s in limits])
+        return self._range[1]
