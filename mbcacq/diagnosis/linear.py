@@ -11,13 +11,13 @@ import numpy as np
 
 from mbcacq.calibration import forward
 from mbcacq.calibration.forward import CellState, Displacements
+from mbcacq.calibration.terms import PER_POSE, Part
 from mbcacq.cell import TARGET_IN_BASE
 from mbcacq.diagnosis.whitening import Noise, Whitener, joint_columns
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
-from mbcacq.physics.effect import Part
 
-GEOMETRY_PRIOR = np.array([0.05, 20.0, 20.0, 0.05, 0.05])  # theta rad, d mm, a mm, alpha rad, beta rad: far wider than any real arm
+GEOMETRY_PRIOR = np.array([0.03, 5.0, 5.0, 0.03, 0.03])  # theta rad, d mm, a mm, alpha rad, beta rad: wider than any real arm
 MOUNT_PRIOR = np.array([500.0, 500.0, 500.0, 2.0, 2.0, 2.0])
 STATION_PRIOR = np.array([1e4, 1e4, 1e4, 3.0, 3.0, 3.0])
 
@@ -62,9 +62,8 @@ class Linear:
             twist = se3.adjoint(prediction.frames[:, index])[:, :, component]
             return np.einsum("mrc,mc->mr", prediction.gradient, twist[obs.pose])
         if place == "station":
-            twist = np.zeros(6)
-            twist[component] = 1.0
-            return -prediction.gradient @ twist
+            twist = se3.adjoint(prediction.T_base_station)[:, :, component]
+            return -np.einsum("mrc,mc->mr", prediction.gradient, twist[obs.pose])
         out = np.zeros((obs.n_centres, self.width))
         if place == "ball":
             out[:, :3] = -np.einsum("mrc,mc->mr", prediction.gradient[:, :3, :3], prediction.T_base_station[obs.pose, :3, component])
@@ -78,8 +77,7 @@ class Linear:
         """(M, R, k) of an effect."""
         total = 0.0
         for part in parts:
-            per_pose = part.place in ("joint", "frame", "station") or len(part.basis) != self.obs.n_centres
-            basis = part.basis[self.obs.pose] if per_pose else part.basis
+            basis = part.basis[self.obs.pose] if part.place in PER_POSE else part.basis
             total = total + self.unit(part.place, part.index, part.component)[:, :, None] * basis[:, None, :]
         return total
 
@@ -120,20 +118,25 @@ class Linear:
         return np.concatenate(blocks, axis=2), sigma, Layout(slice(0, 5 * n), slice(5 * n, z), stations, slice(stations.stop, len(sigma)), len(sigma))
 
     def moved(self, step: np.ndarray, layout: Layout) -> CellState:
-        """The state after a step (z,) of the nuisance parameters."""
+        """The state after a step (z,) of the nuisance parameters; what has a certificate stays at it, the linear problem moves it."""
         n = self.obs.cell.robot.n
         mount = np.zeros(6)
         free = step[layout.mount]
         mount[:len(free)] = free
         T = self.state.T_base_station.copy()
         for j, s in enumerate(np.unique(self.obs.station)):
+            if self.obs.cell.stations[s].T_base_station is not None and self.obs.cell.stations[s].sigma_mm is not None:
+                continue
             T[s] = T[s] @ se3.exp(step[layout.stations][6 * j:6 * j + 6])
-        balls = self.state.balls.copy()
-        shift = step[layout.balls].reshape(-1, 3)
-        if len(shift):
-            balls[np.unique(self.obs.ball)] += shift
         return replace(self.state, chain=self.state.chain.with_errors(step[layout.geometry].reshape(n, 5)),
-                       T_flange_scanner=self.state.T_flange_scanner @ se3.exp(mount), T_base_station=T, balls=balls)
+                       T_flange_scanner=self.state.T_flange_scanner @ se3.exp(mount), T_base_station=T)
+
+    def restricted(self, keep: np.ndarray) -> Linear:
+        """The same linearisation with only the centres in keep (M,) bool; columns are shared."""
+        out = object.__new__(Linear)
+        out.__dict__.update(self.__dict__)
+        out.keep = keep
+        return out
 
     def whitener(self, noise: Noise) -> Whitener:
         return Whitener(self.obs, self.joint, noise, self.keep)

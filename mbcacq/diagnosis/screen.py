@@ -15,6 +15,7 @@ from mbcacq.diagnosis.noise import pose_sums
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.physics.effect import Candidate
 
+LARGEST = 30.0
 SMALLEST_SHARE = 1e-6  # of a column's square that must survive the projection
 
 
@@ -36,6 +37,7 @@ class Screen:
 
     def __init__(self, linear: Linear, noise: Noise):
         self.linear, self.noise = linear, noise
+        self.blocks: dict[tuple[str, float | None], np.ndarray] = {}
         self.whiten = linear.whitener(noise)
         columns, self.sigma, self.layout = linear.nuisance()
         self.Z = self.whiten(columns) * self.sigma
@@ -51,16 +53,15 @@ class Screen:
         self.chi2_base = float(self.r0 @ self.r)
         self.dof = float(linear.keep.sum() * linear.width - np.sum(Q * Q))
 
-    def adopted(self, blocks: list[np.ndarray]) -> Screen:
-        """A screen that also projects out whitened blocks (rows, k)."""
+    def adopted(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> Screen:
+        """A screen that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
         out = object.__new__(Screen)
         out.__dict__.update(self.__dict__)
         out._cache = {}
-        for X in blocks:
+        for X, weight in blocks:
             Y = X - out.Q @ (out.Q.T @ X)
-            S = X.T @ Y
-            size = np.sqrt(np.maximum(np.diag(S), 1e-300))
-            L = np.linalg.cholesky(S / np.outer(size, size) + 1e-10 * np.eye(len(S))) * size[:, None]
+            S = X.T @ Y + np.diag(weight)
+            L = np.linalg.cholesky(S + 1e-12 * np.diag(np.sum(X * X, axis=0)))
             out.Q = np.concatenate([out.Q, np.linalg.solve(L, Y.T).T], axis=1)
         out.r = out.r0 - out.Q @ (out.Q.T @ out.r0)
         return out
@@ -70,8 +71,14 @@ class Screen:
         return float(self.r0 @ self.r)
 
     def block(self, candidate: Candidate, hyper: float | None) -> np.ndarray:
-        """Whitened columns (rows, k) of a candidate."""
-        return self.whiten(self.linear.columns(candidate.build(hyper)))
+        """Whitened columns (rows, k) of a candidate; kept for candidates without hyper-parameter."""
+        key = (candidate.key + f":{candidate.k}", hyper)
+        if key in self.blocks:
+            return self.blocks[key]
+        out = self.whiten(self.linear.columns(candidate.build(hyper)))
+        if hyper is None:
+            self.blocks[key] = out
+        return out
 
     def test(self, candidate: Candidate, hyper: float | None = None) -> Scored:
         return self.solve(candidate, hyper, self.block(candidate, hyper))
@@ -81,7 +88,7 @@ class Screen:
         S = X.T @ X - taken.T @ taken
         b = X.T @ self.r
         raw = np.sum(X * X, axis=0)
-        gain, coefficients, covariance = solve_block(S, b, raw)
+        gain, coefficients, covariance = solve_block(S, b, raw, prior_weight(candidate))
         return Scored(candidate, hyper, gain, len(b), coefficients, covariance)
 
     # Scans --------------------------------------------------------------------------------------------------------
@@ -104,14 +111,18 @@ class Screen:
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
         """Gain (H,) of a separable candidate at each hyper value."""
         values = candidate.hyper.values if values is None else values
-        b, A, C = self.reduced(candidate.separable)
+        return self.gains(candidate.separable, candidate.functions, values, prior_weight(candidate))
+
+    def gains(self, components: tuple[tuple[str, int, int], ...], functions, values: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
+        """Gain (H,) of the products of some components of a place with functions(values) (H, P, f)."""
+        b, A, C = self.reduced(components)
         P, c = b.shape
         A, C = A.reshape(P, c * c), C.reshape(P, -1)
         used = np.flatnonzero(np.any(A != 0, axis=1))
         gains = []
         chunk = max(1, int(4e6 // max(P, 1)))
         for start in range(0, len(values), chunk):
-            F = candidate.functions(values[start:start + chunk])[:, used]
+            F = functions(values[start:start + chunk])[:, used]
             H, _, f = F.shape
             flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, len(used))
             xr = (flat @ b[used]).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
@@ -125,12 +136,18 @@ class Screen:
             xx = xx.reshape(H, c * f, c * f)
             raw = np.diagonal(xx, axis1=1, axis2=2)
             S = xx - xq @ np.swapaxes(xq, 1, 2)
-            gains.append(solve_blocks(S, xr, raw))
+            gains.append(solve_blocks(S, xr, raw, weight))
         return np.concatenate(gains)
 
 
-def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def prior_weight(candidate: Candidate) -> np.ndarray:
+    """(k,) inverse variance of the coefficients: an effect thirty times its typical size is not believed."""
+    return 1.0 / (LARGEST * candidate.typical) ** 2
+
+
+def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> tuple[float, np.ndarray, np.ndarray]:
     """Gain, coefficients, covariance of a projected normal matrix; directions that the projection destroyed are held at zero."""
+    S = S + np.diag(np.broadcast_to(weight, len(b)))
     size = np.sqrt(np.maximum(raw, 1e-300))
     w, V = np.linalg.eigh(S / np.outer(size, size))
     inverse = np.where(w > SMALLEST_SHARE, 1.0 / np.maximum(w, SMALLEST_SHARE), 0.0)
@@ -139,8 +156,10 @@ def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray) -> tuple[float, n
     return float(b @ coefficients), coefficients, pseudo
 
 
-def solve_blocks(S: np.ndarray, b: np.ndarray, raw: np.ndarray) -> np.ndarray:
+def solve_blocks(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
     """Gains (H,) of many blocks (H, k, k), (H, k)."""
+    k = b.shape[1]
+    S = S + np.diag(np.broadcast_to(weight, k))
     size = np.sqrt(np.maximum(raw, 1e-300))
     scaled, target = S / (size[:, :, None] * size[:, None, :]), b / size
     if S.shape[1] == 1:

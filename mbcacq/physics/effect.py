@@ -7,29 +7,18 @@ time constant, the moment of a step), whose values to try are given.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+
+from mbcacq.calibration.terms import Part
+
+__all__ = ["Candidate", "Hyper", "Missing", "Parameters", "Part", "number", "scalar_report", "vector"]
 
 
 class Missing(Exception):
     """The recording lacks what an effect needs; the message says what."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """Movement of one component of one place, shared coefficients with the other parts of its candidate.
-
-    place: 'joint' (index 0..n-1; rad), 'frame' (index 0 base .. n mount; component 0..5 of the local twist behind it),
-    'point' (component 0..2, added to the measured point), 'ball' (component 0..2, added in the artefact frame),
-    'station' (component 0..2, translation of the artefact along the base axes). basis: (P, k) or, for point and ball, (P, k) or (M, k).
-    """
-
-    place: str
-    index: int
-    component: int
-    basis: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -53,7 +42,8 @@ class Candidate:
     build(hyper value or None) -> parts. report(coefficients (k,), covariance (k, k), hyper value) -> parameters in contract units.
     separable: (place, index, component) of its components where every component is multiplied by the same functions(values (H,)) ->
     (H, P, f); coefficients are ordered component-major. positive: physics demands a positive first coefficient.
-    typical: size of the coefficients in a real cell (k,), used to say whether the poses could see it.
+    typical: size of the coefficients in a real cell (k,), used to say whether the poses could see it. variant: tells candidates of one effect
+    at one place apart; only one of them is ever chosen. several: the same place may have it several times (several orders).
     """
 
     name: str
@@ -67,11 +57,15 @@ class Candidate:
     functions: Callable[[np.ndarray], np.ndarray] | None = None
     positive: bool = False
     several: bool = False
-    extra: Mapping[str, object] = field(default_factory=dict)
+    variant: str = ""
+
+    @property
+    def k(self) -> int:
+        return len(self.typical)
 
     @property
     def key(self) -> str:
-        return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}"
+        return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
 
 
 def number(value: float, std: float) -> dict[str, float]:

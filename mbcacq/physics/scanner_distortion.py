@@ -36,7 +36,7 @@ def candidates(s: Situation) -> list[Candidate]:
         def report(c, v, _):
             return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
 
-        return Candidate(NAME, ("scanner",), every[names[0]][0], lambda _: parts, report, typical)
+        return Candidate(NAME, ("scanner",), every[names[0]][0], lambda _: parts, report, typical, variant="+".join(names))
 
     main = ["field_curvature_per_mm", "radial_per_mm2", "depth_scale_per_mm"]
     return [make([k]) for k in every] + [make(main[:2]), make([main[0], main[2]]), make(main)]

@@ -13,7 +13,7 @@ def candidates(s: Situation) -> list[Candidate]:
     hyper, functions = warming.time_constant(s), warming.fading(s)
 
     def build(tau):
-        fade = functions(np.array([tau]))[0]
+        fade = functions(np.array([tau]))[0][s.obs.pose]
         return [Part("point", 0, c, fade * np.eye(3)[c]) for c in range(3)]
 
     def report(c, v, tau):

@@ -16,7 +16,8 @@ def candidates(s: Situation) -> list[Candidate]:
         if here.sum() < 5 or np.ptp(key[here]) == 0:
             continue
         way = np.where(here, (key - key[here].min()) / np.ptp(key[here]), 0.0)[:, None]
-        parts = [Part("station", 0, c, way * np.eye(3)[c]) for c in range(3)]
+        R = s.state.T_base_station[k, :3, :3]
+        parts = [Part("station", 0, c, way * R[:, c]) for c in range(3)]  # coefficients along the base axes
         out.append(Candidate(NAME, (f"station{station.id}",), "time" if s.obs.time_s is not None else "pose", lambda _, p=parts: p,
                              lambda c, v, _: {"drift_mm": vector(c, v)}, np.full(3, 0.05)))
     if not out:

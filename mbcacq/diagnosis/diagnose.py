@@ -1,0 +1,185 @@
+"""``diagnose``: observations in, verdict out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis import prove, residual_test
+from mbcacq.diagnosis.explain import NOTHING, Search
+from mbcacq.diagnosis.finding import Finding, Setup, find, prepare
+from mbcacq.diagnosis.locate import log10_tail
+from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.observations import Observations
+
+UNDECIDED = 6.0  # chi2 by which an alternative may be worse and still not be excluded
+
+
+def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: None) -> Diagnosis:
+    """Locate, explain, prove. Raises CalibrationError where the data do not even determine the geometry."""
+    progress("fitting the geometry")
+    setup = prepare(obs)
+    progress("searching for effects")
+    full = find(setup)
+    progress("proving on data left out")
+    proof = prove.prove(setup, full, folds or (4 if obs.n_poses < 4000 else 2))
+    return conclude(setup, full, proof)
+
+
+def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
+    model, leftover = full.model, full.leftover
+    before, _ = prove.on_train(full.before, NOTHING, None)
+    after, _ = prove.on_train(full.before, model, full.smooth)
+    effects = named_effects(setup, full, before)
+    verdict = verdict_of(full, before)
+    if full.smooth is not None:
+        effects += unknown_effects(full, proof)
+    alternatives, inseparable = rivals(setup, full)
+    for effect in effects:
+        effect.alternatives = alternatives.get(effect.name, [])
+    if verdict == "explained" and inseparable:
+        verdict = "cannot_tell"
+    floor = float(np.sqrt(after.rms**2))
+    fit = {
+        "train": {"before_rms_mm": before.rms, "after_rms_mm": after.rms, "before_chi2_dof": before.chi2_dof, "after_chi2_dof": after.chi2_dof},
+        "held_out": {"before_rms_mm": proof.before.rms, "after_rms_mm": proof.after.rms, "before_chi2_dof": proof.before.chi2_dof,
+                     "after_chi2_dof": proof.after.chi2_dof, "split": proof.split},
+        "repeatability_floor_mm": expected_rms(full, floor),
+    }
+    return Diagnosis(verdict, mismatch_list(setup, full, before), effects, fit, inseparable, [], setup.dropped, notes(setup, full, leftover))
+
+
+def expected_rms(full: Finding, fallback: float) -> float:
+    """3D rms (mm) that the estimated noise alone makes at one centre."""
+    linear, noise = full.before.linear, full.noise
+    joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
+    return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
+
+
+def verdict_of(full: Finding, before: prove.Quality) -> str:
+    structure = full.leftover is not None and full.leftover.structure
+    if not full.model.members:
+        return "unexplained" if structure else "none"
+    if not structure:
+        return "explained"
+    left = full.leftover.spots[0]
+    rest = max(left.gain - left.k, 0.0)
+    return "partly_explained" if full.model.gain > rest else "unexplained"
+
+
+def named_effects(setup: Setup, full: Finding, before: prove.Quality) -> list[EffectFound]:
+    """Members gathered by name (several joints of one effect make one entry), most important first."""
+    model, search = full.model, Search(setup.candidates)
+    excess = max(before.chi2 - before.dof, 1e-9)
+    grouped: dict[str, list[int]] = {}
+    for j, (candidate, _) in enumerate(model.members):
+        name = candidate.name
+        key = name if candidate.where[0].startswith(("A", "link", "station")) and name != "wrist_coupling" else f"{name}:{'+'.join(candidate.where)}"
+        grouped.setdefault(key, []).append(j)
+    out = []
+    for members in grouped.values():
+        first = model.members[members[0]][0]
+        rest = search.solve(full.before, tuple(m for j, m in enumerate(model.members) if j not in members))
+        gain = model.gain - (rest.gain if rest is not None else 0.0)
+        k = sum(model.members[j][0].k for j in members)
+        where = list(dict.fromkeys(w for j in members for w in model.members[j][0].where))
+        out.append((gain, EffectFound(first.name, where, first.depends_on, merge_parameters(full, members),
+                                      10 ** max(log10_tail(gain, k), -300.0), float(np.clip(gain / excess, 0, 1)))))
+    return [effect for _, effect in sorted(out, key=lambda pair: -pair[0])]
+
+
+def merge_parameters(full: Finding, members: list[int]) -> dict:
+    """Parameters of all members; the same name twice (several orders at one joint) makes lists."""
+    out: dict[str, dict] = {}
+    parts = full.model.parts()
+    for j in members:
+        candidate, hyper = full.model.members[j]
+        p = parts[j]
+        for name, entry in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
+            if name not in out:
+                out[name] = dict(entry)
+            else:
+                for field in ("value", "std"):
+                    old = out[name][field] if isinstance(out[name][field], list) else [out[name][field]]
+                    out[name][field] = [*old, *(entry[field] if isinstance(entry[field], list) else [entry[field]])]
+    return out
+
+
+def unknown_effects(full: Finding, proof: prove.Proof) -> list[EffectFound]:
+    smooth, keep = full.smooth, full.before.linear.keep
+    size: dict[tuple[str, str], float] = {}
+    for g, p in zip(smooth.groups, smooth.parts(), strict=True):
+        moved = (g.columns[keep] @ smooth.coefficients[p])[:, :3]
+        size[g.at, g.depends_on] = size.get((g.at, g.depends_on), 0.0) + float(np.mean(np.sum(moved**2, axis=1)))
+    ranked = sorted(size, key=lambda key: -size[key])
+    spots = full.leftover.spots if full.leftover else []
+    first = next(((p.at, p.depends_on) for p in spots), ranked[0])
+    excess = max(proof.before.chi2 - proof.before.dof, 1e-9)
+    p_value = 10 ** max(spots[0].log10_p, -300.0) if spots else 1.0
+    return [EffectFound("unknown", [first[0]], first[1], {f"{at}({on}).rms_mm": {"value": float(np.sqrt(size[at, on])), "std": 0.0} for at, on in ranked[:12]},
+                        p_value, float(np.clip((proof.before.chi2 - proof.after.chi2) / excess, 0, 1)))]
+
+
+def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict]]:
+    """For each named effect: what else could stand in its place; and the pairs that these data cannot tell apart."""
+    alternatives: dict[str, list[dict]] = {}
+    inseparable: list[dict] = []
+    model = full.model
+    if not model.members or len(model.members) > 6:
+        return alternatives, inseparable
+    search = Search(setup.candidates)
+    excess = max(full.before.chi2 - full.before.dof, 1e-9)
+    for name in model.names:
+        mine = [j for j, (c, _) in enumerate(model.members) if c.name == name]
+        rest = search.solve(full.before, tuple(m for j, m in enumerate(model.members) if j not in mine))
+        if rest is None:
+            continue
+        lost = model.gain - rest.gain
+        seen = set()
+        for scored in search.expand(full.before, rest):
+            candidate = scored.candidate
+            if candidate.name == name or candidate.name in seen or len(seen) == 3:
+                continue
+            seen.add(candidate.name)
+            alternatives.setdefault(name, []).append(
+                {"name": candidate.name, "where": list(candidate.where), "held_out_gain": float(np.clip(scored.gain / excess, 0, 1))})
+            swapped = search.solve(full.before, (*rest.members, (candidate, scored.hyper)))
+            if swapped is not None and swapped.score > model.score - UNDECIDED and scored.gain > lost - UNDECIDED:
+                inseparable.append({"effects": [f"{name}:{'+'.join(model.members[mine[0]][0].where)}", f"{candidate.name}:{'+'.join(candidate.where)}"],
+                                    "correlation": float(np.clip(scored.gain / max(lost, 1e-9), 0, 1))})
+    return alternatives, inseparable
+
+
+def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[dict]:
+    """Where simulation and recording part: named effects first, then what is left, each with its share of the excess."""
+    model = full.model
+    search = Search(setup.candidates)
+    excess = max(before.chi2 - before.dof, model.gain, 1e-9)
+    out = []
+    for j, (candidate, _) in enumerate(model.members):
+        rest = search.solve(full.before, model.members[:j] + model.members[j + 1:])
+        gain = model.gain - (rest.gain if rest is not None else 0.0)
+        for at in candidate.where[-1:]:
+            out.append({"at": at, "depends_on": candidate.depends_on, "share": float(np.clip(gain / excess, 0, 1)),
+                        "p_value": 10 ** max(log10_tail(gain, candidate.k), -300.0)})
+    merged: dict[tuple[str, str], dict] = {}
+    for entry in sorted(out, key=lambda e: -e["share"]):
+        merged.setdefault((entry["at"], entry["depends_on"]), entry)
+    out = list(merged.values())
+    if full.leftover is not None and full.leftover.structure:
+        places = set()
+        for spot in full.leftover.significant:
+            if spot.at not in places and len(places) < 6:
+                places.add(spot.at)
+                out.append({"at": spot.at, "depends_on": spot.depends_on, "share": float(np.clip((spot.gain - spot.k) / excess, 0, 1)),
+                            "p_value": 10 ** max(spot.log10_p, -300.0)})
+    return sorted(out, key=lambda e: -e["share"])
+
+
+def notes(setup: Setup, full: Finding, leftover: residual_test.Leftover | None) -> list[str]:
+    out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
+    dropped = int(np.sum(~setup.linear.keep))
+    if dropped:
+        out.append(f"{dropped} of {len(setup.linear.keep)} measured centres are gross outliers and were set aside")
+    if not setup.situation.masses_known:
+        out.append("no masses given: elasticity under gravity was tested with one kilogram halfway along each link, its size in rad/Nm is not meaningful")
+    return out

@@ -1,0 +1,194 @@
+"""Competition of named effects: a beam search over sets of effects, each set refitted together with the whole geometry.
+
+Every member pays for its coefficients and for the number of places and hyper-parameters it was picked from; a set may not
+contain what physics forbids (a negative compliance). So a string of wrong names must beat the right one to be told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.stats import chi2
+
+from mbcacq.diagnosis.screen import Scored, Screen, prior_weight
+from mbcacq.physics.effect import Candidate
+
+FALSE_ALARM = 0.01
+NEW_FAMILY = 4.0
+FAMILIES = 20
+
+
+@dataclass(frozen=True)
+class Model:
+    """A set of effects. gain: of all together over free geometry alone; score: gain less what the members cost."""
+
+    members: tuple[tuple[Candidate, float | None], ...]
+    gain: float
+    score: float
+    coefficients: np.ndarray
+    covariance: np.ndarray
+
+    def parts(self) -> list[slice]:
+        ends = np.cumsum([0] + [c.k for c, _ in self.members])
+        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(sorted({c.name for c, _ in self.members}))
+
+
+NOTHING = Model((), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+
+
+@dataclass(frozen=True)
+class Search:
+    """The candidates of these data and how they are weighed."""
+
+    candidates: list[Candidate]
+    beam: int = 3
+    branches: int = 6
+    most: int = 12
+    thorough: bool = True
+
+    def run(self, screen: Screen, start: Model = NOTHING) -> Model:
+        """The best set of effects under the screen's noise."""
+        beam, best = [start], start
+        for _ in range(self.most):
+            grown: dict[tuple, Model] = {}
+            for model in beam:
+                branches = self.expand(screen, model)
+                for more in [(b,) for b in branches[: self.branches]] + ([] if self.thorough else [at_different_places(branches)]):
+                    new = self.solve(screen, (*model.members, *((s.candidate, s.hyper) for s in more)))
+                    if new is not None and new.score > model.score:
+                        key = tuple(sorted((c.key, round(h or 0.0, 2)) for c, h in new.members))
+                        grown.setdefault(key, new)
+            if not grown:
+                break
+            beam = sorted(grown.values(), key=lambda m: -m.score)[: self.beam]
+            if beam[0].score > best.score:
+                best = beam[0]
+            elif beam[0].score < best.score - 20:
+                break
+        return self.polish(screen, best)
+
+    def polish(self, screen: Screen, model: Model) -> Model:
+        """Drop members that do not pay, exchange members for better ones, until nothing improves."""
+        for _ in range(6 if self.thorough else 1):
+            improved = model
+            for j in range(len(model.members)):
+                rest = self.solve(screen, model.members[:j] + model.members[j + 1:])
+                if rest is None:
+                    continue
+                if rest.score > improved.score:
+                    improved = rest
+                if len(model.members) > 6 or not self.thorough:
+                    continue
+                for scored in self.expand(screen, rest)[:2]:
+                    other = self.solve(screen, (*rest.members, (scored.candidate, scored.hyper)))
+                    if other is not None and other.score > improved.score + 1e-6:
+                        improved = other
+            if improved is model:
+                return model
+            model = improved
+        return model
+
+    def expand(self, screen: Screen, model: Model) -> list[Scored]:
+        """Candidates beyond a model at their best hyper-parameter, best first; those that cannot pay are left out."""
+        here = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in model.members])
+        out = []
+        for candidate in self.candidates:
+            if not self.allowed(candidate, model):
+                continue
+            scored = best_hyper(here, candidate)
+            if scored.gain > 0.7 * self.cost(candidate, scored.hyper, model):
+                out.append(scored)
+        return sorted(out, key=lambda s: self.cost(s.candidate, s.hyper, model) - s.gain)
+
+    def allowed(self, candidate: Candidate, model: Model) -> bool:
+        same = [c for c, _ in model.members if c.name == candidate.name and c.where == candidate.where]
+        return not same or candidate.several
+
+    def cost(self, candidate: Candidate, hyper: float | None, model: Model) -> float:
+        """chi2 that chance alone would give to the best of all candidates of this kind, once in 1 / FALSE_ALARM cells."""
+        names = {c.name for c, _ in model.members}
+        tries = sum(c.name == candidate.name for c in self.candidates)
+        if candidate.hyper is not None:
+            tries *= 2 * len(candidate.hyper.preferred) if hyper in candidate.hyper.preferred else 2 * candidate.hyper.independent
+        out = threshold(candidate.k, round(np.log(max(tries, 1)), 1), candidate.name in names)
+        return out + (NEW_FAMILY if names and candidate.name not in names else 0.0)
+
+    def solve(self, screen: Screen, members: tuple[tuple[Candidate, float | None], ...]) -> Model | None:
+        """All members and the geometry together; None where physics forbids the result."""
+        if not members:
+            return NOTHING
+        X = np.concatenate([screen.block(c, h) for c, h in members], axis=1)
+        weight = np.concatenate([prior_weight(c) for c, _ in members])
+        taken = screen.Q.T @ X
+        S = X.T @ X - taken.T @ taken + np.diag(weight)
+        size = np.sqrt(np.diag(S))
+        covariance = np.linalg.inv(S / np.outer(size, size) + 1e-12 * np.eye(len(S))) / np.outer(size, size)
+        b = X.T @ screen.r
+        coefficients = covariance @ b
+        gain = float(b @ coefficients)
+        cost, sofar = 0.0, NOTHING
+        for candidate, hyper in members:
+            cost += self.cost(candidate, hyper, sofar)
+            sofar = replace(sofar, members=(*sofar.members, (candidate, hyper)))
+        model = Model(members, gain, gain - cost, coefficients, covariance)
+        if any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
+            return None
+        return model
+
+
+def at_different_places(branches: list[Scored]) -> tuple[Scored, ...]:
+    """The best candidate of every place: many joints of a real arm err at once."""
+    best: dict[tuple[str, ...], Scored] = {}
+    for scored in branches:
+        best.setdefault(scored.candidate.where, scored)
+    return tuple(best.values())
+
+
+@lru_cache(maxsize=10000)
+def threshold(k: int, log_tries: float, family_present: bool) -> float:
+    """A family that is there already makes its other members ten times as likely."""
+    share = FALSE_ALARM / FAMILIES * (10.0 if family_present else 1.0)
+    return float(chi2.isf(min(share / np.exp(log_tries), 0.2), k))
+
+
+def best_hyper(screen: Screen, candidate: Candidate) -> Scored:
+    """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good."""
+    hyper = candidate.hyper
+    if hyper is None:
+        return screen.test(candidate)
+    if not candidate.separable:
+        return max((screen.test(candidate, v) for v in hyper.values), key=lambda s: s.gain)
+    curve = screen.scan(candidate)
+    value, gain = hyper.values[np.argmax(curve)], curve.max()
+    if hyper.refine:
+        value, gain = refine(screen, candidate, value, gain)
+    for preferred in hyper.preferred:
+        if abs(preferred - value) < 1.5 * resolution(hyper) and screen.scan(candidate, np.array([preferred]))[0] > gain - 4.0:
+            value = preferred
+    return screen.test(candidate, float(value))
+
+
+def resolution(hyper) -> float:
+    ordered = np.sort(hyper.values)
+    return float(np.median(np.diff(ordered)))
+
+
+def refine(screen: Screen, candidate: Candidate, value: float, gain: float) -> tuple[float, float]:
+    """Two rounds of a finer grid between the neighbours of the best value."""
+    ordered = np.sort(candidate.hyper.values)
+    j = int(np.searchsorted(ordered, value))
+    low, high = ordered[max(j - 1, 0)], ordered[min(j + 1, len(ordered) - 1)]
+    for _ in range(2):
+        grid = np.linspace(low, high, 17)
+        curve = screen.scan(candidate, grid)
+        j = int(np.argmax(curve))
+        if curve[j] > gain:
+            value, gain = float(grid[j]), float(curve[j])
+        low, high = grid[max(j - 1, 0)], grid[min(j + 1, 16)]
+    return value, gain

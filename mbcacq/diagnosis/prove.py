@@ -1,0 +1,129 @@
+"""Proof on data that took no part: whole stations (for one station: blocks of poses) are left out of every choice and fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.explain import NOTHING, Model
+from mbcacq.diagnosis.finding import Finding, Setup, columns_of, find
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.smooth import SmoothModel
+from mbcacq.diagnosis.whitening import Noise
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom."""
+
+    square: float
+    count: int
+    chi2: float
+    dof: float
+
+    def __add__(self, other: Quality) -> Quality:
+        return Quality(self.square + other.square, self.count + other.count, self.chi2 + other.chi2, self.dof + other.dof)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.square / max(self.count, 1)))
+
+    @property
+    def chi2_dof(self) -> float:
+        return float(self.chi2 / max(self.dof, 1e-9))
+
+
+EMPTY = Quality(0.0, 0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """before and after on left-out data, how they were left out; without: one effect each left out of the model, by its index."""
+
+    before: Quality
+    after: Quality
+    split: str
+    picks: tuple[tuple[str, ...], ...]
+
+
+def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
+    """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement."""
+    obs = linear.obs
+    stations = np.unique(obs.station)
+    if len(stations) >= 3:
+        size = np.bincount(obs.station, minlength=len(obs.cell.stations))
+        kind = np.array([[a.id for a in obs.cell.artefacts].index(s.artefact) for s in obs.cell.stations])
+        ranked = sorted(stations, key=lambda k: (kind[k], -size[k], k))
+        fold = np.zeros(len(obs.cell.stations), int)
+        fold[ranked] = np.arange(len(ranked)) % min(folds, len(ranked))
+        return fold[obs.station], "station"
+    key = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(np.argsort(obs.time_s, kind="stable"))
+    blocks = key * (4 * folds) // obs.n_poses
+    return blocks % folds, "block"
+
+
+def prove(setup: Setup, full: Finding, folds: int = 4, fitted_smooth: bool = True) -> Proof:
+    """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
+    linear = setup.linear
+    fold, how = split(linear, folds)
+    before, after, picks = EMPTY, EMPTY, []
+    for k in range(int(fold.max()) + 1):
+        train = linear.keep & (fold != k)[linear.obs.pose]
+        test = linear.keep & (fold == k)[linear.obs.pose]
+        part = find(setup, train, examine=False, structure=full.smooth is not None and fitted_smooth)
+        picks.append(part.model.names)
+        before += judge(linear, train, test, NOTHING, None, full.noise)
+        after += judge(linear, train, test, part.model, part.smooth, full.noise)
+    return Proof(before, after, how, tuple(picks))
+
+
+def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:
+    """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free."""
+    fitted = linear.restricted(train)
+    columns, sigma = columns_of(fitted, model, rest)
+    solution = solve(fitted.whitener(noise), columns, sigma, linear.residual)
+    left = linear.residual - columns @ solution
+    return on_new_stations(linear, train, test, left, noise)
+
+
+def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: np.ndarray, noise: Noise) -> Quality:
+    """Residual (M, R) on test after the poses of stations that training has not seen are fitted to it."""
+    obs = linear.obs
+    whiten = linear.restricted(test).whitener(noise)
+    unseen = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
+    dof = float(test.sum() * linear.width)
+    if unseen:
+        columns, sigma, layout = linear.nuisance()
+        position = {k: j for j, k in enumerate(np.unique(obs.station))}
+        free = np.concatenate([np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in unseen])
+        station, width = columns[:, :, free], sigma[free]
+        Z = whiten(station) * width
+        normal = Z.T @ Z
+        left = left - station @ (width * np.linalg.solve(normal + np.eye(len(free)), Z.T @ whiten(left)))
+        dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(free)), normal)))
+    r = whiten(left)
+    return Quality(float(np.sum(left[test, :3] ** 2)), int(test.sum()), float(r @ r), dof)
+
+
+def solve(whiten, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    Z = whiten(columns) * sigma
+    normal = Z.T @ Z
+    normal[np.diag_indices_from(normal)] += 1.0
+    return sigma * np.linalg.solve(normal, Z.T @ whiten(residual))
+
+
+def on_train(screen: Screen, model: Model, rest: SmoothModel | None) -> tuple[Quality, np.ndarray]:
+    """The same on the data fitted, and the residual (M, R)."""
+    linear = screen.linear
+    columns, sigma = columns_of(linear, model, rest)
+    Z = screen.whiten(columns) * sigma
+    normal = Z.T @ Z
+    inverse = np.linalg.inv(normal + np.eye(len(sigma)))
+    solution = sigma * (inverse @ (Z.T @ screen.r0))
+    left = linear.residual - columns @ solution
+    keep = linear.keep
+    dof = keep.sum() * linear.width - float(np.sum(inverse * normal))
+    r = screen.whiten(left)
+    return Quality(float(np.sum(left[keep, :3] ** 2)), int(keep.sum()), float(r @ r), dof), left

@@ -1,0 +1,161 @@
+"""The smooth model of what has no name: groups of functions at places, each group with a size of its own, found by the data.
+
+Every group is a random effect u ~ N(0, size^2 diag(weight^2)); sizes by MacKay's fixed point of the marginal likelihood, so
+groups that the data do not ask for vanish, and places without data stay near zero instead of being extrapolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis import covariates
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.locate import Spot, attachments
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.physics.situation import Situation
+
+MANY_POSES = 350
+OWN_ORDER, OTHER_ORDER = 45.0, 9.0
+START_MM = 0.02
+
+
+@dataclass(frozen=True)
+class Group:
+    """at, depends_on: for the report. columns: (M, R, k); weight: (k,) relative prior sigma, falling with the order."""
+
+    at: str
+    depends_on: str
+    columns: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class SmoothModel:
+    """Groups with their coefficients, prior sigmas (all concatenated) and gains."""
+
+    groups: tuple[Group, ...]
+    coefficients: np.ndarray
+    sigma: np.ndarray
+
+    @property
+    def columns(self) -> np.ndarray:
+        return np.concatenate([g.columns for g in self.groups], axis=2)
+
+    def parts(self) -> list[slice]:
+        ends = np.cumsum([0] + [len(g.weight) for g in self.groups])
+        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+
+def waves(x: np.ndarray, highest: float, least: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines over a little more than the range of an angle x (P,), up to ``highest`` per turn: (P, K), and weights (K,)."""
+    span = max(float(np.ptp(x)) * 1.15, 1e-9)
+    count = int(np.clip(highest * span / np.pi, least, 90))
+    k = np.arange(1, count + 1)
+    return np.cos(np.pi * (x - x.min())[:, None] / span * k), 1.0 / (1.0 + (k * np.pi / span / (highest / 4)) ** 2)
+
+
+def everything(linear: Linear, s: Situation) -> list[Group]:
+    """Groups for a recording with many poses: gear, bearing, elasticity, coupling and time at every joint."""
+    obs, out = linear.obs, []
+
+    def group(at, name, keys, F, weight):
+        columns = np.concatenate([linear.unit(*key)[:, :, None] * F[obs.pose][:, None, :] for key in keys], axis=2)
+        out.append(Group(at, name, columns, np.tile(weight, len(keys))))
+
+    moving = [i for i in range(s.n) if np.ptp(obs.q[:, i]) > 0.02]
+    for i in moving:
+        group(f"A{i + 1}", f"q{i + 1}", [("joint", i, 0)], *waves(obs.q[:, i], OWN_ORDER))
+        low, weight = waves(obs.q[:, i], OTHER_ORDER)
+        for c in range(6):
+            group(f"link{i + 1}" if i + 1 < s.n else "mount", f"q{i + 1}", [("frame", i + 1, c)], low, weight)
+        for j in moving:
+            if j != i:
+                group(f"A{j + 1}", f"q{i + 1}", [("joint", j, 0)], low[:, :5], weight[:5])
+    for i in range(s.n):
+        moment = s.gravity_moment(i)
+        scale = max(float(np.abs(moment).max()), 1e-9)
+        group("base" if i == 0 else f"link{i}", f"gravity_torque_{i + 1}", [("frame", i, 3 + c) for c in range(3)], moment / scale, np.ones(3))
+    F, weight = waves(s.order.astype(float), np.inf, 6) if obs.time_s is None else waves(s.time, np.inf, 6)
+    F, weight = F[:, :6], np.ones(6)
+    group("base", "time" if obs.time_s is not None else "pose", [("frame", 0, c) for c in range(6)], F, weight)
+    group("mount", "time" if obs.time_s is not None else "pose", [("frame", s.n, c) for c in range(3)], F, weight)
+    for name, T in obs.temperatures.items():
+        if np.ptp(T) > 0.2:
+            for i in range(s.n + 1):
+                at = "base" if i == 0 else "mount" if i == s.n else f"link{i}"
+                group(at, name, [("frame", i, c) for c in range(6)], covariates.standard(T)[:, None], np.ones(1))
+    return out
+
+
+def located(linear: Linear, s: Situation, spots: list[Spot]) -> list[Group]:
+    """Groups at the significant spots of the map, one a place and covariate, at most eight: for a recording with few poses."""
+    places = {a.at: a for a in attachments(s)}
+    poses = {c.name: c for c in covariates.of_poses(s)}
+    centres = {c.name: c for c in covariates.of_centres(s)} if s.scanner_on_flange else {}
+    out, obs = [], linear.obs
+    for spot in spots:
+        if len(out) == 8:
+            break
+        if spot.kind == "constant":
+            ball = obs.cell.ball_ids.index(int(spot.at[4:]))
+            keys, F = [("ball", 0, c) for c in range(3)], (obs.ball == ball)[:, None].astype(float)
+        elif spot.kind == "periodic":
+            i = int(spot.at[1:]) - 1
+            phase = spot.order * obs.q[:, i]
+            keys, F = [("joint", i, 0)], np.stack([np.sin(phase), np.cos(phase)], axis=1)[obs.pose]
+        elif spot.at.startswith("station"):
+            here = obs.station == places[spot.at].components[0][1]
+            x = np.where(here, s.order - s.order[here].mean(), 0.0)
+            x = x / max(np.abs(x).max(), 1e-9)
+            keys, F = [("station", 0, c) for c in range(3)], np.stack([x, x * x], axis=1)[obs.pose]
+        elif spot.at == "scanner" and spot.depends_on in centres:
+            keys, F = places[spot.at].components, centres[spot.depends_on].functions
+        else:
+            keys, F = places[spot.at].components, poses[spot.depends_on].functions[obs.pose]
+        columns = np.concatenate([linear.unit(*key)[:, :, None] * F[:, None, :] for key in keys], axis=2)
+        out.append(Group(spot.at, spot.depends_on, columns, np.ones(columns.shape[2])))
+    return out
+
+
+def fit(screen: Screen, groups: list[Group], rounds: int = 40) -> SmoothModel | None:
+    """Sizes and coefficients of the groups beyond what the screen has projected out."""
+    if not groups:
+        return None
+    unit = []
+    for g in groups:  # make a unit size move the centres by about a millimetre, so that sizes compare
+        typical = np.sqrt(np.mean(g.columns[screen.linear.keep, :3] ** 2) * g.columns.shape[2])
+        unit.append(g.weight / max(float(typical), 1e-12))
+    scale = np.concatenate(unit)
+    X = np.concatenate([screen.whiten(g.columns) for g in groups], axis=1) * scale
+    taken = screen.Q.T @ X
+    S, b = X.T @ X - taken.T @ taken, X.T @ screen.r
+    ends = np.cumsum([0] + [len(g.weight) for g in groups])
+    parts = [slice(a, z) for a, z in zip(ends[:-1], ends[1:], strict=True)]
+    size2 = np.full(len(groups), START_MM**2)
+    alive = np.ones(len(groups), bool)
+    for _ in range(rounds):
+        index = np.concatenate([np.arange(p.start, p.stop) for p, a in zip(parts, alive, strict=True) if a]) if alive.any() else np.zeros(0, int)
+        if len(index) == 0:
+            return None
+        prior = np.concatenate([np.full(p.stop - p.start, v) for p, v, a in zip(parts, size2, alive, strict=True) if a])
+        covariance = np.linalg.inv(S[np.ix_(index, index)] + np.diag(1.0 / prior))
+        u = covariance @ b[index]
+        before, at = size2.copy(), 0
+        for g in np.flatnonzero(alive):
+            k = parts[g].stop - parts[g].start
+            mine = slice(at, at + k)
+            at += k
+            determined = k - np.trace(covariance[mine, mine]) / size2[g]
+            size2[g] = np.clip(np.sum(u[mine] ** 2) / max(determined, 1e-3), 1e-12, 1e2) if determined > 1e-4 else 0.0
+        alive &= size2 > 1e-8
+        if np.all(np.abs(np.log(size2[alive] / before[alive])) < 0.05):
+            break
+    chosen = [g for g in range(len(groups)) if alive[g]]
+    index = np.concatenate([np.arange(parts[g].start, parts[g].stop) for g in chosen]) if chosen else np.zeros(0, int)
+    if len(index) == 0:
+        return None
+    prior = np.concatenate([np.full(parts[g].stop - parts[g].start, size2[g]) for g in chosen])
+    u = np.linalg.solve(S[np.ix_(index, index)] + np.diag(1.0 / prior), b[index])
+    return SmoothModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index])
