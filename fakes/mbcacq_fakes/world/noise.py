@@ -19,16 +19,17 @@ class Noise:
     centre_mm: np.ndarray
 
     @classmethod
-    def for_centres(cls, centre_mm: np.ndarray, speckle_mm: float = 0.012, pitch_mm: float = 16.0) -> Noise:
+    def for_centres(cls, centre_mm: np.ndarray, speckle_mm: float = 0.012, pitch_mm: float = 12.0) -> Noise:
         """The noise whose fitted 12 mm balls (known radius) scatter by ``centre_mm`` (3,), e.g. 0.005, 0.005, 0.009.
 
         A depth error that rises across a ball looks like a sideways shift of it, so the sideways field is smaller than the
         scatter asked for. The factors were found by Monte Carlo.
         """
         x, y, z = np.asarray(centre_mm, dtype=float)
-        leak = LEAK * z * 16.0 / pitch_mm
-        field = np.array([np.sqrt(max(x**2 - leak**2, 0.0)), np.sqrt(max(y**2 - leak**2, 0.0)), GAIN * z])
-        return cls(field, pitch_mm, speckle_mm, np.array([x, y, z]))
+        depth = z / SMOOTHED
+        leak = LEAK * depth * 12.0 / pitch_mm
+        side = np.sqrt(np.maximum(np.array([x, y]) ** 2 - leak**2, 0.0)) / SMOOTHED
+        return cls(np.append(side, depth), pitch_mm, speckle_mm, np.array([x, y, z]))
 
     def smooth(self, xy: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Smooth error (N, 3) mm at places xy (N, 2) mm: cubic B-splines over independent knots, unit variance everywhere."""
@@ -48,7 +49,7 @@ class Noise:
         return out / np.sqrt(np.einsum("kn,kn->n", shares, shares))[:, None] * self.field_mm
 
 
-LEAK, GAIN = 0.26, 1.04
+SMOOTHED, LEAK = 0.935, 0.36  # share of the field left after averaging over a ball; tilt of the depth field seen sideways
 
 
 def _cubic(t: np.ndarray) -> np.ndarray:
