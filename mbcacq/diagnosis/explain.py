@@ -126,6 +126,8 @@ class Search:
         X = np.concatenate([screen.block(c, h) for c, h in members], axis=1)
         weight = np.concatenate([prior_weight(c) for c, _ in members])
         taken = screen.Q.T @ X
+        if screen.more.shape[1]:
+            raise ValueError("a set of effects is solved on a screen without adopted blocks")
         S = X.T @ X - taken.T @ taken + np.diag(weight)
         size = np.sqrt(np.diag(S))
         covariance = np.linalg.inv(S / np.outer(size, size) + 1e-12 * np.eye(len(S))) / np.outer(size, size)

@@ -141,5 +141,5 @@ def _balls(screen: Screen, s: Situation) -> list[Spot]:
 def block_gain(screen: Screen, columns: np.ndarray) -> float:
     """Gain of columns (M, R, k)."""
     X = screen.whiten(columns)
-    taken = screen.Q.T @ X
+    taken = screen.all_projected.T @ X
     return solve_block(X.T @ X - taken.T @ taken, X.T @ screen.r, np.sum(X * X, axis=0))[0]

@@ -43,7 +43,9 @@ def neighbour_dependence(screen: Screen, s: Situation) -> float:
     """
     linear = screen.linear
     units = tuple(("joint", i, 0) for i in range(s.n))
-    b, A, _ = screen.reduced(units)
+    E = np.stack([screen.unit(key) for key in units], axis=1)
+    b = screen.by_pose(E * screen.r[:, None])
+    A = screen.by_pose(E[:, :, None] * E[:, None, :])
     used = np.flatnonzero(np.einsum("pii->p", A) > 0)
     if len(used) < 40:
         return 1.0

@@ -6,7 +6,7 @@ whatever has been adopted, were refitted together with the candidate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,66 +29,73 @@ class Scored:
     k: int
     coefficients: np.ndarray
     covariance: np.ndarray
-    curve: np.ndarray | None = field(default=None, repr=False)
 
 
 class Screen:
-    """Whitened problem under a noise model. adopt() adds columns to what is projected out."""
+    """Whitened problem under a noise model. adopted() gives a screen that projects out more; it borrows what this one has computed."""
 
     def __init__(self, linear: Linear, noise: Noise):
         self.linear, self.noise = linear, noise
-        self.blocks: dict[tuple[str, float | None], np.ndarray] = {}
         self.whiten = linear.whitener(noise)
-        columns, self.sigma, self.layout = linear.nuisance()
-        self.Z = self.whiten(columns) * self.sigma
-        L = np.linalg.cholesky(self.Z.T @ self.Z + np.eye(self.Z.shape[1]))
-        Q = np.linalg.solve(L, self.Z.T).T
-        # A prior makes Q'Q < I; project out twice would be wrong, so keep the metric: x'(I - QQ')y is what priors allow.
-        self.Q = Q
+        columns, sigma, _ = linear.nuisance()
+        Z = self.whiten(columns) * sigma
+        # With priors Q'Q < I, and x'(I - QQ')y is what they allow: the metric of all gains.
+        self.Q = np.linalg.solve(np.linalg.cholesky(Z.T @ Z + np.eye(Z.shape[1])), Z.T).T
         self.r0 = self.whiten(linear.residual)
-        self.r = self.r0 - Q @ (Q.T @ self.r0)
+        self.r = self.r0 - self.Q @ (self.Q.T @ self.r0)
         self.pose_of_row, self.by_pose = pose_sums(linear)
+        self.dof = float(linear.keep.sum() * linear.width - np.sum(self.Q * self.Q))
+        self.more = np.zeros((len(self.r0), 0))
         self._units: dict[tuple[str, int, int], np.ndarray] = {}
-        self._cache: dict[tuple[tuple[str, int, int], ...], tuple] = {}
-        self.chi2_base = float(self.r0 @ self.r)
-        self.dof = float(linear.keep.sum() * linear.width - np.sum(Q * Q))
+        self._tests: dict[tuple, tuple] = {}
+        self._scans: dict[tuple, tuple] = {}
+        self._reduced: dict[tuple, tuple] = {}
+        self._reduced_more: dict[tuple, np.ndarray] = {}
 
     def adopted(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> Screen:
         """A screen that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
         out = object.__new__(Screen)
         out.__dict__.update(self.__dict__)
-        out._cache = {}
+        out._reduced_more = {}
         for X, weight in blocks:
-            Y = X - out.Q @ (out.Q.T @ X)
+            Y = X - self.Q @ (self.Q.T @ X) - out.more @ (out.more.T @ X)
             S = X.T @ Y + np.diag(weight)
             L = np.linalg.cholesky(S + 1e-12 * np.diag(np.sum(X * X, axis=0)))
-            out.Q = np.concatenate([out.Q, np.linalg.solve(L, Y.T).T], axis=1)
-        out.r = out.r0 - out.Q @ (out.Q.T @ out.r0)
+            out.more = np.concatenate([out.more, np.linalg.solve(L, Y.T).T], axis=1)
+        out.taken = out.more.T @ self.r0
+        out.r = self.r0 - self.Q @ (self.Q.T @ self.r0) - out.more @ out.taken
         return out
 
     @property
     def chi2(self) -> float:
         return float(self.r0 @ self.r)
 
+    @property
+    def all_projected(self) -> np.ndarray:
+        """(rows, z) everything that is projected out."""
+        return np.concatenate([self.Q, self.more], axis=1)
+
     def block(self, candidate: Candidate, hyper: float | None) -> np.ndarray:
-        """Whitened columns (rows, k) of a candidate; kept for candidates without hyper-parameter."""
-        key = (candidate.key + f":{candidate.k}", hyper)
-        if key in self.blocks:
-            return self.blocks[key]
-        out = self.whiten(self.linear.columns(candidate.build(hyper)))
-        if hyper is None:
-            self.blocks[key] = out
-        return out
+        """Whitened columns (rows, k) of a candidate."""
+        return self._prepared(candidate, hyper)[0]
+
+    def _prepared(self, candidate: Candidate, hyper: float | None) -> tuple:
+        key = (candidate.key, hyper)
+        if key not in self._tests:
+            X = self.whiten(self.linear.columns(candidate.build(hyper)))
+            taken = self.Q.T @ X
+            r = self.r0 - self.Q @ (self.Q.T @ self.r0)
+            self._tests[key] = X, X.T @ X - taken.T @ taken, X.T @ r
+            if len(self._tests) > 3000:
+                self._tests.pop(next(iter(self._tests)))
+        return self._tests[key]
 
     def test(self, candidate: Candidate, hyper: float | None = None) -> Scored:
-        return self.solve(candidate, hyper, self.block(candidate, hyper))
-
-    def solve(self, candidate: Candidate, hyper: float | None, X: np.ndarray) -> Scored:
-        taken = self.Q.T @ X
-        S = X.T @ X - taken.T @ taken
-        b = X.T @ self.r
-        raw = np.sum(X * X, axis=0)
-        gain, coefficients, covariance = solve_block(S, b, raw, prior_weight(candidate))
+        X, S, b = self._prepared(candidate, hyper)
+        if self.more.shape[1]:
+            taken = self.more.T @ X
+            S, b = S - taken.T @ taken, b - taken.T @ self.taken
+        gain, coefficients, covariance = solve_block(S, b, np.sum(X * X, axis=0), prior_weight(candidate))
         return Scored(candidate, hyper, gain, len(b), coefficients, covariance)
 
     # Scans --------------------------------------------------------------------------------------------------------
@@ -99,45 +106,66 @@ class Screen:
         return self._units[key]
 
     def reduced(self, components: tuple[tuple[str, int, int], ...]):
-        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components."""
-        if components not in self._cache:
+        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components; adopted blocks left out."""
+        if components not in self._reduced:
             E = np.stack([self.unit(key) for key in components], axis=1)
-            b = self.by_pose(E * self.r[:, None])
+            r = self.r0 - self.Q @ (self.Q.T @ self.r0)
+            b = self.by_pose(E * r[:, None])
             A = self.by_pose(E[:, :, None] * E[:, None, :])
             C = np.stack([self.by_pose(E[:, c, None] * self.Q) for c in range(E.shape[1])], axis=1)
-            self._cache[components] = b, A, C
-        return self._cache[components]
+            self._reduced[components] = b, A, C
+        return self._reduced[components]
+
+    def reduced_more(self, components: tuple[tuple[str, int, int], ...]) -> np.ndarray:
+        """(P, c, z) of the adopted blocks."""
+        if components not in self._reduced_more:
+            self._reduced_more[components] = np.stack([self.by_pose(self.unit(key)[:, None] * self.more) for key in components], axis=1)
+        return self._reduced_more[components]
 
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
         """Gain (H,) of a separable candidate at each hyper value."""
+        key = candidate.key if values is None else None
         values = candidate.hyper.values if values is None else values
-        return self.gains(candidate.separable, candidate.functions, values, prior_weight(candidate))
+        return self.gains(candidate.separable, candidate.functions, values, prior_weight(candidate), key)
 
-    def gains(self, components: tuple[tuple[str, int, int], ...], functions, values: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
-        """Gain (H,) of the products of some components of a place with functions(values) (H, P, f)."""
+    def gains(self, components: tuple[tuple[str, int, int], ...], functions, values: np.ndarray, weight: np.ndarray | float = 0.0,
+              key: str | None = None) -> np.ndarray:
+        """Gain (H,) of the products of some components of a place with functions(values) (H, P, f). key: remember under this name."""
+        out = []
+        chunk = max(1, int(2e6 // max(self.linear.obs.n_poses, 1)))
+        c = len(components)
+        for start in range(0, len(values), chunk):
+            flat, S, xr, raw = self._normal(components, functions, values[start:start + chunk], key and (key, start))
+            if self.more.shape[1]:
+                H, f = len(S), S.shape[1] // c
+                extra = (flat @ self.reduced_more(components).reshape(len(self.reduced_more(components)), -1)).reshape(H, f, c, -1)
+                extra = extra.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
+                S, xr = S - extra @ np.swapaxes(extra, 1, 2), xr - extra @ self.taken
+            out.append(solve_blocks(S, xr, raw, weight))
+        return np.concatenate(out)
+
+    def _normal(self, components, functions, values, key):
+        """Functions (H f, P), normal matrices (H, k, k), right-hand sides (H, k) and raw squares (H, k), geometry projected out."""
+        if key is not None and key in self._scans:
+            return self._scans[key]
         b, A, C = self.reduced(components)
         P, c = b.shape
-        A, C = A.reshape(P, c * c), C.reshape(P, -1)
-        used = np.flatnonzero(np.any(A != 0, axis=1))
-        gains = []
-        chunk = max(1, int(4e6 // max(P, 1)))
-        for start in range(0, len(values), chunk):
-            F = functions(values[start:start + chunk])[:, used]
-            H, _, f = F.shape
-            flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, len(used))
-            xr = (flat @ b[used]).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
-            xq = (flat @ C[used]).reshape(H, f, c, -1).transpose(0, 2, 1, 3).reshape(H, c * f, -1)
-            xx = np.empty((H, c, f, c, f))
-            for i in range(f):
-                for j in range(i + 1):
-                    block = ((F[:, :, i] * F[:, :, j]) @ A[used]).reshape(H, c, c)
-                    xx[:, :, i, :, j] = block
-                    xx[:, :, j, :, i] = block
-            xx = xx.reshape(H, c * f, c * f)
-            raw = np.diagonal(xx, axis1=1, axis2=2)
-            S = xx - xq @ np.swapaxes(xq, 1, 2)
-            gains.append(solve_blocks(S, xr, raw, weight))
-        return np.concatenate(gains)
+        F = functions(values)
+        H, _, f = F.shape
+        flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, P)
+        xr = (flat @ b).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
+        xq = (flat @ C.reshape(P, -1)).reshape(H, f, c, -1).transpose(0, 2, 1, 3).reshape(H, c * f, -1)
+        xx = np.empty((H, c, f, c, f))
+        for i in range(f):
+            for j in range(i + 1):
+                block = ((F[:, :, i] * F[:, :, j]) @ A.reshape(P, c * c)).reshape(H, c, c)
+                xx[:, :, i, :, j] = block
+                xx[:, :, j, :, i] = block
+        xx = xx.reshape(H, c * f, c * f)
+        result = flat, xx - xq @ np.swapaxes(xq, 1, 2), xr, np.diagonal(xx, axis1=1, axis2=2)
+        if key is not None and flat.size < 1e6:
+            self._scans[key] = result
+        return result
 
 
 def prior_weight(candidate: Candidate) -> np.ndarray:

@@ -129,7 +129,7 @@ def fit(screen: Screen, groups: list[Group], rounds: int = 40) -> SmoothModel | 
         unit.append(g.weight / max(float(typical), 1e-12))
     scale = np.concatenate(unit)
     X = np.concatenate([screen.whiten(g.columns) for g in groups], axis=1) * scale
-    taken = screen.Q.T @ X
+    taken = screen.all_projected.T @ X
     S, b = X.T @ X - taken.T @ taken, X.T @ screen.r
     ends = np.cumsum([0] + [len(g.weight) for g in groups])
     parts = [slice(a, z) for a, z in zip(ends[:-1], ends[1:], strict=True)]
