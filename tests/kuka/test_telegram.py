@@ -85,7 +85,7 @@ def test_numbers_come_back_with_all_their_digits(values, ipoc, precision):
         telegram = telegram.replace(old, b'%b="%.*f"' % (old[:2], precision, value))
     digits, row = first.parse(telegram)
     assert digits == b"%d" % ipoc
-    assert axes(first, "AIPos", row) == [float("%.*f" % (precision, v)) for v in values]
+    assert axes(first, "AIPos", row) == [float(f"{v:.{precision}f}") for v in values]
 
 
 @pytest.mark.parametrize("damage", [

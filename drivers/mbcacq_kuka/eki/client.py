@@ -1,0 +1,193 @@
+"""Client of the EKI server program that KUKA's external-control SDK puts on a controller (EkiKSSinterface, TCP 54600)."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from types import TracebackType
+from typing import Any, Self
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, ProtocolError
+from mbcacq_kuka.eki.framing import Cutter, FramingError
+
+
+class Request(IntEnum):
+    CONNECT, START, RESET, CANCEL, CHANGE_MODE, NONE, DRIVES_ON, DRIVES_OFF, CYCLE = range(9)
+
+
+class Event(IntEnum):
+    (STARTED, STOPPED, CANCELLED, RESET_OK, ERROR, CONNECTED, SWITCH_OK, INVALID, NONE, DRIVES_ON, DRIVES_OFF, CYCLE_SET,
+     STATUS) = range(13)
+
+
+@dataclass(frozen=True)
+class RobotIdentity:
+    """model: $ROBTRAFO[], machine_data: $V_R1MADA[]."""
+
+    interface: str
+    axes: int
+    external_axes: int
+    model: str
+    machine_data: str
+
+
+@dataclass(frozen=True)
+class EkiStatus:
+    """operation_mode: 1 T1, 2 T2, 3 AUT, 4 EXT. cycle_time: 1 is 4 ms, 2 is 12 ms."""
+
+    control_mode: int
+    cycle_time: int
+    drives_powered: bool
+    emergency_stop: bool
+    guard_stop: bool
+    in_motion: bool
+    motion_possible: bool
+    operation_mode: int
+    robot_stopped: bool
+
+
+_STATUS = dict(zip((f.name for f in fields(EkiStatus)), (
+    "ControlMode", "CycleTime", "DrivesPowered", "EmergencyStop", "GuardStop", "InMotion", "MotionPossible", "OperationMode",
+    "RobotStopped"), strict=True))
+
+
+class EkiClient:
+    """Synchronous requests; every one waits for its answer. Raises ConnectError, DeviceTimeout, ProtocolError, DeviceFault."""
+
+    def __init__(self, host: str, port: int = 54600, timeout_s: float = 4.0) -> None:
+        self._host, self._port, self._timeout_s = host, port, timeout_s
+        self._socket: socket.socket | None = None
+        self._waiting: deque[Element] = deque()
+        self.identity: RobotIdentity | None = None
+        self.status: EkiStatus | None = None
+
+    def connect(self) -> RobotIdentity:
+        self.close()
+        try:
+            self._socket = socket.create_connection((self._host, self._port), self._timeout_s)
+        except OSError as error:
+            raise ConnectError(f"the EKI server {self._host}:{self._port} cannot be reached ({error}); "
+                               "is the submit program running and the port open?") from error
+        self._cutter = Cutter("Robot")
+        try:
+            self._send(Request.CONNECT)
+            self._await(lambda: self.identity)
+        except BaseException:
+            self.close()
+            raise
+        return self.identity
+
+    def close(self) -> None:
+        sock, self._socket = self._socket, None
+        self._waiting.clear()
+        self.identity = self.status = None
+        if sock is not None:
+            sock.close()
+
+    def drives_on(self) -> None:
+        self._request(Request.DRIVES_ON, (Event.DRIVES_ON,))
+
+    def drives_off(self) -> None:
+        self._request(Request.DRIVES_OFF, (Event.DRIVES_OFF,))
+
+    def start(self, control_mode: int = 1, cycle_ms: int = 4) -> None:
+        """Start the RSI program: the controller begins to send RSI telegrams. control_mode 1: joint position."""
+        self._request(Request.START, (Event.STARTED,), control_mode, {4: 1, 12: 2}[cycle_ms])
+
+    def cancel(self) -> None:
+        """End the RSI program."""
+        self._request(Request.CANCEL, (Event.CANCELLED, Event.STOPPED))
+
+    def reset(self) -> None:
+        """Take back a fault and return to the beginning of the program."""
+        self._request(Request.RESET, (Event.RESET_OK,))
+
+    def poll(self) -> EkiStatus | None:
+        """The latest status, after reading what has arrived."""
+        while self._receive(0.0):
+            pass
+        return self.status
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _request(self, request: Request, accepted: tuple[Event, ...], control_mode: int = 1, cycle_time: int = 1) -> None:
+        self.poll()
+        self._waiting.clear()
+        self._send(request, control_mode, cycle_time)
+        answer = self._await(self._event)
+        event = answer.get("EventID", "")
+        if event in {str(int(e)) for e in accepted}:
+            return
+        name = next((e.name.lower() for e in Event if str(int(e)) == event), event)
+        text = (answer.text or "").strip()
+        raise DeviceFault(f"the controller answered {request.name.lower()} with '{name}'{': ' + text if text else ''}; "
+                          "look at the smartPAD (operation mode EXT, drives, messages)")
+
+    def _event(self) -> Element | None:
+        while self._waiting:
+            response = self._waiting.popleft()
+            if response.get("EventID") not in (str(int(Event.NONE)), str(int(Event.STATUS))):
+                return response
+        return None
+
+    def _send(self, request: Request, control_mode: int = 1, cycle_time: int = 1) -> None:
+        if self._socket is None:
+            raise ConnectError("the EKI client is not connected; call connect first")
+        telegram = f'<External REQTYPE="{int(request)}" ControlMode="{control_mode}" CycleTime="{cycle_time}"></External>'
+        try:
+            self._socket.settimeout(self._timeout_s)
+            self._socket.sendall(telegram.encode())
+        except OSError as error:
+            raise ConnectError(f"the EKI server {self._host}:{self._port} closed the connection ({error})") from error
+
+    def _await(self, condition: Callable[[], Any]) -> Any:
+        deadline = time.monotonic() + self._timeout_s
+        while (result := condition()) is None:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise DeviceTimeout(f"the EKI server {self._host}:{self._port} did not answer within {self._timeout_s:g} s")
+            self._receive(left)
+        return result
+
+    def _receive(self, timeout_s: float) -> bool:
+        """Read once; True if something came."""
+        if self._socket is None:
+            raise ConnectError("the EKI client is not connected; call connect first")
+        self._socket.settimeout(max(timeout_s, 1e-6))
+        try:
+            data = self._socket.recv(65536)
+        except (TimeoutError, BlockingIOError):
+            return False
+        except OSError as error:
+            raise ConnectError(f"the EKI server {self._host}:{self._port} closed the connection ({error})") from error
+        if not data:
+            raise ConnectError(f"the EKI server {self._host}:{self._port} closed the connection")
+        try:
+            for telegram in self._cutter.feed(data):
+                self._take(fromstring(telegram, forbid_dtd=True))
+        except (FramingError, ParseError, DefusedXmlException, ValueError) as error:
+            raise ProtocolError(f"the EKI server {self._host}:{self._port} sent a malformed telegram: {error}") from error
+        return True
+
+    def _take(self, robot: Element) -> None:
+        if (init := robot.find("Init")) is not None:
+            self.identity = RobotIdentity(init.get("VER", ""), int(init.get("NumAxes", "0")), int(init.get("NumExternalAxes", "0")),
+                                          init.get("Model", ""), init.get("RobVer", ""))
+        if (status := robot.find("Status")) is not None:
+            values = {field.name: int(status.get(_STATUS[field.name], "0")) for field in fields(EkiStatus)}
+            self.status = EkiStatus(**{f.name: bool(values[f.name]) if f.type == "bool" else values[f.name] for f in fields(EkiStatus)})
+        if (response := robot.find("Response")) is not None:
+            self._waiting.append(response)
