@@ -1,0 +1,64 @@
+"""What the named effects leave behind in a channel: is it noise, and if not, what does it depend on?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.trajectory.select import Explained
+from mbcacq.physics.trajectory.effect import Run
+
+BINS = 24
+LEAST_SHARE = 0.15   # of what is left that one variable must explain, on the other part of the data, to be worth saying
+LEAST_CHI2 = 2.0
+
+
+def structure(explained: Explained, runs: tuple[Run, ...], floor: float) -> list[dict]:
+    """The covariate that predicts most of what is left, fitted on one part of the data and tested on the other; [] for noise."""
+    channel, joint = explained.channel, explained.channel.joint
+    left = explained.after
+    total = float(np.mean(np.concatenate(left) ** 2))
+    if total < LEAST_CHI2 * floor**2:
+        return []
+    best_name, best_share, best_shape = "time", 0.0, None
+    for name, values in _covariates(channel.name, runs, joint).items():
+        share, shape = _cross_validated(values, left)
+        if share > best_share:
+            best_name, best_share, best_shape = name, share, shape
+    where = {"at": channel.axis, "channel": channel.name, "depends_on": best_name, "share": best_share, "p_value": 0.0}
+    if best_shape is None or best_share < LEAST_SHARE:
+        where["depends_on"] = "time"
+        return [{"kind": "rest", "mismatch": where | {"share": float(total / max(np.mean(np.concatenate(explained.before) ** 2), 1e-300))}}]
+    effect = {"name": "unknown", "where": [channel.axis], "channel": channel.name, "depends_on": best_name, "parameters": {},
+              "p_value": 0.0, "held_out_gain": best_share * explained.held_out_after / max(explained.held_out_before, 1e-300),
+              "shape": best_shape, "alternatives": []}
+    return [{"kind": "smooth", "mismatch": where, "effect": effect}]
+
+
+def _covariates(name: str, runs: tuple[Run, ...], joint: int) -> dict[str, list[np.ndarray]]:
+    out = {f"q{k + 1}": [r.q[:, k] for r in runs] for k in range(runs[0].q.shape[1])}
+    out |= {f"qd{k + 1}": [r.qd[:, k] for r in runs] for k in range(runs[0].q.shape[1])}
+    out[f"qdd{joint + 1}"] = [r.qdd[:, joint] for r in runs]
+    if runs[0].torque is not None and name != "tau":
+        out[f"tau{joint + 1}"] = [r.torque[:, joint] for r in runs]
+    return out
+
+
+def _cross_validated(values: list[np.ndarray], left: tuple[np.ndarray, ...]) -> tuple[float, dict | None]:
+    """Share of the mean square that a table over the covariate (quantile bins) predicts on the other half; and the table."""
+    v, r = np.concatenate(values), np.concatenate(left)
+    half = np.concatenate([np.arange(len(x)) * 4 // len(x) % 2 for x in values]) if len(values) == 1 else \
+        np.concatenate([np.full(len(x), k % 2) for k, x in enumerate(values)])
+    edges = np.unique(np.quantile(v, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 4:
+        return 0.0, None
+    bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
+    sse = 0.0
+    for test in (0, 1):
+        train = half != test
+        count = np.bincount(bins[train], minlength=len(edges) - 1)
+        mean = np.bincount(bins[train], r[train], minlength=len(edges) - 1) / np.maximum(count, 1)
+        sse += float(((r[~train] - mean[bins[~train]]) ** 2).sum())
+    count = np.bincount(bins, minlength=len(edges) - 1)
+    mean = np.bincount(bins, r, minlength=len(edges) - 1) / np.maximum(count, 1)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    return 1.0 - sse / float((r**2).sum()), {"x": centre.tolist(), "y": mean.tolist()}
