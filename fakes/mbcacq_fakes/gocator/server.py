@@ -51,7 +51,7 @@ class FakeGocator:
                  generation: int = 6, intensity: bool = True, uniform: bool = False, clock: Callable[[], float] | None = None,
                  volume: tuple[np.ndarray, np.ndarray] | None = None, health_period_s: float = 1.0) -> None:
         self.source, self.host, self.serial, self.scan_time_s = source, host, serial, scan_time_s
-        self._model, self.part_number = model, part_number or f"31{model}A-2-R-01-T"
+        self._model, self._part_number = model, part_number
         self.generation, self.firmware, self.protocol = generation, _FIRMWARE[generation], _PROTOCOL[generation]
         self.volume, self.health_period_s = volume, health_period_s
         self.files = Files(tuple(jobs), {"Setup/IntensityEnabled": intensity, "Setup/UniformSpacingEnabled": uniform})
@@ -119,8 +119,17 @@ class FakeGocator:
         return self.faults.get("model") or self._model
 
     @property
+    def part_number(self) -> str:
+        return self._part_number or f"31{self.model}A-2-R-01-T"
+
+    @property
     def address(self) -> str:
         return self.host if self.host not in ("", "0.0.0.0") else _outward_address()
+
+    @property
+    def discovery_port(self) -> int | None:
+        """Udp port on which discovery answers, None while it is switched off."""
+        return self._discovery.port if self._discovery else None
 
     @property
     def uptime_s(self) -> float:

@@ -1,0 +1,111 @@
+"""Find Gocators on the networks of this computer (udp 3220), also those whose address does not fit them."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mbcacq.devices import ConnectError, ProtocolError
+
+PORT = 3220
+BROADCAST = "255.255.255.255"
+_SIGNATURE = 0x0000504455494D4C    # "LMIUDP"
+_GET_INFO, _REPLY = 5, 0x1005
+_REQUEST = struct.Struct("<QQQQ")
+_HEAD = struct.Struct("<QQqQH")
+_INFO = struct.Struct("<IIQBB4s12sIB4s12s5H")
+_MAX_SENSORS = 1000
+
+
+@dataclass(frozen=True)
+class FoundSensor:
+    """A sensor's answer. ``properties`` are its own words: PartNumber, ModelNumber, ModelDisplayName, Family, OpMode..."""
+
+    serial: int
+    firmware: tuple[int, int, int, int]
+    address: str
+    prefix_length: int
+    gateway: str
+    dhcp: bool
+    uptime_s: float
+    control_port: int
+    health_port: int
+    data_port: int
+    properties: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def model(self) -> str:
+        return next((self.properties[k] for k in ("ModelNumber", "Model", "ModelDisplayName", "PartNumber") if self.properties.get(k)), "")
+
+
+def find_sensors(timeout_s: float = 0.5, address: str = BROADCAST, port: int = PORT, serial: int = 0) -> list[FoundSensor]:
+    """Every sensor that answers within ``timeout_s``, by serial number. serial: ask only this one (0 for all).
+
+    Sensors answer by broadcast, so a firewall must let udp from port 3220 in. Raises ConnectError if nothing can be sent.
+    """
+    found: dict[int, FoundSensor] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        sock.bind(("", 0))
+        _ask(sock, _REQUEST.pack(_REQUEST.size, _GET_INFO, _SIGNATURE, serial), address, port)
+        deadline = time.monotonic() + timeout_s
+        while (remaining := deadline - time.monotonic()) > 0 and len(found) < _MAX_SENSORS:
+            sock.settimeout(remaining)
+            try:
+                sensor = parse_reply(sock.recv(65536))
+            except (TimeoutError, ProtocolError):
+                continue
+            found[sensor.serial] = sensor
+    return [found[key] for key in sorted(found)]
+
+
+def parse_reply(data: bytes) -> FoundSensor:
+    """One reply datagram. Raises ProtocolError."""
+    try:
+        length, kind, status, signature, size = _HEAD.unpack_from(data)
+        if (length, kind, status, signature, size) != (len(data), _REPLY, 1, _SIGNATURE, _INFO.size):
+            raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
+        (serial, version, uptime_us, dhcp, _, ip, _, prefix, _, gateway, _, control, _, health, data_port, _
+         ) = _INFO.unpack_from(data, _HEAD.size)
+        properties = _properties(data, _HEAD.size + _INFO.size)
+    except (struct.error, IndexError):
+        raise ProtocolError(f"a Gocator's discovery reply ends after {len(data)} bytes") from None
+    return FoundSensor(serial, tuple(version.to_bytes(4, "big")), socket.inet_ntoa(ip), prefix, socket.inet_ntoa(gateway), bool(dhcp),
+                       uptime_us / 1e6, control, health, data_port, properties)
+
+
+def _properties(data: bytes, at: int) -> dict[str, str]:
+    texts = []
+    count, at = data[at], at + 1
+    for _ in range(2 * count):
+        end = at + 1 + data[at]
+        if end > len(data):
+            raise IndexError
+        texts.append(data[at + 1:end].decode("utf-8", "replace"))
+        at = end
+    return dict(zip(texts[::2], texts[1::2], strict=True))
+
+
+def _ask(sock: socket.socket, request: bytes, address: str, port: int) -> None:
+    """A limited broadcast goes out by one interface only, so it is sent once by each."""
+    sent, reason = False, ""
+    for route in _routes() if address == BROADCAST else [[]]:
+        try:
+            sock.sendmsg([request], route, 0, (address, port))
+            sent = True
+        except OSError as error:
+            reason = error.strerror or str(error)
+    if not sent:
+        raise ConnectError(f"no discovery request can be sent to {address}:{port} ({reason.lower()}); check this computer's network")
+
+
+def _routes() -> list[list[tuple[int, int, bytes]]]:
+    """Ancillary data that choose the interface, where the system has it."""
+    if sys.platform != "linux":
+        return [[]]
+    ip_pktinfo = 8
+    return [[(socket.IPPROTO_IP, ip_pktinfo, struct.pack("@i4s4s", index, bytes(4), bytes(4)))] for index, _ in socket.if_nameindex()]
