@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mbcacq.observations import Observations
+
+_LAZY = {
+    "Journal": "journal", "Recorder": "writer", "Recording": "reader", "Trajectory": "trajectory", "log_result": "result",
+    "poses_done": "progress", "read_observation_set": "observation_set", "read_trajectory_set": "trajectory",
+    "recover": "recovery", "write_observation_set": "observation_set",
+}
+__all__ = ["ACCEPTED", "load", *_LAZY]
 
 ACCEPTED = "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv)"
 
@@ -30,3 +38,10 @@ def load(path: Path | str) -> Observations:
 
         return read_observations(path)
     raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")
+
+
+def __getattr__(name: str):
+    """The room's classes and functions by name, imported only when asked for: rerun takes a quarter of a second."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(f"mbcacq.recording.{_LAZY[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,95 @@
+"""Recorded pose rows into the arrays a solver takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbcacq.cell import Cell
+from mbcacq.errors import RecordingError
+from mbcacq.observations import Observations
+from mbcacq.recording.cell_yaml import parse_cell
+
+Row = dict[str, Any]
+
+
+def assemble(cell_yaml: str, name: str, parts: Sequence[Sequence[Row]]) -> Observations:
+    """parts: the rows of ``layout.OBSERVATION`` of each recording of one run, in order."""
+    cell = parse_cell(cell_yaml, f"{name} (its cell description)")
+    latest: dict[int, tuple[Row, float]] = {}
+    for part, shift in zip(parts, _clock_shifts(parts), strict=True):
+        for row in part:
+            pose = int(row["pose"][0])
+            latest.pop(pose, None)
+            latest[pose] = (row, shift)
+    found = [row for row, _ in latest.values()]
+    count = np.array([len(row["ball"]) for row in found])
+    ball = np.concatenate([row["ball"] for row in found]).astype(np.int64)
+    sensors, extra = _sensors(found)
+    for i, axis in enumerate(("x", "y", "z")):
+        extra[f"centres.scatter_{axis}_mm"] = _text(np.concatenate([row["scatter_mm"].reshape(-1, 3)[:, i] for row in found]))
+    return Observations(
+        cell=cell,
+        pose_id=np.array(list(latest), dtype=np.int64),
+        station=_index(cell, [row["station"][0] for row in found], name),
+        q=np.stack([row["q"] for row in found]),
+        pose=np.repeat(np.arange(len(found)), count),
+        ball=_ball_index(cell, ball, name),
+        xyz=np.concatenate([row["xyz"].reshape(-1, 3) for row in found]),
+        phase=np.array([row["phase"][0] for row in found]),
+        time_s=np.array([row["robot_time_s"][0] + shift if shift else row["robot_time_s"][0] for row, shift in latest.values()]),
+        direction=np.stack([row["direction"] for row in found]),
+        temperatures=sensors,
+        n_points=np.concatenate([row["n_points"] for row in found]),
+        rms_mm=np.concatenate([row["rms_mm"] for row in found]),
+        extra=extra,
+        cell_yaml=cell_yaml,
+    )
+
+
+def _clock_shifts(parts: Sequence[Sequence[Row]]) -> list[float]:
+    """What to add to the controller's clock of each part: nothing where it simply went on, else what the computer's clock says."""
+    first, shifts = parts[0][0], [0.0]
+    for part in parts[1:]:
+        drift = (part[0]["time_s"][0] - first["time_s"][0]) - (part[0]["robot_time_s"][0] - first["robot_time_s"][0])
+        shifts.append(float(drift) if abs(drift) > 60.0 or part[0]["robot_time_s"][0] < first["robot_time_s"][0] else 0.0)
+    return shifts
+
+
+def _sensors(found: Sequence[Row]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Temperatures that every pose has, and everything else as text columns."""
+    by_pose = [dict(zip(row.get("sensors_names", ()), row.get("sensors_values", ()), strict=True)) for row in found]
+    temperatures, extra = {}, {}
+    for name in dict.fromkeys(name for values in by_pose for name in values):
+        if name.endswith("_C") and all(name in values for values in by_pose):
+            temperatures[name] = np.array([values[name] for values in by_pose], dtype=float)
+        else:
+            extra[f"poses.{name}"] = np.array([repr(float(values[name])) if name in values else "" for values in by_pose])
+    if all("current" in row for row in found):
+        current = np.stack([row["current"] for row in found])
+        extra |= {f"poses.i{i + 1}_percent": _text(column) for i, column in enumerate(current.T)}
+    extra["poses.step"] = np.array([row["step"][0] for row in found])
+    extra["poses.n_exposures"] = _text(np.array([row["n_exposures"][0] for row in found]))
+    return temperatures, extra
+
+
+def _index(cell: Cell, stations: Sequence[str], name: str) -> np.ndarray:
+    index = {station.id: i for i, station in enumerate(cell.stations)}
+    unknown = sorted(set(stations) - set(index))
+    if unknown:
+        raise RecordingError(f"{name}: station '{unknown[0]}' was measured but is not in the recorded cell; is the recording complete?")
+    return np.array([index[station] for station in stations], dtype=np.int64)
+
+
+def _ball_index(cell: Cell, ball: np.ndarray, name: str) -> np.ndarray:
+    index = {ball_id: i for i, ball_id in enumerate(cell.ball_ids)}
+    unknown = sorted(set(ball.tolist()) - set(index))
+    if unknown:
+        raise RecordingError(f"{name}: ball {unknown[0]} was measured but is not in the recorded cell; is the recording complete?")
+    return np.array([index[b] for b in ball.tolist()], dtype=np.int64)
+
+
+def _text(values: np.ndarray) -> np.ndarray:
+    return np.array(list(map(repr, np.asarray(values).tolist())))

@@ -1,0 +1,90 @@
+"""Where everything stands in a recording: files, timelines, entity paths, components. Writer, reader and blueprint share it.
+
+Entities under ``/world`` are for the eye (float32, mm, base frame); what a solver reads stands under ``/observation`` and
+``/cycles`` as float64 in the archetypes ``mbcacq.*``. docs/recording.md holds the table for users.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+APPLICATION = "mbcacq"
+VERSION = 1
+
+# Timelines. TIME: duration since the run started. ROBOT_TIME: duration on the controller's clock. POSE: number in the plan.
+TIME, ROBOT_TIME, POSE = "time", "robot_time", "pose"
+
+# Static: the run as data.
+RUN = "run"                                  # mbcacq.Run
+PLAN, CELL = "plan", "cell"                  # TextDocument, the full YAML
+
+# The course of the run.
+STATE, STEP, STATION = "run/state", "run/step", "run/station"   # StateChange
+LOG = "log"                                  # TextLog
+HEALTH = "health"                            # health/DEVICE/QUANTITY: Scalars
+
+# Measured.
+CYCLES = "cycles"                            # mbcacq.Cycles, one row a controller cycle
+JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"   # Scalars: deg, deg, percent
+SCAN = "world/scan"                          # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
+EXPOSURE = "exposure"                        # mbcacq.Centres of one exposure
+OBSERVATION = "observation"                  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load() reads
+BALLS_FOUND, FIT_RMS, SCATTER = "quality/balls_found", "quality/fit_rms_um", "quality/exposure_scatter_um"   # Scalars
+
+# The scene.
+WORLD = "world"
+ROBOT = "world/robot"                        # world/robot/linkI: Transform3D T_base_link
+SCANNER = "world/robot/scanner"              # Transform3D T_base_scanner; frustum and housing below
+STATIONS = "world/stations"                  # world/stations/ID: balls where they were measured, base frame
+
+# The result, in a file of its own with the same recording id.
+RESULT = "result"
+RESIDUAL = "result/residual_um"              # Scalars along x, y, z per pose
+RESIDUAL_BALL = "result/residual"            # mbcacq.Residual: float64, every centre
+ARROWS = "world/residuals"                   # Arrows3D, enlarged
+
+RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"
+CYCLES_ARCHETYPE, SCAN_ARCHETYPE, RESIDUAL_ARCHETYPE = "mbcacq.Cycles", "mbcacq.Scan", "mbcacq.Residual"
+
+# Files of a run folder.
+RUN_FILE, RESULT_FILE, JOURNAL_FILE, LOG_FILE = "run.rrd", "result.rrd", "journal.jsonl", "log.jsonl"
+RECOVERED = ".recovered"
+_PART = re.compile(r"run(?:\.part(\d+))?\.rrd")
+
+
+def link(i: int) -> str:
+    """Entity of the i-th link's frame, 0 = base, n = flange."""
+    return f"{ROBOT}/link{i}"
+
+
+def part_name(part: int) -> str:
+    """File name of the part-th recording of a run (0: the run as first started; more where it was resumed)."""
+    return RUN_FILE if part == 0 else f"run.part{part + 1}.rrd"
+
+
+def parts(folder: Path) -> list[Path]:
+    """The recordings of a run folder in the order they were made; a recovered copy stands in for its torn original."""
+    found = {int(match[1] or 1): path for path in folder.glob("run*.rrd") if (match := _PART.fullmatch(path.name))}
+    for path in folder.glob(f"run*{RECOVERED}*.rrd"):
+        match = _PART.fullmatch(re.sub(rf"{re.escape(RECOVERED)}(-\d+)?", "", path.name))
+        number = int(match[1] or 1) if match else 0
+        if match and number not in found:
+            found[number] = path
+    return [recovered_of(found[number]) or found[number] for number in sorted(found)]
+
+
+def recovered_of(path: Path) -> Path | None:
+    """The newest recovered copy beside a recording, or None."""
+    pattern = re.compile(re.escape(path.stem + RECOVERED) + r"(?:-(\d+))?\.rrd")
+    copies = {int(match[1] or 1): other for other in path.parent.glob("*.rrd") if (match := pattern.fullmatch(other.name))}
+    return copies[max(copies)] if copies else None
+
+
+def next_recovered(path: Path) -> Path:
+    """A free name for a recovered copy of ``path``: NAME.recovered.rrd, NAME.recovered-2.rrd..."""
+    stem = re.sub(rf"{re.escape(RECOVERED)}(-\d+)?$", "", path.stem)
+    number = 1
+    while (candidate := path.with_name(f"{stem}{RECOVERED}{'' if number == 1 else f'-{number}'}.rrd")).exists():
+        number += 1
+    return candidate

@@ -1,0 +1,232 @@
+"""The recorder: an event subscriber that writes everything that happens into one .rrd file, and to a live viewer on request."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+import uuid
+from datetime import datetime
+from functools import singledispatchmethod
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from mbcacq.acquisition import events
+from mbcacq.cell import Cell
+from mbcacq.errors import MbcacqError, RecordingError
+from mbcacq.geometry import se3
+from mbcacq.recording import layout, rows, scene
+from mbcacq.recording.blueprint import blueprint
+from mbcacq.recording.cell_yaml import parse_cell
+from mbcacq.recording.cycles import CycleWriter
+from mbcacq.recording.run_header import RunHeader, read_run_header, write_run_header
+from mbcacq.recording.sink import Sink
+
+START_FREE_BYTES = 256 << 20
+LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+
+
+class Recorder:
+    """Call it with events, in order, from any thread; each is on its way to the file when the call returns, a pose is in the file.
+
+    folder: the run folder, which exists. part: 0 for a new run, else how many recordings the folder holds already (a resumed
+    run goes into a file of its own with the same recording id). live: serve a viewer on 127.0.0.1 as well, see ``live_url``.
+    Raises RecordingError if the file cannot be made or the disk fills; what was written until then stays readable.
+    """
+
+    def __init__(self, folder: Path | str, *, live: bool = False, part: int = 0, port: int = 9876) -> None:
+        folder = Path(folder)
+        self.path = folder / layout.part_name(part)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            free = shutil.disk_usage(folder).free
+        except OSError as error:
+            raise RecordingError(f"the run folder {folder} cannot be made: {error.strerror}; choose another --out") from error
+        if self.path.exists():
+            raise RecordingError(f"{self.path} exists already; record into another folder, or resume the run")
+        if free < START_FREE_BYTES:
+            raise RecordingError(f"only {free >> 20} MiB are free for {self.path}, {START_FREE_BYTES >> 20} MiB are needed to start; "
+                                 "free some space or choose another --out")
+        header = read_run_header(folder) if part else None
+        self._first_start = datetime.fromisoformat(header.started) if header else None
+        self.recording_id = header.recording_id if header else str(uuid.uuid4())
+        self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint())
+        self._rec = self._sink.stream
+        self._cycles = CycleWriter(self._rec)
+        self._lock = threading.RLock()
+        self._offset = 0.0                         # of this part's clock to the run's
+        self._clock = np.inf                       # time.monotonic() at the start of this part
+        self._pose: int | None = None
+        self._cell: Cell | None = None
+        self._T_base_scanner = np.eye(4)
+        self._balls: dict[str, dict[int, np.ndarray]] = {}
+        self._failed = False
+
+    @property
+    def live_url(self) -> str | None:
+        """Where a viewer can connect, or None."""
+        return self._sink.live_url
+
+    def __call__(self, event: events.Event) -> None:
+        with self._lock:
+            if self._failed:
+                return
+            self._clock = min(self._clock, time.monotonic() - event.time_s)
+            try:
+                self._set_times(event.time_s)
+                self._write(event)
+            except RecordingError:
+                self._failed = True
+                raise
+            except MbcacqError:
+                raise
+            except (RuntimeError, ValueError, TypeError, OSError) as error:
+                self._failed = True
+                self._sink.stop_writing()
+                raise RecordingError(
+                    f"{type(event).__name__} cannot be recorded in {self.path}: {error}; what came before is kept") from error
+
+    def close(self) -> None:
+        """Complete the file. Idempotent."""
+        with self._lock:
+            self._sink.close()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _set_times(self, time_s: float) -> None:
+        self._rec.set_time(layout.TIME, duration=time_s + self._offset)
+        if self._pose is not None:
+            self._rec.set_time(layout.POSE, sequence=self._pose)
+
+    @singledispatchmethod
+    def _write(self, event: events.Event) -> None:
+        """An event this recorder knows nothing about is left to the other subscribers."""
+
+    @_write.register
+    def _(self, event: events.RunStarted) -> None:
+        self._cell = parse_cell(event.cell_yaml)
+        if self._first_start is not None:
+            self._offset = (datetime.fromisoformat(event.started) - self._first_start).total_seconds()
+        else:
+            write_run_header(self.path.parent, RunHeader(self.recording_id, event.started, event.name))
+        self._set_times(event.time_s)
+        rec = self._rec
+        rec.send_recording_name(event.name)
+        rec.log(layout.PLAN, rr.TextDocument(event.plan_yaml), static=True)
+        rec.log(layout.CELL, rr.TextDocument(event.cell_yaml), static=True)
+        about = rows.row(layout.RUN_ARCHETYPE, layout=layout.VERSION, name=event.name, started=event.started, n_poses=event.n_poses,
+                         offset_s=self._offset, versions_names=list(event.versions), versions_values=list(event.versions.values()))
+        rec.log(layout.RUN, about, static=True)
+        scene.log_static(rec, self._cell, event.plan_yaml)
+        self._sink.flush()
+
+    @_write.register
+    def _(self, event: events.StateChanged) -> None:
+        self._rec.log(layout.STATE, rr.StateChange(state=event.state))
+
+    @_write.register
+    def _(self, event: events.StepStarted) -> None:
+        self._rec.log(layout.STEP, rr.StateChange(state=event.name))
+
+    @_write.register
+    def _(self, event: events.StationReached) -> None:
+        self._rec.log(layout.STATION, rr.StateChange(state=f"{event.station}: {event.artefact}"))
+
+    @_write.register
+    def _(self, event: events.Message) -> None:
+        self._rec.log(layout.LOG, rr.TextLog(f"{event.source}: {event.text}", level=LEVELS.get(event.level, event.level.upper())))
+        self._sink.flush()
+
+    @_write.register
+    def _(self, event: events.HealthReceived) -> None:
+        for name, value in event.values.items():
+            entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
+            self._rec.log(entity, rr.Scalars(float(value)))
+
+    @_write.register
+    def _(self, event: events.CyclesReceived) -> None:
+        if len(event.cycles):
+            self._cycles.write(event.cycles, event.time_s, self._clock, self._offset, self._cell)
+
+    @_write.register
+    def _(self, event: events.PoseReached) -> None:
+        self._pose = event.pose
+        self._set_times(event.time_s)
+        self._cycles.show(self._cell)
+        if self._cell is not None:
+            self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
+            scene.log_arm(self._rec, self._cell, event.q)
+
+    @_write.register
+    def _(self, event: events.ScanTaken) -> None:
+        scan = event.scan
+        self._sink.need(scan.points.nbytes + 9 * len(scan.points))
+        move = scene.transforms(self._T_base_scanner[None])
+        self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
+        raw = rows.row(
+            layout.SCAN_ARCHETYPE, pose=event.pose, exposure=event.exposure, intensity=scan.intensity, pixel=scan.pixel, shape=scan.shape,
+            time_s=float(scan.time_s), frame=scan.frame, exposure_us=float(scan.exposure_us),
+            **rows.named("measurements", scan.measurements))
+        self._rec.log(layout.SCAN, rr.Points3D(scan.points, colors=_colours(scan.intensity), radii=rr.Radius.ui_points(1.2)), raw)
+
+    @_write.register
+    def _(self, event: events.CentresFound) -> None:
+        self._rec.log(layout.EXPOSURE, rows.row(
+            layout.CENTRES_ARCHETYPE, pose=event.pose, exposure=event.exposure, ball=_int(event.ball), xyz=_float(event.xyz),
+            n_points=_float(event.n_points), rms_mm=_float(event.rms_mm)))
+
+    @_write.register
+    def _(self, event: events.PoseDone) -> None:
+        self._rec.log(layout.OBSERVATION, rows.row(
+            layout.POSE_ARCHETYPE, pose=event.pose, station=event.station, phase=event.phase, step=event.step, q=_float(event.q),
+            direction=_int(event.direction), time_s=event.time_s + self._offset, robot_time_s=float(event.robot_time_s),
+            n_exposures=event.n_exposures, current=None if event.current is None else _float(event.current),
+            **rows.named("sensors", event.sensors)), rows.row(
+            layout.CENTRES_ARCHETYPE, ball=_int(event.ball), xyz=_float(event.xyz), n_points=_float(event.n_points),
+            rms_mm=_float(event.rms_mm), scatter_mm=_float(event.scatter_mm)))
+        self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
+        if len(event.ball):
+            self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
+            self._rec.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
+            self._draw_balls(event)
+        self._sink.flush()
+
+    def _draw_balls(self, event: events.PoseDone) -> None:
+        if self._cell is None:
+            return
+        T = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
+        artefact = next(s.artefact for s in self._cell.stations if s.id == event.station)
+        balls = self._balls.setdefault(event.station, {})
+        balls.update(zip(np.asarray(event.ball).tolist(), se3.apply(T, np.asarray(event.xyz)), strict=True))
+        scene.log_balls(self._rec, event.station, self._cell.artefact(artefact), balls)
+
+    @_write.register
+    def _(self, event: events.RunStopped) -> None:
+        self._cycles.show(self._cell)
+        level = "INFO" if event.exit_status == "success" else "ERROR"
+        self._rec.log(layout.RUN, rows.row(layout.RUN_ARCHETYPE, exit_status=event.exit_status, reason=event.reason))
+        self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: run ended: {event.exit_status}: {event.reason}", level=level))
+        self._sink.flush()
+
+
+def _colours(intensity: np.ndarray | None) -> np.ndarray | list:
+    """Grey with a warm tint, as 0xRRGGBBAA."""
+    if intensity is None:
+        return [(170, 190, 210)]
+    grey = intensity.astype(np.uint32)
+    grey = 40 + grey * 215 // 255
+    return grey << 24 | grey << 16 | (grey * 15 // 16) << 8 | 0xFF
+
+
+def _float(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _int(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values, dtype=np.int64)
