@@ -5,7 +5,8 @@ A loaded plan is handed on as :class:`LoadedPlan`, its expansion as a list of :c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,47 @@ class PlannedPose:
     balls: tuple[int, ...]
     exposures: int
     line: int
+
+
+@dataclass(frozen=True)
+class Transit:
+    """Joint waypoints (n,) rad to pass, in order, before a pose. Where the artefact is moved, that is safe after the first ``leave`` of
+    them: the arm then stands at home. Iterates over all of them."""
+
+    leave: list[np.ndarray] = field(default_factory=list)
+    approach: list[np.ndarray] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        yield from self.leave
+        yield from self.approach
+
+    def __len__(self) -> int:
+        return len(self.leave) + len(self.approach)
+
+
+def load(path: str | Path) -> LoadedPlan:
+    """Read a plan and the files it names. Raises ConfigError 'file:line: sentence'."""
+    from mbcacq.plan.loader import load
+
+    return load(path)
+
+
+def expand(loaded: LoadedPlan) -> list[PlannedPose]:
+    """Every pose of the plan in running order, with joint angles. Raises ConfigError naming step and line of a pose out of reach."""
+    from mbcacq.plan.expansion import expand
+
+    return expand(loaded)
+
+
+def path(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Transit]:
+    """The way to each pose from the one before it (the first: from home), free of collisions as far as the plan knows the cell."""
+    from mbcacq.plan.path import path
+
+    return path(loaded, poses)
+
+
+def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
+    """Raises ConfigError with the first error that ``check`` finds, and how many more there are."""
+    from mbcacq.plan.checks import refuse_errors
+
+    refuse_errors(loaded, poses)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from mbcacq.cellfile import PoseSpec, Strict, Vector
+from mbcacq.cellfile import PayloadSpec, PoseSpec, Strict, Vector
 
 
 class RobotUse(Strict):
@@ -20,7 +20,9 @@ class RobotUse(Strict):
     jerk_time_s: float = Field(default=0.1, gt=0)           # time to reach that acceleration
     settle_s: float = Field(default=0.3, ge=0)
     tolerance_deg: float = Field(default=0.01, gt=0)
-    home_deg: tuple[float, ...]
+    home_deg: tuple[float, ...]                             # where the run starts, ends, and the artefact is moved
+    payload: PayloadSpec | None = None                      # scanner with bracket, in the flange frame; default: the robot file's
+    base_to_gravity: Vector | None = None                   # for an arm on a wall or a ceiling; default: the robot file's
 
 
 class FieldOfView(Strict):
@@ -39,7 +41,8 @@ class ScannerUse(Strict):
     options: dict[str, Any] = {}
     field_of_view: FieldOfView
     exposure_us: float | None = None
-    noise_mm: Vector | None = None
+    noise_mm: Vector | None = None                          # of one fitted ball centre along x, y, z
+    scan_time_s: float = Field(default=1.0, ge=0)           # of one exposure with its transfer, for the estimate of the duration
 
 
 class DeviceUse(Strict):
@@ -63,6 +66,7 @@ class View(Strict):
     azimuth_deg: float = 0.0
     roll_deg: float = 0.0
     shift_mm: Vector = (0.0, 0.0, 0.0)                      # of the looked-at point, in the scanner frame
+    wrist: Literal["any", "positive", "negative"] = "any"   # sign of A5: the two ways a wrist reaches one orientation
 
 
 class Step(Strict):
@@ -101,6 +105,14 @@ class Taught(Step):
 AnyStep = Annotated[Translate | Look | Taught, Field(discriminator="do")]
 
 
+class Obstacle(Strict):
+    """Something the arm must not touch: a box along the axes of the base frame, from one corner to the other."""
+
+    name: str
+    min_mm: Vector
+    max_mm: Vector
+
+
 class Acceptance(Strict):
     """Limits of the verification. A run that misses one ends with its own exit code."""
 
@@ -119,6 +131,8 @@ class Plan(Strict):
     artefacts: tuple[str, ...] = Field(min_length=1)        # artefact YAML files, relative to the plan
     stations: tuple[StationPlace, ...] = Field(min_length=1)
     exposures: int = Field(default=3, ge=1)
+    obstacles: tuple[Obstacle, ...] = ()
+    tripod_radius_mm: float = Field(default=40.0, ge=0)     # of the stand below each station, down to the lowest obstacle; 0: none
     steps: tuple[AnyStep, ...] = Field(min_length=1)
     accept: Acceptance = Acceptance()
     fake: dict[str, Any] = {}                               # what the fake cell conceals; a real run ignores it

@@ -1,0 +1,137 @@
+"""Closed-form inverse kinematics of spherical-wrist arms: MD-H rows -> ortho-parallel parameters -> all branches at once.
+
+Parameters and branches after Brandstoetter, Angerer, Hofbaur: "An Analytical Solution of the Inverse Kinematics Problem of
+Industrial Serial Manipulators with an Ortho-parallel Basis and a Spherical Wrist" (2014), as py-opw-kinematics implements them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from mbcacq.cell import RobotModel
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+
+TURN = 2 * np.pi
+AGREEMENT = 1e-6        # mm, and rad: how well the closed form must repeat the chain
+
+
+@dataclass(frozen=True)
+class InverseKinematics:
+    """Solver of one arm. theta (raw angle of the closed form) = sense * q + offset; T_base_flange = T_base_opw OPW(theta) T_opw_flange."""
+
+    chain: Chain
+    limits: np.ndarray
+    lengths: dict[str, float]
+    sense: np.ndarray
+    offset: np.ndarray
+    T_base_opw: np.ndarray
+    T_opw_flange: np.ndarray
+
+    @classmethod
+    def of(cls, robot: RobotModel) -> InverseKinematics:
+        """Raises ConfigError when the arm has no spherical wrist or no parallel axes 2 and 3."""
+        solver = _derive(robot)
+        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (32, robot.n))
+        if not np.allclose(solver.forward(q), robot.chain.flange(q), rtol=0, atol=AGREEMENT):
+            raise ConfigError(_refusal(robot, "its closed form does not repeat its forward kinematics"))
+        return solver
+
+    @cached_property
+    def _robot(self):
+        from py_opw_kinematics import KinematicModel, Robot
+
+        return Robot(KinematicModel(**self.lengths), degrees=False)
+
+    def forward(self, q: np.ndarray) -> np.ndarray:
+        """T_base_flange (P, 4, 4) by the closed form, for q (P, 6) rad."""
+        theta = self.sense * q + self.offset
+        return self.T_base_opw @ self._robot.batch_forward(theta).as_matrix() @ self.T_opw_flange
+
+    def branches(self, T_base_flange: np.ndarray) -> np.ndarray:
+        """Every branch of every pose (P, 4, 4): q (P, 8, 6) rad in (-pi, pi], limits not applied; NaN where a branch does not exist."""
+        from scipy.spatial.transform import RigidTransform
+
+        poses = se3.inverse(self.T_base_opw) @ np.asarray(T_base_flange, dtype=float) @ se3.inverse(self.T_opw_flange)
+        theta = self._robot.reach(RigidTransform.from_matrix(poses)).joints
+        q = self.sense * (theta - self.offset)
+        return np.pi - np.mod(np.pi - q, TURN)
+
+    def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
+        """All joint positions within the limits less ``margin`` (rad), full turns included: per pose (k, 6) rad, k may be 0."""
+        low, high = self.limits[:, 0] + margin, self.limits[:, 1] - margin
+        return [self._within(q[np.isfinite(q).all(axis=1)], low, high) for q in self.branches(T_base_flange)]
+
+    def _within(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Adds full turns to the joints whose range allows them, and drops what lies outside."""
+        choices = [(0.0,) if span < TURN else (-TURN, 0.0, TURN) for span in high - low]
+        turns = np.array(list(product(*choices)))
+        every = (q[:, None] + turns).reshape(-1, q.shape[1])
+        # An angle just outside one end of a range may lie inside it one turn on.
+        every = np.where(every > high, every - TURN, np.where(every < low, every + TURN, every))
+        inside = np.all((every >= low) & (every <= high), axis=1)
+        return np.unique(every[inside].round(12), axis=0)
+
+
+def wrist_centre(chain: Chain) -> np.ndarray | None:
+    """The point (3,) mm where axes 4, 5 and 6 meet at q = 0, or None if they do not meet."""
+    frames = chain.frames(np.zeros((1, chain.n)))[0]
+    z, point = frames[3:6, :3, 2], frames[3:6, :3, 3]
+    across = np.eye(3) - z[:, :, None] * z[:, None, :]
+    centre = np.linalg.lstsq(across.reshape(-1, 3), np.einsum("aij,aj->ai", across, point).ravel(), rcond=None)[0]
+    miss = np.einsum("aij,aj->ai", across, centre - point)
+    return centre if np.abs(miss).max() < AGREEMENT else None
+
+
+def _derive(robot: RobotModel) -> InverseKinematics:
+    chain = robot.chain
+    if robot.n != 6:
+        raise ConfigError(_refusal(robot, f"it has {robot.n} axes, not 6"))
+    frames = chain.frames(np.zeros((1, 6)))[0]
+    axis, point = chain.sign[:, None] * frames[:6, :3, 2], frames[:6, :3, 3]
+    wrist = wrist_centre(chain)
+    if wrist is None:
+        raise ConfigError(_refusal(robot, "axes 4, 5 and 6 do not meet in one point"))
+    square = {"1 and 2": axis[0] @ axis[1], "3 and 4": axis[2] @ axis[3], "4 and 5": axis[3] @ axis[4], "5 and 6": axis[4] @ axis[5]}
+    for pair, cosine in square.items():
+        if abs(cosine) > AGREEMENT:
+            raise ConfigError(_refusal(robot, f"axes {pair} are not perpendicular"))
+    if abs(axis[1] @ axis[2]) < 1 - AGREEMENT:
+        raise ConfigError(_refusal(robot, "axes 2 and 3 are not parallel"))
+
+    # The closed form's base: z along axis 1, y along axis 2 at q = 0, origin on axis 1 at the height of the base.
+    sense = np.ones(6)
+    z = axis[0] if axis[0, 2] >= 0 else -axis[0]
+    y = axis[1]
+    sense[0], sense[2] = np.sign(axis[0] @ z), np.sign(axis[2] @ y)
+    T_base_opw = se3.transform(np.stack([np.cross(y, z), y, z], axis=1), point[0] - z * (point[0] @ z))
+    local = se3.inverse(T_base_opw)
+    shoulder, elbow, centre, flange = (se3.apply(local, p) for p in (point[1], point[2], wrist, frames[6, :3, 3]))
+    axis = axis @ T_base_opw[:3, :3]
+
+    upper = elbow - shoulder
+    theta2 = np.arctan2(upper[0], upper[2])
+    forearm = axis[3] * (np.sign(axis[3] @ (centre - elbow)) or 1.0)
+    sense[3] = np.sign(axis[3] @ forearm)
+    pitch = np.arctan2(forearm[0], forearm[2])
+    across = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
+    theta4 = np.arctan2(-axis[4] @ across, axis[4, 1])
+    bent = np.cos(theta4) * across + np.array([0.0, np.sin(theta4), 0.0])
+    tool = axis[5] * (np.sign(axis[5] @ (flange - centre)) or 1.0)
+    sense[5] = np.sign(axis[5] @ tool)
+    theta5 = np.arctan2(tool @ bent, tool @ forearm)
+    lengths = {"a1": shoulder[0], "a2": (centre - elbow) @ across, "b": centre[1], "c1": shoulder[2],
+               "c2": np.hypot(upper[0], upper[2]), "c3": (centre - elbow) @ forearm, "c4": (flange - centre) @ tool}
+    offset = np.array([0.0, theta2, pitch - theta2, theta4, theta5, 0.0])
+    bare = InverseKinematics(chain, robot.limits, {k: float(v) for k, v in lengths.items()}, sense, offset, T_base_opw, np.eye(4))
+    rest = se3.inverse(bare.forward(np.zeros((1, 6)))[0]) @ frames[6]
+    return InverseKinematics(chain, robot.limits, bare.lengths, sense, offset, T_base_opw, rest)
+
+
+def _refusal(robot: RobotModel, why: str) -> str:
+    return f"robot '{robot.name}': no inverse kinematics, because {why}; give its poses as joint positions (do: joints)"

@@ -1,0 +1,148 @@
+"""A plan file and the files it names, read and checked as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq import cell
+from mbcacq.cellfile import ArtefactSpec, PoseSpec, RobotSpec
+from mbcacq.plan import LoadedPlan
+from mbcacq.plan.schema import Look, Plan, Taught
+from mbcacq.plan.yamlfile import Path_, YamlFile, read
+
+ROTATION_TOLERANCE = 0.02      # published matrices carry two to four digits
+
+
+def load(path: str | Path) -> LoadedPlan:
+    """Read a plan, its robot and its artefacts. Raises ConfigError 'file:line: sentence' for the first thing that is wrong."""
+    file = read(Path(path), "plan")
+    plan = file.validate(Plan)
+    robot = _robot(file, plan)
+    artefacts = _artefacts(file, plan)
+    _check_frames(file, plan)
+    _check_stations(file, plan, artefacts)
+    _check_steps(file, plan, robot.n, artefacts)
+    scanner = plan.scanner
+    described = cell.Cell(
+        robot=robot,
+        T_flange_scanner=plan.hand_eye.transform(),
+        artefacts=artefacts,
+        stations=tuple(cell.Station(str(s.id), s.artefact, s.pose_in_base.transform(), s.pose_in_base.sigma_mm) for s in plan.stations),
+        scanner_name=scanner.model or scanner.driver,
+        noise_mm=None if scanner.noise_mm is None else np.array(scanner.noise_mm),
+    )
+    return LoadedPlan(file.path, plan, described, file.text, file.lines)
+
+
+def _beside(file: YamlFile, where: Path_, name: str, role: str) -> YamlFile:
+    """A file that the plan names, relative to the plan."""
+    target = file.path.parent / name
+    if not target.is_file():
+        raise file.error(where, f"there is no {role} file {target}; correct the path (it is relative to the plan)")
+    return read(target, role)
+
+
+def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
+    use = plan.robot
+    source = _beside(file, ("robot", "model"), use.model, "robot")
+    spec = source.validate(RobotSpec)
+    for index, link in enumerate(spec.links):
+        if link.limits_deg[0] >= link.limits_deg[1]:
+            raise source.error(("links", index, "limits_deg"), f"limits of A{index + 1}: the lower one must come first")
+    if not np.any(spec.base_to_gravity) or (use.base_to_gravity is not None and not np.any(use.base_to_gravity)):
+        raise file.error(("robot", "base_to_gravity"), "base_to_gravity is a direction and cannot be zero")
+    model = spec.model()
+    if use.payload is not None:
+        model = replace(model, payload_mass=use.payload.mass_kg, payload_com=np.array(use.payload.com_mm))
+    if use.base_to_gravity is not None:
+        down = np.array(use.base_to_gravity)
+        model = replace(model, gravity=down / np.linalg.norm(down))
+    home = np.radians(use.home_deg)
+    _check_joints(file, ("robot", "home_deg"), home, model.n)
+    outside = np.flatnonzero((home < model.limits[:, 0]) | (home > model.limits[:, 1]))
+    if len(outside):
+        raise file.error(("robot", "home_deg"), f"the home position exceeds the limits of A{outside[0] + 1}; choose another")
+    return model
+
+
+def _artefacts(file: YamlFile, plan: Plan) -> tuple[cell.Artefact, ...]:
+    models: list[cell.Artefact] = []
+    owner: dict[int, str] = {}
+    for index, name in enumerate(plan.artefacts):
+        where = ("artefacts", index)
+        source = _beside(file, where, name, "artefact")
+        spec = source.validate(ArtefactSpec)
+        if any(spec.id == m.id for m in models):
+            raise file.error(where, f"artefact '{spec.id}' is named twice; give each artefact an id of its own")
+        for ball_index, ball in enumerate(spec.balls):
+            if ball.id in owner:
+                other = "this artefact" if owner[ball.id] == spec.id else f"artefact '{owner[ball.id]}'"
+                sentence = f"ball {ball.id} exists already in {other}; number the balls of a cell once"
+                raise source.error(("balls", ball_index, "id"), sentence)
+            owner[ball.id] = spec.id
+        models.append(spec.model())
+    return tuple(models)
+
+
+def _check_frames(file: YamlFile, plan: Plan) -> None:
+    frames: list[tuple[Path_, PoseSpec]] = [(("hand_eye",), plan.hand_eye)]
+    frames += [(("stations", i, "pose_in_base"), s.pose_in_base) for i, s in enumerate(plan.stations)]
+    for where, pose in frames:
+        if pose.rotation is None:
+            continue
+        if pose.abc_deg is not None:
+            raise file.error(where, "a frame has either 'rotation' or 'abc_deg', not both; remove one")
+        R = np.array(pose.rotation)
+        if np.abs(R @ R.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            raise file.error((*where, "rotation"), "this is no rotation (rows of length 1, perpendicular, right-handed); correct it")
+    view = plan.scanner.field_of_view
+    if view.near_z_mm <= view.far_z_mm:
+        raise file.error(("scanner", "field_of_view", "near_z_mm"), "near_z_mm must exceed far_z_mm: z points to the scanner")
+    if min(*view.near_half_mm, *view.far_half_mm) <= 0:
+        raise file.error(("scanner", "field_of_view"), "the half widths of the field of view must be positive")
+    for index, box in enumerate(plan.obstacles):
+        if any(low >= high for low, high in zip(box.min_mm, box.max_mm, strict=True)):
+            raise file.error(("obstacles", index), f"obstacle '{box.name}': each number of min_mm must be below that of max_mm")
+
+
+def _check_stations(file: YamlFile, plan: Plan, artefacts: tuple[cell.Artefact, ...]) -> None:
+    known = [a.id for a in artefacts]
+    seen: set[str] = set()
+    for index, station in enumerate(plan.stations):
+        if str(station.id) in seen:
+            raise file.error(("stations", index, "id"), f"station '{station.id}' exists already; give each station an id of its own")
+        seen.add(str(station.id))
+        if station.artefact not in known:
+            sentence = f"station '{station.id}' names an artefact '{station.artefact}' that the plan does not have"
+            raise file.error(("stations", index, "artefact"), f"{sentence} (it has {', '.join(known)})")
+
+
+def _check_steps(file: YamlFile, plan: Plan, n: int, artefacts: tuple[cell.Artefact, ...]) -> None:
+    artefact_of = {str(s.id): next(a for a in artefacts if a.id == s.artefact) for s in plan.stations}
+    names: set[str] = set()
+    for index, step in enumerate(plan.steps):
+        where = ("steps", index)
+        if step.name in names:
+            raise file.error((*where, "name"), f"step '{step.name}' exists already; give each step a name of its own")
+        names.add(step.name)
+        wanted = {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look) else {("station",): step.station}
+        for place, station in wanted.items():
+            if str(station) not in artefact_of:
+                raise file.error((*where, *place), f"step '{step.name}' names a station '{station}' that the plan does not have")
+        if isinstance(step, Taught):
+            for i, pose in enumerate(step.poses_deg):
+                _check_joints(file, (*where, "poses_deg", i), np.radians(pose), n)
+            missing = set(step.balls or ()) - set(artefact_of[str(step.station)].ball_ids)
+            if missing:
+                sentence = f"step '{step.name}' expects ball {min(missing)}, which the artefact at station '{step.station}' does not have"
+                raise file.error((*where, "balls"), sentence)
+
+
+def _check_joints(file: YamlFile, where: Path_, q: np.ndarray, n: int) -> None:
+    if len(q) != n:
+        raise file.error(where, f"{len(q)} joint angles are given, but the robot has {n} axes")
+
+

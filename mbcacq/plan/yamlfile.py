@@ -1,0 +1,142 @@
+"""YAML read with the line of every value, so that each error can name file and line. Only plain data; size and nesting bounded."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from mbcacq.errors import ConfigError
+
+MAX_BYTES = 1_000_000
+MAX_NODES = 200_000
+MAX_DEPTH = 40
+
+Path_ = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class YamlFile:
+    """One file as read. data: plain Python values; lines: path of a node -> line, counted from 1."""
+
+    path: Path
+    text: str
+    data: Any
+    lines: dict[Path_, int]
+
+    def line(self, *where: str | int) -> int:
+        """The line of a node, or of the nearest node around it."""
+        while where and where not in self.lines:
+            where = where[:-1]
+        return self.lines.get(where, 1)
+
+    def error(self, where: Path_, sentence: str) -> ConfigError:
+        return ConfigError(f"{self.path}:{self.line(*where)}: {sentence}")
+
+    def validate(self, schema: type[Model]) -> Model:
+        """The data checked against a schema; numbers must be numbers. Raises ConfigError for the first thing that is wrong."""
+        try:
+            # As JSON, because only there strict types still take a list for a tuple.
+            return schema.model_validate_json(json.dumps(self.data, default=str), strict=True)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise self.error(*_explain(first, self.lines)) from None
+
+
+def read(path: Path, role: str = "file") -> YamlFile:
+    """Read a YAML file. Raises ConfigError for a missing, oversized, broken or ambiguous one."""
+    try:
+        raw = path.open("rb").read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: the {role} cannot be read ({error.strerror}); correct the path") from None
+    if len(raw) > MAX_BYTES:
+        raise ConfigError(f"{path}: the {role} is larger than {MAX_BYTES} bytes; it is not such a file")
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        raise ConfigError(f"{path}:{line}: the {role} is not UTF-8 text; save it as UTF-8") from None
+    return parse(text, path)
+
+
+def parse(text: str, path: Path) -> YamlFile:
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        lines: dict[Path_, int] = {}
+        if node is not None:
+            _walk(node, (), lines, path, [0])
+        data = yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = mark.line + 1 if mark else 1
+        raise ConfigError(f"{path}:{line}: not valid YAML: {error.problem or error.context}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
+        raise ConfigError(f"{path}:1: not valid YAML: {reason}") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}:1: the file must be a mapping of keys to values")
+    return YamlFile(path, text, data, lines)
+
+
+def _walk(node: yaml.Node, where: Path_, lines: dict[Path_, int], path: Path, count: list[int]) -> None:
+    line = node.start_mark.line + 1
+    lines[where] = line
+    count[0] += 1
+    if count[0] > MAX_NODES or len(where) > MAX_DEPTH:
+        raise ConfigError(f"{path}:{line}: too many or too deeply nested values; write them out without aliases")
+    if isinstance(node, yaml.MappingNode):
+        seen: dict[str, int] = {}
+        for key, value in node.value:
+            name = str(key.value)
+            key_line = key.start_mark.line + 1
+            if name in seen:
+                raise ConfigError(f"{path}:{key_line}: key '{name}' stands here a second time (first in line {seen[name]}); remove one")
+            seen[name] = key_line
+            _walk(value, (*where, name), lines, path, count)
+            lines[(*where, name)] = key_line
+    elif isinstance(node, yaml.SequenceNode):
+        for index, value in enumerate(node.value):
+            _walk(value, (*where, index), lines, path, count)
+    elif node.tag == "tag:yaml.org,2002:float":
+        try:
+            finite = math.isfinite(float(node.value.replace("_", "")))
+        except ValueError:
+            finite = not any(word in node.value.lower() for word in ("nan", "inf"))
+        if not finite:
+            raise ConfigError(f"{path}:{line}: {_name(where)} is {node.value}, not a finite number")
+
+
+def _explain(error: Any, lines: dict[Path_, int]) -> tuple[Path_, str]:
+    """Where a schema error belongs in the file, and a sentence saying it."""
+    where: Path_ = ()
+    for part in error["loc"]:
+        # The tag of a union stands in the location, but not in the file.
+        if (*where, part) in lines:
+            where = (*where, part)
+    last = error["loc"][-1] if error["loc"] else ""
+    kind, given = error["type"], error.get("input")
+    if kind == "extra_forbidden":
+        return where, f"unknown key '{last}'; correct or remove it"
+    if kind == "missing":
+        return where, f"{_name(where)} lacks '{last}'"
+    if kind == "union_tag_not_found":
+        return where, f"{_name(where)} lacks 'do'; say which of 'translate', 'look', 'joints'"
+    if kind == "union_tag_invalid":
+        return where, f"{_name(where)}: do: {error['ctx']['tag']} is not one of {error['ctx']['expected_tags']}"
+    message = error["msg"][0].lower() + error["msg"][1:]
+    shown = f", not {given!r}" if isinstance(given, str | int | float | bool | None) else ""
+    return where, f"{_name(where)}: {message}{shown}"
+
+
+def _name(where: Path_) -> str:
+    """steps[2].views[0].tilt_deg"""
+    out = ""
+    for part in where:
+        out += f"[{part}]" if isinstance(part, int) else (f".{part}" if out else str(part))
+    return out or "the file"
