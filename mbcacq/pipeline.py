@@ -20,7 +20,7 @@ from mbcacq.acquisition.cell_devices import Overrides, create_devices
 from mbcacq.acquisition.runner import Runner
 from mbcacq.cell import Cell
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
 
 def versions() -> dict[str, str]:
@@ -68,7 +68,7 @@ class Acquisition:
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
-    paths: Sequence[Sequence[np.ndarray]]
+    paths: Sequence[Transit]
     folder: Path
     parts: int = 0
 

@@ -15,14 +15,14 @@ from mbcacq.acquisition.motion import Mover, motion_limits
 from mbcacq.acquisition.observe import mean_centres, predicted_centres
 from mbcacq.acquisition.pump import CyclePump
 from mbcacq.devices import Aborted, DeviceFault, MbcacqError
-from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
 MISSED_SHARE = 0.2  # of the poses; more than that seen without enough balls ends the run
 
 
 @dataclass
 class Runner:
-    """One run. ``paths[k]`` holds joint waypoints (n,) rad to pass before ``poses[k]``; ``done`` numbers of poses to skip (resume).
+    """One run. ``paths[k]`` is the way to ``poses[k]`` from the pose before it; ``done``: numbers of poses to skip (resume).
 
     ``find_balls(scan points (N, 3), artefact, expected=, predicted=)`` extracts the centres. ``confirm`` is asked once, with
     the measured joints, before anything moves; it raises to refuse.
@@ -30,7 +30,7 @@ class Runner:
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
-    paths: Sequence[Sequence[np.ndarray]]
+    paths: Sequence[Transit]
     devices: CellDevices
     bus: EventBus
     find_balls: Callable
@@ -74,14 +74,22 @@ class Runner:
                 if pose.step != step:
                     step = pose.step
                     self.bus.emit(events.StepStarted, step, pose.step_name, sum(p.step == step for p in self.poses))
+                self._pass(path.leave, mover)
                 if pose.station != station:
                     station = pose.station
                     self._place(pose)
-                if not self._observe(pose, path, mover, pump):
+                self._pass(path.approach, mover)
+                if not self._observe(pose, mover, pump):
                     missed += 1
                     if missed > max(1, MISSED_SHARE * len(self.poses)):
                         raise DeviceFault(f"{missed} poses showed too few balls; look at the scans, the exposure and the artefact's place")
-            self._home(mover)
+            self._pass([np.radians(self.loaded.plan.robot.home_deg)], mover)
+
+    def _pass(self, waypoints: Sequence[np.ndarray], mover: Mover) -> None:
+        if waypoints:
+            self._state("moving")
+        for waypoint in waypoints:
+            mover.go(waypoint)
 
     def _place(self, pose: PlannedPose) -> None:
         self._state("waiting")
@@ -89,11 +97,9 @@ class Runner:
         self.devices.positioner.go_to(pose.station, f"place '{artefact.name or artefact.id}' at station {pose.station}")
         self.bus.emit(events.StationReached, pose.station, pose.artefact)
 
-    def _observe(self, pose: PlannedPose, path: Sequence[np.ndarray], mover: Mover, pump: CyclePump) -> bool:
+    def _observe(self, pose: PlannedPose, mover: Mover, pump: CyclePump) -> bool:
         """Measure one pose. Returns whether enough balls were found."""
         self._state("moving")
-        for waypoint in path:
-            mover.go(waypoint)
         reached = mover.go(pose.q)
         about = (pose.number, pose.station, pose.phase, pose.step_name)
         self.bus.emit(events.PoseReached, *about, reached.q, mover.direction, reached.time_s)
@@ -133,15 +139,6 @@ class Runner:
         for sensor in self.devices.sensors:
             values.update(sensor.read())
         return values
-
-    def _home(self, mover: Mover) -> None:
-        self._state("moving")
-        for waypoint in self.paths_home():
-            mover.go(waypoint)
-
-    def paths_home(self) -> list[np.ndarray]:
-        """Joint waypoints (n,) rad from the last pose to the plan's home."""
-        return [np.radians(self.loaded.plan.robot.home_deg)]
 
     def _describe(self) -> None:
         for name, device in self.devices.all.items():

@@ -16,7 +16,7 @@ from mbcacq.acquisition.runner import Runner
 from mbcacq.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.schema import Plan
 
 CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0.0, 0, -90, 0, 0, 180]), np.array([400.0, 0, 0, 515, 0, 90]),
@@ -55,7 +55,7 @@ def make(world, **changes):
     loaded, poses = world
     parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()} | changes
     seen = Recorded()
-    runner = Runner(loaded, poses, [()] * len(poses), CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
+    runner = Runner(loaded, poses, [Transit()] * len(poses), CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
                     EventBus([seen]), parts["finder"], "cell", done=parts["done"])
     return runner, seen, parts
 
