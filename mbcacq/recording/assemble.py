@@ -13,18 +13,18 @@ from mbcacq.observations import Observations
 from mbcacq.recording.cell_yaml import parse_cell
 
 Row = dict[str, Any]
+RESTART_S = 60.0   # clocks that part by more over a pause were restarted
 
 
-def assemble(cell_yaml: str, name: str, parts: Sequence[Sequence[Row]]) -> Observations:
-    """parts: the rows of ``layout.OBSERVATION`` of each recording of one run, in order."""
+def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
+    """rows: those of ``layout.OBSERVATION`` in the order recorded; each says to which part of a resumed run it belongs."""
     cell = parse_cell(cell_yaml, f"{name} (its cell description)")
-    latest: dict[int, tuple[Row, float]] = {}
-    for part, shift in zip(parts, _clock_shifts(parts), strict=True):
-        for row in part:
-            pose = int(row["pose"][0])
-            latest.pop(pose, None)
-            latest[pose] = (row, shift)
-    found = [row for row, _ in latest.values()]
+    shift = _clock_shifts(rows)
+    latest: dict[int, Row] = {}
+    for row in rows:
+        latest.pop(int(row["pose"][0]), None)
+        latest[int(row["pose"][0])] = row
+    found = list(latest.values())
     count = np.array([len(row["ball"]) for row in found])
     ball = np.concatenate([row["ball"] for row in found]).astype(np.int64)
     sensors, extra = _sensors(found)
@@ -39,7 +39,7 @@ def assemble(cell_yaml: str, name: str, parts: Sequence[Sequence[Row]]) -> Obser
         ball=_ball_index(cell, ball, name),
         xyz=np.concatenate([row["xyz"].reshape(-1, 3) for row in found]),
         phase=np.array([row["phase"][0] for row in found]),
-        time_s=np.array([row["robot_time_s"][0] + shift if shift else row["robot_time_s"][0] for row, shift in latest.values()]),
+        time_s=np.array([row["robot_time_s"][0] + shift[int(row["part"][0])] for row in found]),
         direction=np.stack([row["direction"] for row in found]),
         temperatures=sensors,
         n_points=np.concatenate([row["n_points"] for row in found]),
@@ -49,12 +49,14 @@ def assemble(cell_yaml: str, name: str, parts: Sequence[Sequence[Row]]) -> Obser
     )
 
 
-def _clock_shifts(parts: Sequence[Sequence[Row]]) -> list[float]:
-    """What to add to the controller's clock of each part: nothing where it simply went on, else what the computer's clock says."""
-    first, shifts = parts[0][0], [0.0]
-    for part in parts[1:]:
-        drift = (part[0]["time_s"][0] - first["time_s"][0]) - (part[0]["robot_time_s"][0] - first["robot_time_s"][0])
-        shifts.append(float(drift) if abs(drift) > 60.0 or part[0]["robot_time_s"][0] < first["robot_time_s"][0] else 0.0)
+def _clock_shifts(rows: Sequence[Row]) -> dict[int, float]:
+    """What to add to the controller's clock, by part: nothing where it simply went on, else what the computer's clock says."""
+    first, shifts = rows[0], {int(rows[0]["part"][0]): 0.0}
+    for row in rows:
+        if (part := int(row["part"][0])) not in shifts:
+            robot = float(row["robot_time_s"][0] - first["robot_time_s"][0])
+            drift = float(row["time_s"][0] - first["time_s"][0]) - robot
+            shifts[part] = drift if robot < 0 or abs(drift) > RESTART_S else 0.0
     return shifts
 
 

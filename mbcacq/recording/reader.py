@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,8 @@ class Recording:
             self._reader = RrdReader(self.path)
             stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
         if not stores:
-            raise RecordingError(f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it")
+            raise RecordingError(
+                f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it")
         self._store = stores[0]
 
     @property
@@ -50,10 +51,7 @@ class Recording:
 
     def rows(self, entity: str) -> Iterator[Row]:
         """Rows of one entity in the order they were logged: component name -> array or list, timeline -> int (ns, or number)."""
-        for batch in self._batches(entity):
-            names = {i: _short_name(batch.schema.field(i)) for i in range(batch.num_columns)}
-            for k in range(batch.num_rows):
-                yield {name: value for i, name in names.items() if (value := _cell(batch.column(i), k)) is not None}
+        return _rows(self._batches(entity))
 
     def columns(self, entity: str, archetype: str) -> dict[str, np.ndarray]:
         """All rows of an entity whose rows have equal lengths: component -> (k,) or (k, n), in the order they were logged."""
@@ -87,7 +85,7 @@ class Recording:
 
     def scans(self) -> Iterator[RecordedScan]:
         """Every scan in the order taken, one at a time."""
-        for row in self.rows(layout.SCAN):
+        for row in _rows(self._stream(layout.SCAN)):
             if "positions" in row and "exposure_us" in row:
                 yield RecordedScan(int(row["pose"][0]), int(row["exposure"][0]), Scan(
                     points=row["positions"].reshape(-1, 3), intensity=row.get("intensity"), shape=tuple(row["shape"].tolist()),
@@ -98,12 +96,22 @@ class Recording:
         """The pose observations, in the order made."""
         return [row for row in self.rows(layout.OBSERVATION) if "q" in row]
 
-    def _batches(self, entity: str) -> Iterator[pa.RecordBatch]:
+    def _batches(self, entity: str) -> list[pa.RecordBatch]:
+        """In the order of logging, whatever order a merge left the chunks in: row ids count up with time."""
+        batches = [batch for batch in self._stream(entity) if batch.num_rows]
+        return sorted(batches, key=lambda batch: batch.column(0)[0].as_py())
+
+    def _stream(self, entity: str) -> Iterator[pa.RecordBatch]:
+        chunks = iter(())
         with _named_errors(self.path):
-            stream = self._reader.stream(store=self._store).filter(content=f"/{entity}")
-            batches = [chunk.to_record_batch() for chunk in stream]
-        # Row ids count up with the time of logging, whatever order a merge left the chunks in.
-        yield from sorted(batches, key=lambda batch: batch.column(0)[0].as_py() if batch.num_rows else b"")
+            chunks = iter(self._reader.stream(store=self._store).filter(content=f"/{entity}"))
+        while True:
+            with _named_errors(self.path):
+                chunk = next(chunks, None)
+                batch = None if chunk is None else chunk.to_record_batch()
+            if batch is None:
+                return
+            yield batch
 
 
 def open_recordings(path: Path | str) -> list[Recording]:
@@ -124,10 +132,10 @@ def read_observations(path: Path | str) -> Observations:
     from mbcacq.recording.assemble import assemble
 
     recordings = open_recordings(path)
-    parts = [recording.observed() for recording in recordings]
-    if not any(parts):
+    rows = [row for recording in recordings for row in recording.observed()]
+    if not rows:
         raise RecordingError(f"{path} holds no finished pose; there is nothing to calibrate")
-    return assemble(recordings[0].text(layout.CELL), str(path), [part for part in parts if part])
+    return assemble(recordings[0].text(layout.CELL), str(path), rows)
 
 
 class _named_errors:
@@ -146,6 +154,13 @@ class _named_errors:
         if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
             raise RecordingError(f"{self._path} is torn or is no .rrd file ({str(error).splitlines()[0]}); "
                                  f"make what is left of it readable: mbcacq recover {self._path}") from None
+
+
+def _rows(batches: Iterable[pa.RecordBatch]) -> Iterator[Row]:
+    for batch in batches:
+        names = {i: _short_name(batch.schema.field(i)) for i in range(batch.num_columns)}
+        for k in range(batch.num_rows):
+            yield {name: value for i, name in names.items() if (value := _cell(batch.column(i), k)) is not None}
 
 
 def _cell(column: pa.Array, row: int) -> Any:

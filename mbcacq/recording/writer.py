@@ -38,7 +38,7 @@ class Recorder:
 
     def __init__(self, folder: Path | str, *, live: bool = False, part: int = 0, port: int = 9876) -> None:
         folder = Path(folder)
-        self.path = folder / layout.part_name(part)
+        self.path, self._part = folder / layout.part_name(part), part
         try:
             folder.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(folder).free
@@ -183,13 +183,15 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:
-        self._rec.log(layout.OBSERVATION, rows.row(
-            layout.POSE_ARCHETYPE, pose=event.pose, station=event.station, phase=event.phase, step=event.step, q=_float(event.q),
-            direction=_int(event.direction), time_s=event.time_s + self._offset, robot_time_s=float(event.robot_time_s),
-            n_exposures=event.n_exposures, current=None if event.current is None else _float(event.current),
-            **rows.named("sensors", event.sensors)), rows.row(
+        pose = rows.row(
+            layout.POSE_ARCHETYPE, pose=event.pose, part=self._part, station=event.station, phase=event.phase, step=event.step,
+            q=_float(event.q), direction=_int(event.direction), time_s=event.time_s + self._offset,
+            robot_time_s=float(event.robot_time_s), n_exposures=event.n_exposures,
+            current=None if event.current is None else _float(event.current), **rows.named("sensors", event.sensors))
+        centres = rows.row(
             layout.CENTRES_ARCHETYPE, ball=_int(event.ball), xyz=_float(event.xyz), n_points=_float(event.n_points),
-            rms_mm=_float(event.rms_mm), scatter_mm=_float(event.scatter_mm)))
+            rms_mm=_float(event.rms_mm), scatter_mm=_float(event.scatter_mm))
+        self._rec.log(layout.OBSERVATION, pose, centres)
         self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
         if len(event.ball):
             self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))

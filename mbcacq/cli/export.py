@@ -1,0 +1,39 @@
+"""``mbcacq export``: recordings and results in the formats of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("export")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--observations", type=click.Path(path_type=Path, file_okay=False), help="Write an observation set (YAML, CSV) there.")
+@click.option("--scans", is_flag=True, help="With --observations: the raw clouds as well (scans/POSE.ply, first exposure of each pose).")
+@click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")
+@click.option("--force", is_flag=True, help="Replace a set that is already in the folder.")
+def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool) -> None:
+    """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording import load
+
+    if observations is None and trajectory is None:
+        raise ConfigError("nothing to export; say what and where, such as --observations DIR")
+    for folder in (observations, trajectory):
+        if folder is not None and (folder / "cell.yaml").exists() and not force:
+            raise ConfigError(f"{folder} already holds a set; give another folder, or --force to replace it")
+    if observations is not None:
+        from mbcacq.recording.observation_set import write_observation_set
+
+        measured = load(run)
+        write_observation_set(measured, observations)
+        click.echo(f"{observations}: {measured.n_poses} poses, {measured.n_centres} centres")
+        if scans:
+            from mbcacq.recording.scan_folder import write_scans
+
+            click.echo(f"{observations / 'scans'}: {write_scans(run, observations)} clouds")
+    if trajectory is not None:
+        from mbcacq.recording.trajectory import export_trajectory
+
+        click.echo(f"{trajectory}: {export_trajectory(run, trajectory)} samples")

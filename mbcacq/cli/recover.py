@@ -1,0 +1,34 @@
+"""``mbcacq recover``: make a torn recording readable."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command("recover")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def command(recording: Path, as_json: bool) -> None:
+    """Make RECORDING (a run folder or a .rrd file) readable after a crash, a power cut or a full disk.
+
+    Everything complete before the tear goes into a copy, NAME.recovered.rrd; the original is not touched. All commands that
+    take a run folder use the copy from then on.
+    """
+    from mbcacq.recording.recovery import recover
+
+    found = recover(recording)
+    if as_json:
+        click.echo(json.dumps({"recordings": [
+            {"source": str(item.source), "output": str(item.output), "damaged": item.damaged, "poses": item.poses,
+             "cycles": item.cycles, "complete": item.complete} for item in found]}))
+        return
+    for item in found:
+        content = f"{item.poses} finished poses, {item.cycles} controller cycles"
+        end = "" if item.complete else "; the run did not come to its end"
+        if item.damaged:
+            click.echo(f"{item.source}: torn; {content} are in {item.output}{end}")
+        else:
+            click.echo(f"{item.source}: nothing to do, {content}{end}")

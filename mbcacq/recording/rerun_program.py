@@ -1,0 +1,60 @@
+"""The rerun program that comes with the wheel: for its ``rrd`` commands and its viewer."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from mbcacq.errors import RecordingError
+
+
+def program() -> str:
+    """The executable itself. The ``rerun`` script is a wrapper whose end does not end the viewer, so it is not used."""
+    if override := os.environ.get("RERUN_CLI_PATH"):
+        return override
+    spec = importlib.util.find_spec("rerun_cli")
+    folder = Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else Path("rerun_cli")
+    names = ["rerun.exe"] if sys.platform == "win32" else ["Rerun.app/Contents/MacOS/Rerun", "rerun"]
+    found = next((folder / name for name in names if (folder / name).exists()), None)
+    if found is None:
+        raise RecordingError(f"the rerun program is missing in {folder}; reinstall rerun-sdk")
+    return str(found)
+
+
+def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
+    """Run it to its end; its group is killed when the time is over."""
+    child = subprocess.Popen([program(), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
+                             errors="replace", start_new_session=True)
+    try:
+        out, err = child.communicate(timeout=timeout_s)
+    except BaseException as error:
+        end(child)
+        child.communicate()
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise RecordingError(f"rerun {' '.join(arguments[:2])} did not end within {timeout_s:g} s and was stopped") from None
+        raise
+    return subprocess.CompletedProcess(child.args, child.returncode, out, err)
+
+
+def end(child: subprocess.Popen) -> None:
+    """Kill a child that leads a group of its own, with the group."""
+    if child.poll() is None:
+        try:
+            os.killpg(child.pid, signal.SIGKILL)
+        except (ProcessLookupError, AttributeError):
+            child.kill()
+
+
+def complaint(result: subprocess.CompletedProcess[str]) -> str:
+    """The last thing it said, without colours and time stamps."""
+    import re
+
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip() for line in (result.stderr or result.stdout or "").splitlines()]
+    lines = [line for line in lines if line]
+    telling = [line for line in lines if "rror" in line or "panicked" in line]
+    return (telling or lines or [f"exit status {result.returncode}"])[0][:200]
