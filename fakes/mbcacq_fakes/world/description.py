@@ -35,7 +35,11 @@ class View:
 
 @dataclass(frozen=True)
 class CellFacts:
-    """Nominal arm (sign (n,), rows (n, 5), masses), first guess of the hand-eye transform, artefacts, planned stations."""
+    """Nominal arm (sign (n,), rows (n, 5), masses), first guess of the hand-eye transform, artefacts, planned stations.
+
+    planned_poses: how many will be taken, pace_s: the time from one to the next, both roughly; concealed effects that come at a
+    moment or creep choose it by them.
+    """
 
     sign: np.ndarray
     rows: np.ndarray
@@ -47,6 +51,8 @@ class CellFacts:
     station_artefact: np.ndarray
     station_pose: np.ndarray
     view: View = View()
+    planned_poses: int = 100
+    pace_s: float = 3.0
 
     @property
     def n(self) -> int:

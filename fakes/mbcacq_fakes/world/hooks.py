@@ -52,6 +52,9 @@ class Moved:
 class Effect(Protocol):
     name: str
 
+    def alter(self, cell: CellFacts) -> CellFacts:
+        """What is true of the cell in place of what is believed, e.g. another payload; called before any ``begin``."""
+
     def begin(self, cell: CellFacts, arm: Arm, rng: np.random.Generator) -> None:
         """Called once before the first moment; draws what is to be drawn. ``arm`` is the true arm."""
 
@@ -69,6 +72,9 @@ class Quiet:
     """Base of effects: does nothing anywhere."""
 
     name = "nothing"
+
+    def alter(self, cell: CellFacts) -> CellFacts:
+        return cell
 
     def begin(self, cell: CellFacts, arm: Arm, rng: np.random.Generator) -> None:
         self.cell, self.arm, self.rng = cell, arm, rng

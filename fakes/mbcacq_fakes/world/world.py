@@ -62,8 +62,11 @@ class World:
         balls = np.random.default_rng([self.seed, BALLS])
         self.artefacts: tuple[TrueArtefact, ...] = tuple(make(a, balls) for a in self.facts.artefacts)
         self.first_ball = np.cumsum([0, *(len(a.balls) for a in self.artefacts)])
+        true_facts = self.facts
+        for effect in self.effects:
+            true_facts = effect.alter(true_facts)
         for k, effect in enumerate(self.effects):
-            effect.begin(self.facts, self.arm, np.random.default_rng([self.seed, EFFECTS, k]))
+            effect.begin(true_facts, self.arm, np.random.default_rng([self.seed, EFFECTS, k]))
 
     def moments(self, q: np.ndarray, velocity: np.ndarray, direction: np.ndarray, arrival: np.ndarray, robot_time_s: np.ndarray,
                 station: np.ndarray, artefact: np.ndarray) -> Moments:
