@@ -1,0 +1,163 @@
+"""A start from nothing but the data: hand-eye by linear least squares on points that stand still, stations by matching points.
+
+Every ball of a station is a fixed point of the base frame, whatever the hand-eye transform. That is linear in the twelve
+entries of the transform once each point's own place is eliminated by subtracting means; so no first guess is needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.calibration.forward import CellState
+from mbcacq.cell import TARGET_IN_BASE
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.observations import Observations
+
+ROUNDS = 8
+
+
+def start(obs: Observations, chain: Chain | None = None) -> CellState:
+    """Nominal arm (or ``chain``), with the better of the given hand-eye and the one found from the data; robust to gross outliers."""
+    chain = obs.cell.robot.chain if chain is None else chain
+    T_base_flange = chain.flange(obs.q)
+    if obs.cell.measurement == TARGET_IN_BASE:
+        found = tracker_start(obs, T_base_flange)
+        candidates = [found] if found is not None else []
+        candidates.append((obs.cell.T_flange_scanner, place_stations(obs, T_base_flange, obs.cell.T_flange_scanner)))
+    else:
+        hand_eyes = [obs.cell.T_flange_scanner]
+        found = hand_eye_from_fixed_points(obs, T_base_flange, obs.cell.T_flange_scanner)
+        if found is not None:
+            hand_eyes.insert(0, found)
+        candidates = [(X, place_stations(obs, T_base_flange, X)) for X in hand_eyes]
+    spread = [misfit(obs, T_base_flange, *candidate) for candidate in candidates]
+    X, stations = candidates[int(np.argmin(spread))]
+    return CellState(chain, X, stations, obs.cell.ball_centres.copy())
+
+
+def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
+    """T_flange_scanner (4, 4), or None where the poses do not determine it; a rotation that they do not see is taken from the guess."""
+    T = T_base_flange[obs.pose]
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    group = _groups(obs)
+    turning = (R[:, :, :, None] * obs.xyz[:, None, None, :]).reshape(len(R), 3, 9)
+    seen = np.abs(obs.xyz).max(initial=0.0) > 1e-9
+    columns = np.concatenate([turning, R], axis=2) if seen else R
+    solution = _linear_l1(columns, -t, group)
+    if solution is None and not seen:
+        return None
+    if solution is not None and seen:
+        rotation = solution[:9].reshape(3, 3)
+        size = np.linalg.svd(rotation, compute_uv=False)
+        if size[-1] < 0.5 or size[0] > 2.0:
+            return None
+        rotation = se3.nearest_rotation(rotation)
+    else:
+        rotation = guess[:3, :3]
+    rotated = np.einsum("mij,jk,mk->mi", R, rotation, obs.xyz)
+    translation = _linear_l1(R, -(t + rotated), group)
+    return None if translation is None else se3.transform(rotation, translation)
+
+
+def tracker_start(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Target on the flange (4, 4) and instrument in the base (S, 4, 4), one station after another; None where not determined."""
+    stations = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
+    targets = []
+    for s in np.unique(obs.station):
+        rows = obs.station[obs.pose] == s
+        T = T_base_flange[obs.pose[rows]]
+        y = obs.xyz[rows]
+        # R_bs y + t_bs - R t = t_flange, linear in R_bs (9) and, centred, in the target t (3).
+        columns = np.concatenate([np.kron(np.eye(3), y[:, None, :]).reshape(-1, 3, 9), -T[:, :3, :3]], axis=2)
+        solution = _linear_l1(columns, T[:, :3, 3], np.zeros(len(y), int))
+        if solution is None:
+            return None
+        R_bs = se3.nearest_rotation(solution[:9].reshape(3, 3))
+        target = _linear_l1(-T[:, :3, :3], T[:, :3, 3] - y @ R_bs.T, np.zeros(len(y), int))
+        if target is None:
+            return None
+        base = T[:, :3, 3] + T[:, :3, :3] @ target
+        stations[s] = se3.transform(R_bs, np.median(base - y @ R_bs.T, axis=0))
+        R_target = np.eye(3)
+        if obs.rotation is not None:
+            R_target = se3.nearest_rotation(np.median(np.swapaxes(T[:, :3, :3], 1, 2) @ R_bs @ obs.rotation[rows], axis=0))
+        targets.append(se3.transform(R_target, target))
+    return targets[0], stations
+
+
+def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """T_base_station (S, 4, 4): given ones as given, the others by matching the points seen there."""
+    cell = obs.cell
+    T_base_scanner = T_base_flange @ X
+    out = np.tile(np.eye(4), (len(cell.stations), 1, 1))
+    station = obs.station[obs.pose]
+    for s in np.unique(obs.station):
+        if cell.stations[s].T_base_station is not None:
+            out[s] = cell.stations[s].T_base_station
+            continue
+        rows = station == s
+        if cell.measurement == TARGET_IN_BASE:
+            out[s] = match(obs.xyz[rows], T_base_scanner[obs.pose[rows], :3, 3])
+            continue
+        base = se3.apply(T_base_scanner[obs.pose[rows]], obs.xyz[rows])
+        balls, index = np.unique(obs.ball[rows], return_inverse=True)
+        middle = np.stack([np.median(base[index == b], axis=0) for b in range(len(balls))])
+        out[s] = match(cell.ball_centres[balls], middle)
+    return out
+
+
+def match(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Rigid transform (4, 4) that brings points a (N, 3) onto b (Kabsch), reweighted against outliers."""
+    weight = np.ones(len(a))
+    for _ in range(ROUNDS if len(a) > 3 else 1):
+        ca, cb = weight @ a / weight.sum(), weight @ b / weight.sum()
+        R = se3.nearest_rotation((b - cb).T @ (weight[:, None] * (a - ca))) if len(a) > 1 else np.eye(3)
+        off = np.linalg.norm(b - cb - (a - ca) @ R.T, axis=1)
+        weight = 1.0 / np.maximum(off, 0.5 * np.median(off) + 1e-9)
+    return se3.transform(R, cb - R @ ca)
+
+
+def misfit(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, stations: np.ndarray) -> float:
+    """Median distance (mm) between where the points are and where they ought to be."""
+    T_base_scanner = T_base_flange @ X
+    T_station = stations[obs.station[obs.pose]]
+    if obs.cell.measurement == TARGET_IN_BASE:
+        off = se3.apply(T_station, obs.xyz) - T_base_scanner[obs.pose, :3, 3]
+    else:
+        off = se3.apply(T_base_scanner[obs.pose], obs.xyz) - se3.apply(T_station, obs.cell.ball_centres[obs.ball])
+    return float(np.median(np.linalg.norm(off, axis=1)))
+
+
+def _groups(obs: Observations) -> np.ndarray:
+    """(M,) number of the fixed point that each centre belongs to: one per station and ball."""
+    key = obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball
+    return np.unique(key, return_inverse=True)[1]
+
+
+def _linear_l1(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np.ndarray | None:
+    """x that minimises the sum of lengths of ``columns x - target`` (M, 3), each group about a free mean; None where undetermined."""
+    count = group.max(initial=0) + 1
+    weight = np.ones(len(columns))
+    x = None
+    for _ in range(ROUNDS):
+        total = np.bincount(group, weight, count)
+
+        def centred(values, weight=weight, total=total):
+            flat = values.reshape(len(values), -1) * weight[:, None]
+            mean = np.stack([np.bincount(group, flat[:, j], count) for j in range(flat.shape[1])], axis=1) / total[:, None]
+            return values - mean[group].reshape(values.shape)
+
+        A, b = centred(columns), centred(target)
+        flat = (A * weight[:, None, None]).reshape(-1, A.shape[2])
+        normal = flat.T @ A.reshape(-1, A.shape[2])
+        scale = np.sqrt(np.diag(normal))
+        if not np.all(scale > 0):
+            return None
+        scaled = normal / scale[:, None] / scale
+        if np.linalg.eigvalsh(scaled)[0] < 1e-7:
+            return None
+        x = np.linalg.solve(scaled, flat.T @ b.reshape(-1) / scale) / scale
+        off = np.linalg.norm(A @ x - b, axis=1)
+        weight = 1.0 / np.maximum(off, 0.2 * np.median(off) + 1e-9)
+    return x

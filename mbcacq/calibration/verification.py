@@ -1,0 +1,113 @@
+"""Sphere spacing error: the distance of two certified balls, each measured through the arm, minus the certified distance."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from mbcacq.calibration.forward import CellState
+from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.uncertainty import distance_uncertainty
+from mbcacq.cell import ARTEFACT_IN_SCANNER
+from mbcacq.geometry import se3
+from mbcacq.observations import Observations
+
+
+@dataclass(frozen=True)
+class Place:
+    """One pair of balls at one station. errors in mm, measured minus certified; expected_mm: standard uncertainty of ``after_mm``."""
+
+    station: str
+    balls: tuple[int, int]
+    certified_mm: float
+    before_mm: float
+    after_mm: float
+    expected_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Sphere spacing errors at every place, with the nominal arm and the preliminary hand-eye (before) and calibrated (after)."""
+
+    places: tuple[Place, ...]
+    limit_mm: float | None = None
+
+    def errors(self, which: str) -> np.ndarray:
+        """(places,) signed errors in mm, 'before' or 'after'."""
+        return np.array([getattr(p, f"{which}_mm") for p in self.places])
+
+    def to_dict(self) -> dict | None:
+        """JSON form; None where there was nothing to verify on."""
+        if not self.places:
+            return None
+        out: dict = {which: _summary(self.errors(which)) for which in ("before", "after")}
+        expected = [p.expected_mm for p in self.places if p.expected_mm is not None]
+        if expected:
+            # For a normal error the mean of |error| is sqrt(2 / pi) of its standard deviation.
+            out["expected_mean_mm"] = float(np.sqrt(2 / np.pi) * np.mean(expected))
+        out["limit_mm"] = self.limit_mm
+        out["places"] = [asdict(p) | {"balls": list(p.balls)} for p in self.places]
+        return out
+
+
+def verify(observations: Observations, calibration: Calibration | CellState, *, before: CellState | None = None,
+           limit_mm: float | None = None) -> Verification:
+    """Evaluate every pair of balls of the verification poses (where no phases are recorded: of all two-ball artefacts).
+
+    With a :class:`CellState` instead of a calibration, ``before`` is the state to compare with (default: the same), and there is no
+    expected uncertainty.
+    """
+    obs = verification_poses(observations)
+    state = calibration.state if isinstance(calibration, Calibration) else calibration
+    first = calibration.preliminary if isinstance(calibration, Calibration) else (before or state)
+    places = []
+    after, ends = ball_positions(obs, state)
+    start, _ = ball_positions(obs, first)
+    certified = dict(zip(obs.cell.ball_ids, obs.cell.ball_centres, strict=True))
+    for station, a, b in _pairs(obs, after):
+        length = float(np.linalg.norm(certified[a] - certified[b]))
+        measured, initial = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (after, start))
+        expected = None
+        if isinstance(calibration, Calibration):
+            (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
+            expected = float(distance_uncertainty(calibration, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
+        places.append(Place(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
+    return Verification(tuple(places), limit_mm)
+
+
+def verification_poses(obs: Observations) -> Observations:
+    """The poses of phase 'verification'; without phases, those at stations of two-ball artefacts where there are other artefacts too."""
+    if obs.cell.measurement != ARTEFACT_IN_SCANNER:
+        return obs.select(np.zeros(obs.n_poses, bool))
+    if obs.phase is not None and np.any(obs.phase == "verification"):
+        return obs.select(obs.phase == "verification")
+    sizes = np.array([len(obs.cell.artefact(s.artefact).ball_ids) for s in obs.cell.stations])
+    keep = sizes[obs.station] == 2
+    return obs.select(keep if not keep.all() else np.zeros(obs.n_poses, bool))
+
+
+def ball_positions(obs: Observations, state: CellState):
+    """Where each ball of each station was found in the base, mean over poses: {(station, ball id): (3,) mm}; and the pose nearest to
+    that mean with the number of poses, {(station, ball id): (q (1, n), xyz (1, 3), count)}."""
+    T = state.chain.flange(obs.q) @ state.T_flange_scanner
+    base = se3.apply(T[obs.pose], obs.xyz)
+    station = obs.station[obs.pose]
+    where, ends = {}, {}
+    for s, b in np.unique(np.stack([station, obs.ball], axis=1), axis=0):
+        rows = np.flatnonzero((station == s) & (obs.ball == b))
+        key = int(s), obs.cell.ball_ids[b]
+        where[key] = base[rows].mean(axis=0)
+        best = rows[np.argmin(np.linalg.norm(base[rows] - where[key], axis=1))]
+        ends[key] = obs.q[obs.pose[best]][None], obs.xyz[best][None], len(np.unique(obs.pose[rows]))
+    return where, ends
+
+
+def _pairs(obs: Observations, where) -> list[tuple[int, int, int]]:
+    keys = sorted(where)
+    return [(s, a, b) for i, (s, a) in enumerate(keys) for t, b in keys[i + 1:] if t == s]
+
+
+def _summary(errors: np.ndarray) -> dict:
+    return {"mean_mm": float(np.abs(errors).mean()), "max_mm": float(np.abs(errors).max()), "signed_mean_mm": float(errors.mean()),
+            "errors_mm": [float(e) for e in errors]}
