@@ -2,18 +2,124 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan.clearance import Clearance, Closest
+from mbcacq.plan.kinematics import InverseKinematics
+
+RETRACTIONS_MM = (80.0, 160.0, 260.0)   # along the scanner's axis, away from what it looks at
+FARTHEST = np.radians(75.0)             # joint travel of a retraction; more means another branch of the arm
+
+
+@dataclass(frozen=True)
+class Obstructed:
+    """No free way was found to pose ``number``; closest: where the straight one fails."""
+
+    number: int
+    closest: Closest
 
 
 def path(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Transit]:
-    """One transit a pose; where the station changes, by way of home, so that the artefact can be moved."""
-    home = np.radians(loaded.plan.robot.home_deg)
-    out = []
+    """One transit a pose; where the station changes, by way of home, so that the artefact can be moved.
+
+    The poses may be any part of a plan's (those left of an interrupted run): the way to the first one starts at home. Raises ConfigError
+    naming the step of the first pose to which no free way was found.
+    """
+    transits, obstructed = find_paths(loaded, poses)
+    if obstructed:
+        raise ConfigError(obstructed_sentence(loaded, poses, obstructed[0]))
+    return transits
+
+
+def way_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:
+    """Joint waypoints from a pose to home, home included; the straight way where no free one was found."""
+    router = Router(loaded)
+    return router.leave(pose) or [router.home]
+
+
+def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> tuple[list[Transit], list[Obstructed]]:
+    """Transits to all poses, straight where no free way was found, and which those are."""
+    router = Router(loaded)
+    transits, obstructed = [], []
     for before, pose in zip([None, *poses[:-1]], poses, strict=True):
-        moved = before is not None and before.station != pose.station
-        out.append(Transit(leave=[home] if moved else []))
-    return out
+        if before is not None and before.station == pose.station:
+            leave, approach = [], router.between(before, pose)
+        else:
+            leave = [] if before is None else router.leave(before)
+            approach = router.approach(pose)
+        if leave is None or approach is None:
+            start = router.home if before is None or before.station != pose.station else before.q
+            obstructed.append(Obstructed(pose.number, router.blocked(start, pose.q, pose.station)))
+            leave, approach = leave if leave is not None else [router.home], approach or []
+        transits.append(Transit(leave, approach))
+    return transits, obstructed
+
+
+def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], blocked: Obstructed) -> str:
+    pose = next(p for p in poses if p.number == blocked.number)
+    near = blocked.closest
+    return (f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free way to pose {pose.number} was found "
+            f"(on the straight one {near.a} comes within {near.distance:.0f} mm of {near.b}); move the station, or put a view between")
+
+
+class Router:
+    """Finds free ways in one cell."""
+
+    def __init__(self, loaded: LoadedPlan) -> None:
+        self._loaded = loaded
+        self.home = np.radians(loaded.plan.robot.home_deg)
+        self.clearance = Clearance(loaded)
+        self._needed = loaded.plan.clearance_mm
+        try:
+            self._solver: InverseKinematics | None = InverseKinematics.of(loaded.cell.robot)
+        except ConfigError:
+            self._solver = None     # taught poses of another kind of arm: no retraction, only by home
+
+    def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
+        """Waypoints from a to b, both looking at the artefact of one station; None: no free way."""
+        ways = [[]]
+        back_a, back_b = list(self._retracted(a.q)), list(self._retracted(b.q))
+        ways += [[x, y] for x, y in zip(back_a, back_b, strict=False)]
+        ways += [[self.home]] + [[x, self.home, y] for x, y in zip(back_a, back_b, strict=False)]
+        return self._first_free(a.q, b.q, ways, a.station)
+
+    def leave(self, pose: PlannedPose) -> list[np.ndarray] | None:
+        """Waypoints from a pose to home, home included."""
+        ways = [[], *([x] for x in self._retracted(pose.q))]
+        way = self._first_free(pose.q, self.home, ways, pose.station)
+        return None if way is None else [*way, self.home]
+
+    def approach(self, pose: PlannedPose) -> list[np.ndarray] | None:
+        """Waypoints from home to a pose, home left out."""
+        ways = [[], *([x] for x in self._retracted(pose.q))]
+        return self._first_free(self.home, pose.q, ways, pose.station)
+
+    def blocked(self, start: np.ndarray, end: np.ndarray, station: str) -> Closest:
+        return self.clearance.on_way(start, end, station, self._needed) or self.clearance.at(end, station)
+
+    def _first_free(self, start: np.ndarray, end: np.ndarray, ways: list[list[np.ndarray]], station: str) -> list[np.ndarray] | None:
+        # A pose that itself is too close spoils every way to it: that is said once, by the check of the poses.
+        for way in ways:
+            stops = [start, *way, end]
+            if all(self.clearance.on_way(x, y, station, self._needed) is None for x, y in pairwise(stops)):
+                return way
+        return None
+
+    def _retracted(self, q: np.ndarray) -> Iterator[np.ndarray]:
+        if self._solver is None:
+            return
+        T = self._loaded.cell.robot.chain.flange(q[None])[0]
+        axis = T[:3, :3] @ self._loaded.cell.T_flange_scanner[:3, 2]
+        for step in RETRACTIONS_MM:
+            found = self._solver.solutions(se3.transform(T[:3, :3], T[:3, 3] + step * axis)[None])[0]
+            if len(found):
+                nearest = found[np.argmin(np.abs(found - q).max(axis=1))]
+                if np.abs(nearest - q).max() < FARTHEST:
+                    yield nearest

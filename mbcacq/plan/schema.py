@@ -22,6 +22,7 @@ class RobotUse(Strict):
     tolerance_deg: float = Field(default=0.01, gt=0)
     home_deg: tuple[float, ...]                             # where the run starts, ends, and the artefact is moved
     payload: PayloadSpec | None = None                      # scanner with bracket, in the flange frame; default: the robot file's
+    link_radius_mm: float | None = Field(default=None, gt=0)    # of the upper arm, for collisions; default: 7 % of the arm's reach
     base_to_gravity: Vector | None = None                   # for an arm on a wall or a ceiling; default: the robot file's
 
 
@@ -132,6 +133,7 @@ class Plan(Strict):
     stations: tuple[StationPlace, ...] = Field(min_length=1)
     exposures: int = Field(default=3, ge=1)
     obstacles: tuple[Obstacle, ...] = ()
+    clearance_mm: float = Field(default=10.0, ge=0)         # closer than this counts as a collision
     tripod_radius_mm: float = Field(default=40.0, ge=0)     # of the stand below each station, down to the lowest obstacle; 0: none
     steps: tuple[AnyStep, ...] = Field(min_length=1)
     accept: Acceptance = Acceptance()

@@ -1,0 +1,129 @@
+"""How far the arm stays from itself and from what stands around it, at a pose and on the way between two."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mbcacq.plan import LoadedPlan
+from mbcacq.plan.bodies import Body, arm_bodies, station_bodies, surrounding_bodies
+
+FINEST_MM = 4.0         # motions are divided until nothing moves further than this between two looks
+
+POSTURES = 100
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two bodies that must not touch. lever: (n,) mm by which a radian of each joint can at most move one against the other."""
+
+    a: Body
+    b: Body
+    distance: Any
+    lever: np.ndarray
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The least distance (mm, negative: overlap) and between what."""
+
+    distance: float
+    a: str
+    b: str
+
+
+class Clearance:
+    """Distances in one cell. Raises nothing; unknown surroundings are simply not there."""
+
+    def __init__(self, loaded: LoadedPlan) -> None:
+        self._loaded, self._chain = loaded, loaded.cell.robot.chain
+        self._pairs: dict[str | None, list[Pair]] = {}
+
+    def at(self, q: np.ndarray, station: str | None) -> Closest:
+        """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away)."""
+        frames = self._chain.frames(q[None])[0]
+        pairs = self.pairs(station)
+        distances = [_distance(p, frames) for p in pairs]
+        k = int(np.argmin(distances)) if distances else -1
+        return Closest(distances[k], pairs[k].a.name, pairs[k].b.name) if distances else Closest(np.inf, "", "")
+
+    def on_way(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
+        """The first too close approach (below ``needed`` mm) of the straight joint motion, or None if it is free all along.
+
+        Motions are halved until the distance at the middle exceeds what the halves can at most take away, so nothing slips through
+        between two looks, but for the last FINEST_MM.
+        """
+        travel = np.abs(end - start)
+        pairs = [(p, float(p.lever @ travel) / 2) for p in self.pairs(station)]
+        stack = [(0.0, 1.0, pairs)]
+        while stack:
+            low, high, suspects = stack.pop()
+            frames = self._chain.frames((start + (low + high) / 2 * (end - start))[None])[0]
+            share, close = high - low, []
+            for pair, sweep in suspects:
+                distance = _distance(pair, frames)
+                if distance < needed:
+                    return Closest(distance, pair.a.name, pair.b.name)
+                if distance - share * sweep < needed and share * sweep > FINEST_MM / 2:
+                    close.append((pair, sweep))
+            if close:
+                middle = (low + high) / 2
+                stack += [(middle, high, close), (low, middle, close)]
+        return None
+
+    def pairs(self, station: str | None) -> list[Pair]:
+        if station not in self._pairs:
+            if station is None:
+                around = surrounding_bodies(self._loaded)
+                self._pairs[None] = self._own_pairs() + [p for body in around for p in self._against(body)]
+            else:
+                standing = station_bodies(self._loaded, station)
+                self._pairs[station] = self.pairs(None) + [p for body in standing for p in self._against(body)]
+        return self._pairs[station]
+
+    @cached_property
+    def _arm(self) -> list[Body]:
+        return arm_bodies(self._loaded)
+
+    def _own_pairs(self) -> list[Pair]:
+        """All bodies of the arm against each other, but for neighbours: those that touch in every one of many random postures."""
+        robot = self._loaded.cell.robot
+        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (POSTURES, robot.n))
+        pairs = [self._pair(a, b) for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1)]
+        frames = robot.chain.frames(q)
+        return [p for p in pairs if any(_distance(p, f) > 0 for f in frames)]
+
+    def _against(self, body: Body) -> list[Pair]:
+        """What stands still, against all that moves; link 1 turns on the spot, where the arm is bolted down."""
+        return [self._pair(body, part) for part in self._arm if part.link >= 2]
+
+    def _pair(self, a: Body, b: Body) -> Pair:
+        import coal
+
+        return Pair(a, b, coal.ComputeDistance(a.shape, b.shape), self._lever(a.link, b))
+
+    def _lever(self, behind: int, body: Body) -> np.ndarray:
+        frames = self._chain.frames(np.zeros((1, self._chain.n)))[0]
+        steps = np.linalg.norm(np.diff(frames[:, :3, 3], axis=0), axis=1)
+        lever = np.zeros(self._chain.n)
+        for joint in range(behind, body.link):
+            lever[joint] = steps[joint:body.link].sum() + np.linalg.norm(body.pose[:3, 3]) + body.radius
+        return lever
+
+
+def _distance(pair: Pair, frames: np.ndarray) -> float:
+    import coal
+
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return pair.distance(_placed(pair.a, frames), _placed(pair.b, frames), request, result)
+
+
+def _placed(body: Body, frames: np.ndarray) -> Any:
+    import coal
+
+    T = frames[body.link] @ body.pose
+    return coal.Transform3s(T[:3, :3], T[:3, 3])
