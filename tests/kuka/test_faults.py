@@ -16,8 +16,8 @@ FAR = np.radians(HOME_DEG + [150.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def on_the_way(robot):
-    robot.move_to(FAR, motion_limits())
-    wait(lambda: np.degrees(robot.state().q[0]) > 10.0)
+    robot.move_to(FAR, motion_limits(speed=20.0))
+    wait(lambda: np.degrees(robot.state().q[0]) > 5.0)
 
 
 def stands(krc):
@@ -32,7 +32,6 @@ def stands(krc):
     ({"stop": 1}, DeviceTimeout, "no telegram for"),
     ({"delay_ms": 5}, DeviceFault, "as late or invalid"),
     ({"drop_answers": 1}, DeviceFault, "as late or invalid"),
-    ({"clamp_deg": 15}, SafetyStop, "A1 does not follow"),
     ({"ignore": 1}, SafetyStop, "A1 does not follow"),
     ({"malformed": 1}, ProtocolError, "malformed telegram"),
     ({"no_aipos": 1}, ProtocolError, "without AIPos"),
@@ -73,9 +72,19 @@ def test_quirks_are_no_faults(cell, quirk):
     np.testing.assert_allclose(arrive(robot).q, target, atol=2e-4)
 
 
+def test_a_clamped_correction_stops_the_arm(cell):
+    krc, robot = cell({"clamp_deg": 15.0})
+    robot.move_to(FAR, motion_limits())
+    error = until_error(robot)
+    assert type(error) is SafetyStop
+    assert "A1 does not follow" in str(error)
+    assert stands(krc)
+    assert np.degrees(krc.state.read().q[0]) == pytest.approx(15.0, abs=1e-5)
+
+
 def test_the_correction_monitor_of_the_controller_ends_the_run(cell):
     krc, robot = cell({"monitor_deg": 20.0})
-    on_the_way(robot)
+    robot.move_to(FAR, motion_limits())
     assert type(until_error(robot)) is DeviceTimeout
     assert krc.state.read().fault == "permissible overall correction exceeded"
     assert stands(krc)
@@ -83,10 +92,8 @@ def test_the_correction_monitor_of_the_controller_ends_the_run(cell):
 
 def test_a_controller_slower_than_the_plan_ends_the_run(cell):
     krc, robot = cell({"speed_deg_s": (30.0,) * 6})
-    on_the_way_error = None
     robot.move_to(FAR, motion_limits())
-    on_the_way_error = until_error(robot)
-    assert type(on_the_way_error) is DeviceTimeout
+    assert type(until_error(robot)) is DeviceTimeout
     assert krc.state.read().fault == "overspeed: command velocity"
 
 

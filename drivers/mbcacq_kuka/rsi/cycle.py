@@ -20,7 +20,7 @@ from mbcacq_kuka.rsi.session import Session
 from mbcacq_kuka.rsi.shared import Shared
 from mbcacq_kuka.rsi.telegram import MAX_DATAGRAM
 
-_POLL_S = 0.05
+_POLL_S = 0.02
 _PRIORITY = 50
 
 

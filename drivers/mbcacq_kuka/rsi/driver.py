@@ -28,6 +28,8 @@ from mbcacq.devices import (
     RobotState,
     SafetyStop,
 )
+from mbcacq_kuka.eki.client import EkiClient
+from mbcacq_kuka.eki.start import start_by_eki
 from mbcacq_kuka.rsi.options import read_options
 from mbcacq_kuka.rsi.record import Reader
 from mbcacq_kuka.rsi.shared import ARRIVED, CLOSE, MOVE, MOVING, STOP, Command, Shared
@@ -55,6 +57,7 @@ class KukaRsi:
         self._process: subprocess.Popen[str] | None = None
         self._shared: Shared | None = None
         self._reader: Reader | None = None
+        self._eki: EkiClient | None = None
         self._move_seq = 0
         self._error: MbcacqError | None = None
         self.port = self._options.port
@@ -82,6 +85,8 @@ class KukaRsi:
         atexit.register(self.close)
         try:
             self._start()
+            if self._options.eki:
+                self._eki = start_by_eki(self._name, self._model, self._options)
             self._await_session()
         except BaseException:
             self.close()
@@ -133,6 +138,9 @@ class KukaRsi:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.communicate()
+        eki, self._eki = self._eki, None
+        if eki is not None:
+            eki.close()
         with self._lock:
             shared, self._shared = self._shared, None
             if shared is not None:

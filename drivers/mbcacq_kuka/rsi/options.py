@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
@@ -23,6 +24,9 @@ class Options:
     limits_deg: (6, 2) joint limits. speed_deg_s: (6,) largest joint speeds. correction_limit_deg: largest correction of each axis
     the controller allows, one number or six, or None if the KRL program opens the full range (ours does).
 
+    eki: 'host' or 'host:port' of KUKA's EKI server program, to check the robot's model, switch the drives on and start RSI; '' if the
+    operator starts the RSI program by hand.
+
     connect_timeout_s: how long to wait for the controller. silence_s: without a telegram that long is a fault. late_limit: answers
     the controller may discard. follow_tolerance_deg, follow_cycles: the arm may leave the band of recent commands by so much for so
     long. check_set_point: refuse to start on a controller that already applies a correction.
@@ -37,6 +41,7 @@ class Options:
     correction: str = "AK"
     stop_element: str = "Stop"
     stop_at_close: bool = True
+    eki: str = ""
     speed_deg_s: tuple[float, ...] | None = None
     correction_limit_deg: tuple[float, ...] | None = None
     connect_timeout_s: float = 30.0
@@ -73,6 +78,8 @@ def read_options(name: str, given: Mapping[str, Any]) -> Options:
         raise ConfigError(f"robot '{name}': options sen_type, correction, stop_element: {error}") from error
     if options.cycle_ms not in (4, 12):
         raise ConfigError(f"robot '{name}': option cycle_ms must be 4 or 12, it is {options.cycle_ms!r}")
+    if not re.fullmatch(r"(?:[^:\s]+(?::\d{1,5})?)?", options.eki):
+        raise ConfigError(f"robot '{name}': option eki must be 'host' or 'host:port', it is {options.eki!r}")
     if not isinstance(options.port, int) or not 0 <= options.port < 65536:
         raise ConfigError(f"robot '{name}': option port must be between 0 and 65535, it is {options.port!r}")
     for key in ("speed_deg_s", "correction_limit_deg"):

@@ -70,6 +70,9 @@ class Session:
         ipoc = int(digits)
         if not self.connected:
             return self._learn(ipoc, digits, row, measured, now)
+        if ipoc == self._ipoc and self._repeats < self._late_limit:  # a doubled datagram: the same answer again
+            self._repeats += 1
+            return self._compose(digits)
         if not self._in_sequence(ipoc):
             return None
         return self._cycle(digits, row, measured, now, in_time)
@@ -80,7 +83,8 @@ class Session:
             self._fail("silence", f"the controller sent no telegram for {now - self.last_heard:.2f} s")
             self._muted = True
         self._poll_command(now)
-        if self._closing and (not self.connected or self._muted or now - max(self.last_heard, self._close_began) > 0.2):
+        quiet = now - max(self.last_heard, self._close_began)
+        if self._closing and (not self.connected or self._muted or quiet > (0.06 if self._stops else 0.3)):
             self.over = True
 
     def close(self, now: float) -> None:
@@ -148,7 +152,7 @@ class Session:
 
     def _begin(self, ipoc: int) -> None:
         limits = [tuple(pair) for pair in self._settings["limits_deg"]]
-        self._ipoc = ipoc
+        self._ipoc, self._repeats = ipoc, 0
         self._motion = Motion(self._reference, self.cycle_s, limits)
         self._follow = Follow(self._reference, self._settings["follow_tolerance_deg"], self._settings["follow_cycles"])
         self._shared.begin(self._parser.names)
@@ -161,7 +165,7 @@ class Session:
         if rest or not 0 < steps <= max(self._late_limit, 1):
             self._fail("protocol", f"IPOC went from {self._ipoc} to {ipoc}, expected steps of {self._step}; was the RSI program restarted?")
             return False
-        self._ipoc = ipoc
+        self._ipoc, self._repeats = ipoc, 0
         return True
 
     def _cycle(self, digits: bytes, row: list[float], measured: tuple[float, ...], now: float, in_time: bool) -> bytes | None:
@@ -181,8 +185,11 @@ class Session:
             self._judge_arrival(measured, time_s)
         flags = (0 if self._still >= _REST_CYCLES else MOVING) | (ARRIVED if self._arrived else 0) | (ANSWERED if in_time else 0)
         self._shared.append(now, time_s, flags, self._seq, position, row)
-        correction = tuple([p - r for p, r in zip(position, self._reference, strict=True)])
-        return self._composer.compose(correction, digits, self._closing and self._ending(now))
+        return self._compose(digits, self._closing and self._ending(now))
+
+    def _compose(self, digits: bytes, stop: bool = False) -> bytes:
+        correction = tuple([p - r for p, r in zip(self._motion.position, self._reference, strict=True)])
+        return self._composer.compose(correction, digits, stop)
 
     def _late(self, row: list[float]) -> bool:
         """True if the controller has rejected an answer since the last telegram."""

@@ -21,6 +21,7 @@ from mbcacq_fakes.krc.settings import COUNTED, KrcSettings
 from mbcacq_fakes.krc.wire import Answer, RobTemplate, SenReader
 
 _PATIENCE_S = (0.25, 0.01)  # lock-step: how long to wait for an answer, and for the ones after a missing one
+_STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = ((2.0, 0.004), (1.0, 0.001))  # lock-step: after standing still so long (robot s), sleep so long a cycle
 
 
@@ -110,7 +111,8 @@ class Controller:
             answer = self._reader.read(data)
             if answer is not None and answer.ipoc == wanted:
                 return answer, arrived - sent
-            if not self._settings.realtime and answer is not None and not answer.ipoc < wanted:
+            stale = answer is not None and 0 < ipoc - int(answer.ipoc) <= _STALE_MS
+            if not self._settings.realtime and not stale:
                 break
         return answer, float("nan")
 

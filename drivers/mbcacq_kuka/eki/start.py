@@ -1,0 +1,37 @@
+"""Make a controller ready for RSI over EKI: is it the right robot, are its drives on, does its RSI program run?"""
+
+from __future__ import annotations
+
+import re
+
+from mbcacq.devices import DeviceFault, IdentityError
+from mbcacq_kuka.eki.client import EkiClient
+from mbcacq_kuka.rsi.options import Options
+
+_PORT = 54600
+
+
+def start_by_eki(name: str, model: str, options: Options) -> EkiClient:
+    """The connected client; keep it open as long as RSI runs. Raises IdentityError, DeviceFault and what EkiClient raises."""
+    host, _, port = options.eki.partition(":")
+    client = EkiClient(host, int(port or _PORT))
+    try:
+        identity = client.connect()
+        if model and not same_model(model, identity.model):
+            raise IdentityError(f"robot '{name}': the controller at {options.eki} drives a '{identity.model}', the plan is for '{model}'")
+        status = client.poll()
+        if status is not None and status.emergency_stop:
+            raise DeviceFault(f"robot '{name}': the emergency stop is pressed; release and acknowledge it")
+        client.reset()
+        client.drives_on()
+        client.start(cycle_ms=options.cycle_ms)
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+def same_model(wanted: str, reported: str) -> bool:
+    """'KR 210 R2700-2' is '#KR210R2700_2 C4 FLR': only letters and digits count, the controller's text may go on."""
+    wanted, reported = (re.sub("^kuka", "", re.sub("[^a-z0-9]", "", text.lower())) for text in (wanted, reported))
+    return reported.startswith(wanted)
