@@ -1,0 +1,111 @@
+"""Certificates as measuring machines write them."""
+
+import numpy as np
+import pytest
+import yaml
+
+from mbcacq.cellfile import ArtefactSpec
+from mbcacq.errors import ConfigError
+from mbcacq.report.export.certificate import artefact_yaml, certificate_csv, read_certificate
+
+CSV = "label,x (mm),y (mm),z (mm),diameter,form,U (k=2),k,T\nKugel 1,-4.4902,24.8573,-10.4992,12.0003,0.0004,0.0021,2,20.1\nKugel 2,-37.3617,6.3120,-5.4404,11.9998,0.0003,0.0017,2,20.1\n"
+DMO = """$$ measured 2026-03-04
+UNITS/MM,ANGDEC
+F(SPH1)=FEAT/SPHERE,OUTER,CART,0.0,0.0,0.0,12.0
+FA(SPH1)=FEAT/SPHERE,OUTER,CART,-4.4902,24.8573,$
+-10.4992,12.0003
+TA(T1)=TOL/DIAM,0.001,INTOL
+FA(SPH2)=FEAT/SPHERE,OUTER,CART,-37.3617,6.3120,-5.4404,11.9998
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def put(name, text):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+    return put
+
+
+CENTRES = [[-4.4902, 24.8573, -10.4992], [-37.3617, 6.312, -5.4404]]
+
+
+def test_csv(write):
+    a = read_certificate(write("c.csv", CSV), "mbc", "MBC-8")
+    assert (a.id, a.name, a.ball_ids) == ("mbc", "MBC-8", (1, 2))
+    np.testing.assert_array_equal(a.centres, CENTRES)
+    np.testing.assert_array_equal(a.diameters, [12.0003, 11.9998])
+    assert a.uncertainty_mm == pytest.approx(0.00105)
+    assert a.reference_temperature_C == 20.1
+
+
+def test_csv_of_a_continental_spreadsheet(write):
+    a = read_certificate(write("c.csv", "Label;X;Y;Z;D\nA7;1,5;-2,25;3;12,0\nA9;0;0;0;12\n"), "mbc")
+    assert a.ball_ids == (7, 9)
+    np.testing.assert_array_equal(a.centres[0], [1.5, -2.25, 3])
+
+
+def test_yaml(write):
+    text = "certificate: DKD-1\ndate: 2026-03-04\nT: 20.5\nalpha: 11.5\nU: 0.002\nk: 2\nspheres:\n" \
+           "  - {label: S1, x: -4.4902, y: 24.8573, z: -10.4992, d: 12.0003}\n  - {label: S2, x: -37.3617, y: 6.312, z: -5.4404, d: 11.9998}\n"
+    a = read_certificate(write("c.yaml", text), "mbc")
+    np.testing.assert_array_equal(a.centres, CENTRES)
+    assert (a.uncertainty_mm, a.reference_temperature_C, a.expansion_ppm_per_K) == (0.001, 20.5, 11.5)
+
+
+def test_dmis_takes_the_measured_spheres(write):
+    a = read_certificate(write("c.dmo", DMO), "mbc")
+    assert a.ball_ids == (1, 2)
+    np.testing.assert_array_equal(a.centres, CENTRES)
+    np.testing.assert_array_equal(a.diameters, [12.0003, 11.9998])
+
+
+def test_dmis_in_inches(write):
+    a = read_certificate(write("c.dmo", "UNITS/INCH,ANGDEC\nFA(A)=FEAT/SPHERE,OUTER,CART,1,2,-3,0.5\n"), "mbc")
+    np.testing.assert_allclose(a.centres, [[25.4, 50.8, -76.2]])
+    np.testing.assert_allclose(a.diameters, [12.7])
+
+
+def test_the_artefact_file_reads_back_exactly(write):
+    a = read_certificate(write("c.csv", CSV), "mbc")
+    for text in (artefact_yaml(a),):
+        b = ArtefactSpec.model_validate(yaml.safe_load(text)).model()
+        np.testing.assert_array_equal(a.centres, b.centres)
+        np.testing.assert_array_equal(a.diameters, b.diameters)
+        assert (a.ball_ids, a.uncertainty_mm, a.reference_temperature_C) == (b.ball_ids, b.uncertainty_mm, b.reference_temperature_C)
+    again = read_certificate(write("ours.yaml", artefact_yaml(a)), "mbc")
+    np.testing.assert_array_equal(a.centres, again.centres)
+    assert again.uncertainty_mm == a.uncertainty_mm
+
+
+def test_csv_reads_back_exactly(write):
+    a = read_certificate(write("c.csv", CSV), "mbc")
+    b = read_certificate(write("d.csv", certificate_csv(a)), "mbc")
+    np.testing.assert_array_equal(a.centres, b.centres)
+    assert (a.ball_ids, a.uncertainty_mm) == (b.ball_ids, b.uncertainty_mm)
+
+
+@pytest.mark.parametrize(("name", "text", "message"), [
+    ("c.csv", "", "lists no sphere"),
+    ("c.csv", "label,x,y,z\n1,2,3,4\n", r"c\.csv:1: column 'd' is missing"),
+    ("c.csv", "label,x,y,z,d\n1,2,3,4\n", r"c\.csv:2: 4 cells under 5"),
+    ("c.csv", "label,x,y,z,d\n1,2,up,4,12\n", r"c\.csv:2: column 'y': 'up'"),
+    ("c.csv", "label,x,y,z,d\n1,2,nan,4,12\n", "not a finite number"),
+    ("c.csv", "label,x,y,z,d\n1,2,3,4,12\n1,2,3,9,12\n", "listed twice"),
+    ("c.csv", "label,x,y,z,d\n1,2,3,4,-12\n", "not positive"),
+    ("c.yaml", "a: [", "is not YAML"),
+    ("c.yaml", "a: 1", "no list"),
+    ("c.yaml", "balls:\n - {label: 1, x: 1, y: 2, z: 3}\n", "sphere 1 has no 'd'"),
+    ("c.dmo", "FA(A)=FEAT/SPHERE,OUTER,POL,1,2,3,4\n", r"c\.dmo:1"),
+    ("c.dmo", "\nFA(A)=FEAT/SPHERE,OUTER,CART,1,2,x,4\n", r"c\.dmo:2"),
+    ("c.pdf", "x", "must be .csv"),
+])
+def test_faults_name_file_and_line(write, name, text, message):
+    with pytest.raises(ConfigError, match=message):
+        read_certificate(write(name, text), "mbc")
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.csv"):
+        read_certificate(tmp_path / "none.csv", "mbc")
