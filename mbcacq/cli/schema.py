@@ -1,0 +1,23 @@
+"""``mbcacq schema``: the JSON Schema of a plan, for editors that complete and check YAML."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+
+@click.command("schema")
+@click.argument("kind", type=click.Choice(["plan", "robot", "artefact"]), default="plan")
+def command(kind: str) -> None:
+    """Print the JSON Schema of a plan, a robot or an artefact file.
+
+    In VS Code (YAML extension): write it to plan.schema.json and put
+    `# yaml-language-server: $schema=plan.schema.json` on the first line of the plan.
+    """
+    from mbcacq.cellfile import ArtefactSpec, RobotSpec
+    from mbcacq.plan.schema import Plan
+
+    model = {"plan": Plan, "robot": RobotSpec, "artefact": ArtefactSpec}[kind]
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
+    click.echo(json.dumps(schema, indent=1))

@@ -1,0 +1,54 @@
+"""What a check has to say about a plan."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+Level = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """level: 'error' keeps the plan from being run. code: stable name for programs. place: 'file:line'. poses: numbers concerned."""
+
+    level: Level
+    code: str
+    step: str
+    place: str
+    sentence: str
+    poses: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.sentence}"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {**asdict(self), "poses": list(self.poses)}
+
+
+def finding(loaded: LoadedPlan, pose: PlannedPose, level: Level, code: str, sentence: str) -> Finding:
+    """About one pose, named by its step and station."""
+    where = f"step '{pose.step_name}' at station '{pose.station}': "
+    return Finding(level, code, pose.step_name, f"{loaded.path}:{pose.line}", where + sentence, (pose.number,))
+
+
+def merged(findings: list[Finding]) -> list[Finding]:
+    """Findings of one kind about one step as one: the first one's sentence, all poses; worst level first, then in the plan's order."""
+    first: dict[tuple[str, str, str], Finding] = {}
+    for finding in findings:
+        key = (finding.level, finding.code, finding.step)
+        known = first.get(key)
+        first[key] = finding if known is None else Finding(
+            known.level, known.code, known.step, known.place, known.sentence, known.poses + finding.poses)
+    order = {"error": 0, "warning": 1, "info": 2}
+    return sorted((_with_count(f) for f in first.values()), key=lambda f: order[f.level])
+
+
+def _with_count(finding: Finding) -> Finding:
+    more = len(finding.poses) - 1
+    if more < 1:
+        return finding
+    sentence = f"{finding.sentence} (and {more} more pose{'s' if more > 1 else ''} of this step)"
+    return Finding(finding.level, finding.code, finding.step, finding.place, sentence, finding.poses)

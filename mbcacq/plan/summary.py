@@ -1,0 +1,56 @@
+"""A plan as one plain dictionary: what ``plan show --json`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.duration import duration, motion_time
+from mbcacq.plan.path import find_paths
+
+
+def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> dict[str, Any]:
+    """Steps, poses (joint angles in deg, start of each in s) and duration; format mbcacq-plan-summary/1."""
+    transits, _ = find_paths(loaded, poses)
+    total = duration(loaded, poses, transits)
+    starts = _starts(loaded, poses, transits)
+    return {
+        "format": "mbcacq-plan-summary/1",
+        "name": loaded.plan.name,
+        "robot": loaded.cell.robot.name,
+        "scanner": loaded.cell.scanner_name,
+        "steps": [_step(loaded, index, poses) for index in range(len(loaded.plan.steps))],
+        "poses": [
+            {"pose": p.number, "step": p.step_name, "phase": p.phase, "station": p.station, "artefact": p.artefact,
+             "balls": list(p.balls), "q_deg": np.degrees(p.q).round(4).tolist(), "exposures": p.exposures, "line": p.line,
+             "waypoints": len(t), "start_s": round(s, 2)}
+            for p, t, s in zip(poses, transits, starts, strict=True)
+        ],
+        "duration": {"total_s": total.total_s, "motion_s": total.motion_s, "settle_s": total.settle_s, "exposure_s": total.exposure_s,
+                     "station_changes": total.station_changes},
+    }
+
+
+def _step(loaded: LoadedPlan, index: int, poses: Sequence[PlannedPose]) -> dict[str, Any]:
+    step, own = loaded.plan.steps[index], [p for p in poses if p.step == index]
+    return {"name": step.name, "phase": step.phase, "stations": list(dict.fromkeys(p.station for p in own)), "poses": len(own),
+            "exposures": sum(p.exposures for p in own)}
+
+
+def _starts(loaded: LoadedPlan, poses, transits) -> list[float]:
+    """s from the start of the run to the beginning of each pose's first motion, without the operator's time."""
+    from mbcacq.acquisition.motion import motion_limits
+
+    limits, use = motion_limits(loaded), loaded.plan.robot
+    clock, out, last = 0.0, [], np.radians(use.home_deg)
+    for pose, transit in zip(poses, transits, strict=True):
+        out.append(clock)
+        stops = [last, *transit, pose.q]
+        clock += sum(motion_time(a, b, limits) + use.settle_s for a, b in pairwise(stops))
+        clock += pose.exposures * loaded.plan.scanner.scan_time_s
+        last = pose.q
+    return out
