@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.diagnosis.trajectory.left import structure
 from mbcacq.diagnosis.trajectory.runs import channels, prepare
-from mbcacq.diagnosis.trajectory.select import Explained
+from mbcacq.diagnosis.trajectory.select import Explained, with_load
 from mbcacq.diagnosis.trajectory.shared import Shared, explain_group
 from mbcacq.errors import ConfigError
 
@@ -27,10 +27,12 @@ def diagnose_trajectories(trajectories: list) -> dict:
         raise ConfigError("nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm or motor_tau*_Nm beside q*_deg")
     explained: list[Explained] = []
     shared: list[Shared] = []
-    for name in dict.fromkeys(c.name for c in every):
+    for name in ("tau", "q_joint", "q_set"):  # torque first: the load it tells winds up the gears
         common, each = explain_group([c for c in every if c.name == name], runs)
         explained += each
         shared += [common] if common else []
+        if name == "tau" and each:
+            runs = with_load(runs, each)
     return _result(explained, shared, runs)
 
 

@@ -58,7 +58,8 @@ def prepare(trajectory) -> tuple[Run, list[np.ndarray]]:
         rigid = np.einsum("tjlk,lk->tj", columns, parameters)
         gravity = np.einsum("tjlk,lk->tj", still, parameters)
         inertial = _inertial_columns(robot, columns, qdd)
-    run = Run(step, q, qd, qdd, resample(trajectory.q_set), resample(trajectory.q_joint), torque, rigid, gravity, robot.gear_ratio)
+    run = Run(step, q, qd, qdd, q_set=resample(trajectory.q_set), q_joint=resample(trajectory.q_joint), torque=torque,
+              rigid=rigid, gravity=gravity, gear_ratio=robot.gear_ratio)
     return run, inertial
 
 

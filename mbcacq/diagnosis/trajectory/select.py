@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import savgol_filter
 from scipy.stats import f as f_distribution
 from scipy.stats import t as t_distribution
 
@@ -18,6 +19,8 @@ LEAST_GAIN = 0.02      # share of the held-out excess over the noise
 SIGNIFICANCE = 1e-3    # after correction for the number of candidates
 MOST_EFFECTS = 6
 PARTS = 4              # blocks of a single recording
+NEAR = 0.03            # of the best candidate's gain: closer is as good
+LOAD_WINDOW_S = 0.1
 BLOCK_S = 0.5          # pieces of held-out data taken as independent witnesses of an improvement
 
 
@@ -31,7 +34,8 @@ class Taken:
 
 @dataclass(frozen=True)
 class Explained:
-    """What a channel was found to hold. before, after: mismatch left (T,) per run by the base alone and with the effects."""
+    """What a channel was found to hold. before, after: mismatch left (T,) per run by the base alone and with the effects;
+    contributions: per effect and run, what it adds to the channel (T,)."""
 
     channel: Channel
     taken: tuple[Taken, ...]
@@ -41,6 +45,7 @@ class Explained:
     held_out_before: float
     held_out_after: float
     split: str
+    contributions: tuple[tuple[np.ndarray, ...], ...]
 
 
 def all_candidates(channel: Channel, runs: tuple[Run, ...]) -> list[Candidate]:
@@ -88,7 +93,10 @@ def explain(channel: Channel, runs: tuple[Run, ...], candidates: list[Candidate]
         good = [t for t in trials if (best - t[0].mean()) / max(best, 1e-300) >= LEAST_GAIN]
         if not good:
             break
-        after, p, candidate, hyper = min(good, key=lambda t: t[0].mean())
+        # Of those that predict about as well, the one with the fewest coefficients: it claims least.
+        least = min(t[0].mean() for t in good)
+        near = [t for t in good if t[0].mean() <= least + NEAR * (best - least)]
+        after, p, candidate, hyper = min(near, key=lambda t: (t[2].columns(runs[0], channel.joint, t[3]).shape[1], t[0].mean()))
         taken.append(Taken(candidate, hyper, p, float((best - after.mean()) / max(start, 1e-300))))
         best_blocks = after
         if not candidate.several:
@@ -192,12 +200,27 @@ def _conclude(channel: Channel, runs, taken: list[Taken], start: float, best: fl
     before = tuple(channel.mismatch[k] - _columns(channel, r, k, []) @ x0 for k, r in enumerate(runs))
     after = tuple(channel.mismatch[k] - _columns(channel, r, k, chosen) @ x1 for k, r in enumerate(runs))
     covariance = _clustered_covariance(channel, runs, chosen, after)
-    parameters, at = [], 0
+    parameters, contributions, at = [], [], 0
     for t in taken:
         own = slice(at, at + t.candidate.columns(runs[0], channel.joint, t.hyper).shape[1])
+        contributions.append(tuple(t.candidate.columns(run, channel.joint, t.hyper) @ x1[own] for run in runs))
         parameters.append(t.candidate.report(x1[own], covariance[own, own], t.hyper))
         at = own.stop
-    return Explained(channel, tuple(taken), tuple(parameters), before, after, start, best, folds(runs)[1])
+    return Explained(channel, tuple(taken), tuple(parameters), before, after, start, best, folds(runs)[1], tuple(contributions))
+
+
+def with_load(runs: tuple[Run, ...], torque: list[Explained]) -> tuple[Run, ...]:
+    """The runs with the torque that passes the gears: what the drives gave, less the friction found."""
+    out = []
+    for k, run in enumerate(runs):
+        load = run.torque.copy()
+        for e in torque:
+            for t, added in zip(e.taken, e.contributions, strict=True):
+                if t.candidate.name == "friction":
+                    load[:, e.channel.joint] -= added[k]
+        window = min(max(2 * int(LOAD_WINDOW_S / run.step_s / 2) + 1, 5), len(load) // 4 * 2 - 1)
+        out.append(replace(run, load=savgol_filter(load, window, 2, axis=0)))  # noise of a covariate would shrink its coefficient
+    return tuple(out)
 
 
 def _clustered_covariance(channel: Channel, runs, chosen, left: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -27,6 +27,8 @@ class Shared:
 
 def explain_group(channels: list[Channel], runs: tuple[Run, ...]) -> tuple[Shared | None, list[Explained]]:
     """Explain the channels of one kind together: a common cause first, each joint's own effects given it, both refined in turn."""
+    if not channels:
+        return None, []
     found = {c.joint: all_candidates(c, runs) for c in channels}
     common = [next((c for c in found[ch.joint] if c.shared), None) for ch in channels]
     own = {joint: [c for c in pool if not c.shared] for joint, pool in found.items()}
@@ -46,11 +48,10 @@ def explain_group(channels: list[Channel], runs: tuple[Run, ...]) -> tuple[Share
         shared = refined
         if settled:
             break
-    # One cause for all joints must do better than each joint's own names, and needs fewer of them.
-    better = sum(e.held_out_after / e.held_out_before for e in together) - sum(
-        e.held_out_after / s.held_out_before for e, s in zip(separate, separate, strict=True))
-    fewer = sum(len(e.taken) for e in together) <= sum(len(e.taken) for e in separate)
-    if not fewer and better > 0:
+    # One cause for all joints must predict as well as each joint's own names, or need clearly fewer of them.
+    left = [sum(e.held_out_after / s.held_out_before for e, s in zip(way, separate, strict=True)) for way in (together, separate)]
+    names = [sum(len(e.taken) for e in way) for way in (together, separate)]
+    if left[0] > left[1] and not (names[0] < names[1] and left[0] < 1.2 * left[1]):
         return None, separate
     together = [replace(e, before=s.before, held_out_before=s.held_out_before) for e, s in zip(together, separate, strict=True)]
     before = sum(s.held_out_before for s in separate)

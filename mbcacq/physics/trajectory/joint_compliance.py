@@ -1,27 +1,19 @@
-"""The gearbox winds up under torque: the joint side lags the motor side by compliance times torque.
+"""The gearbox winds up under load: the joint side lags the motor side by compliance times the torque that passes the gear.
 
-The drive's torque contains the friction in front of the gear, which winds nothing up: a second term takes it out again.
+Friction in front of the gear winds nothing up, so the load is the drive's torque without the friction found in its own channel.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
-from mbcacq.physics.trajectory.effect import Candidate, Channel, Run, sense, value
+from mbcacq.physics.trajectory.effect import Candidate, Channel, Run, value
 
 NAME = "joint_compliance"
 
 
 def candidates(channel: Channel, runs: tuple[Run, ...]) -> list[Candidate]:
-    if channel.name != "q_joint" or runs[0].torque is None:
+    if channel.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    about = (NAME, (channel.axis,), f"tau{channel.joint + 1}")
-    name = f"{channel.axis}.compliance_rad_per_Nm"
-    return [
-        Candidate(*about, lambda run, joint, _: -run.torque[:, [joint]], lambda c, v, _: value(name, c[0], v[0, 0]), positive=True),
-        Candidate(*about, _behind_friction, lambda c, v, _: value(name, c[0], v[0, 0]), positive=True),
-    ]
-
-
-def _behind_friction(run: Run, joint: int, _: float | None) -> np.ndarray:
-    return np.stack([-run.torque[:, joint], sense(run, joint), run.qd[:, joint]], axis=1)
+    return [Candidate(
+        NAME, (channel.axis,), f"tau{channel.joint + 1}", lambda run, joint, _: -run.load[:, [joint]],
+        lambda c, v, _: value(f"{channel.axis}.compliance_rad_per_Nm", c[0], v[0, 0]), positive=True,
+    )]

@@ -1,0 +1,125 @@
+"""Trajectories with a known truth, made without the code under test: what is hidden is named, what is not there is not."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mbcacq.cell import RobotModel
+from mbcacq.diagnosis.trajectory import diagnose_trajectories
+from mbcacq.errors import ConfigError
+from mbcacq.geometry.chain import Chain
+
+CHAIN = Chain(np.array([1.0, 1.0]), np.zeros(2), np.array([300.0, 0]), np.array([0.0, 700]), np.radians([-90.0, 0]), np.zeros(2))
+ARM = RobotModel("two axes", CHAIN, np.radians([[-170.0, 170]] * 2), np.array([10.0, 20]), np.array([[0.0, 0, 0], [-300, 0, 0]]),
+                 gear_ratio=np.array([100.0, 120.0]))
+STEP = 0.004
+
+
+def motion(seed, seconds=12.0):
+    """Sums of sines: angle, rate, acceleration (T, 2) without numerical differentiation."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, seconds, STEP)
+    rate, phase = rng.uniform(0.4, 3.0, (4, 2)), rng.uniform(0, 6.28, (4, 2))
+    size = rng.uniform(0.1, 0.3, (4, 2)) / rate
+    angle = rate * t[:, None, None] + phase
+    return t, (size * np.sin(angle)).sum(1), (size * rate * np.cos(angle)).sum(1), -(size * rate**2 * np.sin(angle)).sum(1), (size, rate, phase)
+
+
+def at(shape, t):
+    size, rate, phase = shape
+    return (size * np.sin(rate * np.asarray(t)[..., None, None] + phase)).sum(-2)
+
+
+def torque(q, qd, qdd):
+    """Drives of a vertical pendulum on a turntable, by Lagrange, point mass 20 kg at 0.4 m from axis 2. A2 > 0 lowers the arm."""
+    m, r, g = 20.0, 0.4, 9.80665
+    c, s = np.cos(q[:, 1]), np.sin(q[:, 1])
+    first = m * r**2 * (c**2 * qdd[:, 0] - 2 * c * s * qd[:, 0] * qd[:, 1])
+    second = m * r**2 * (qdd[:, 1] + c * s * qd[:, 0] ** 2) - m * g * r * c
+    return np.stack([first, second], axis=1)
+
+
+def recording(seed, *, latency=0.0, compliance=0.0, coulomb=0.0, viscous=0.0, wave=0.0, play=0.0, noise=True):
+    rng = np.random.default_rng(1000 + seed)
+    t, q, qd, qdd, shape = motion(seed)
+    tau = torque(q, qd, qdd)
+    late = at(shape, t - latency)
+    joint = late - compliance * tau + wave * np.sin(20.0 * late + 0.5) - 0.5 * play * np.sign(qd)
+    drive = tau + coulomb * np.sign(qd) + viscous * qd
+    noise = 1.0 if noise else 0.0
+    return SimpleNamespace(
+        time_s=t, q=q, q_set=None, q_joint=joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001, torque=drive + noise * rng.normal(0, 0.3, q.shape),
+        motor_torque=None, robot=ARM)
+
+
+def named(result):
+    return {(e["name"], *e["where"]) for e in result["effects"]}
+
+
+def value(result, name, key):
+    return next(e for e in result["effects"] if e["name"] == name and key in e["parameters"])["parameters"][key]
+
+
+def test_the_pendulum_of_this_test_agrees_with_the_rigid_body_model():
+    """Two independent derivations of the same torque: nothing is left but the noise put in."""
+    result = diagnose_trajectories([recording(1), recording(2)])
+    for fit in result["fit"]["channels"]:
+        if fit["channel"] == "tau":
+            assert fit["held_out"]["before_rms"] == pytest.approx(0.3, rel=0.15)
+
+
+def test_nothing_hidden_nothing_claimed():
+    result = diagnose_trajectories([recording(1), recording(2)])
+    assert result["verdict"] == "none"
+    assert named(result) == set()
+
+
+def test_latency_of_the_joint_encoder():
+    result = diagnose_trajectories([recording(1, latency=0.003), recording(2, latency=0.003)])
+    found = value(result, "channel_latency", "latency_s")
+    assert abs(found["value"] - 0.003) < max(3 * found["std"], 2e-5)
+    assert ("channel_latency", "q_joint") in named(result)
+
+
+def test_wind_up_is_told_from_friction_and_latency():
+    runs = [recording(k, latency=0.002, compliance=2e-5, coulomb=8.0, viscous=15.0) for k in (1, 2)]
+    result = diagnose_trajectories(runs)
+    assert {("channel_latency", "q_joint"), ("joint_compliance", "A2"), ("friction", "A1"), ("friction", "A2")} <= named(result)
+    wound = value(result, "joint_compliance", "A2.compliance_rad_per_Nm")
+    assert abs(wound["value"] - 2e-5) < max(3 * wound["std"], 4e-7)
+    for axis in ("A1", "A2"):
+        rub = value(result, "friction", f"{axis}.viscous_Nms_per_rad")
+        assert abs(rub["value"] - 15.0) < max(3 * rub["std"], 1.0)
+
+
+def test_transmission_error_with_its_order():
+    result = diagnose_trajectories([recording(k, wave=3e-5) for k in (1, 2)])
+    assert {("gear_transmission_error", "A1"), ("gear_transmission_error", "A2")} <= named(result)
+    assert value(result, "gear_transmission_error", "A2.order")["value"] == pytest.approx(20.0, abs=0.3)
+    assert value(result, "gear_transmission_error", "A2.amplitude_deg")["value"] == pytest.approx(np.degrees(3e-5), rel=0.1)
+
+
+def test_play():
+    result = diagnose_trajectories([recording(k, play=1e-4) for k in (1, 2)])
+    assert {("backlash", "A1"), ("backlash", "A2")} <= named(result)
+    assert value(result, "backlash", "A1.width_deg")["value"] == pytest.approx(np.degrees(1e-4), rel=0.1)
+
+
+def test_uneven_clock_and_missing_channels():
+    run = recording(3, latency=0.003)
+    keep = np.random.default_rng(0).uniform(size=len(run.time_s)) > 0.05
+    thin = SimpleNamespace(time_s=run.time_s[keep], q=run.q[keep], q_set=None, q_joint=run.q_joint[keep], torque=None, motor_torque=None, robot=ARM)
+    result = diagnose_trajectories([thin])
+    assert ("channel_latency", "q_joint") in named(result)
+    assert result["fit"]["held_out"]["split"] == "time block"
+
+
+def test_what_cannot_be_compared_is_refused():
+    run = recording(1)
+    alone = SimpleNamespace(time_s=run.time_s, q=run.q, q_set=None, q_joint=None, torque=None, motor_torque=None, robot=ARM)
+    with pytest.raises(ConfigError, match="nothing to compare"):
+        diagnose_trajectories([alone])
+    back = SimpleNamespace(**{**vars(run), "time_s": run.time_s[::-1]})
+    with pytest.raises(ConfigError, match="does not rise"):
+        diagnose_trajectories([back])
