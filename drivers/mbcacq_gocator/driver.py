@@ -165,15 +165,13 @@ class Gocator:
                              f"port {self.options.data_port} is not blocked")
 
     def _scan(self, session: Session, data: DataSet) -> Scan:
-        surface = data.surface
-        assert surface is not None
+        assert data.surface is not None
         assert session.configuration is not None
-        points, pixel = surface_points(surface)
-        shape = surface.array.shape[:2]
+        surface = surface_points(data.surface)
         grey = data.arrays.get(SURFACE_INTENSITY)
         return Scan(
-            points=points, pixel=pixel, shape=shape,
-            intensity=None if grey is None else intensity_of(grey, shape, pixel),
+            points=surface.points, pixel=surface.pixel, shape=surface.valid.shape,
+            intensity=None if grey is None else intensity_of(grey, surface),
             time_s=data.stamp.time_s if data.stamp else 0.0, frame=data.stamp.frame if data.stamp else 0,
             exposure_us=session.configuration.exposure_us, measurements=data.measurements, health=session.health.values(),
         )

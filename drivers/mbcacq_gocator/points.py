@@ -1,11 +1,13 @@
 """Raw 16-bit surfaces to points in mm, near memory speed.
 
 The result is float32: within 0.3 m of the origin all its roundings together stay below 0.03 um, a fiftieth of the
-sensor's own step. Scales and offsets are formed in float64 and rounded once. Blocks fit the second-level cache, so the three passes over a block cost
-one trip to memory.
+sensor's own step. Scales and offsets are formed in float64 and rounded once. Blocks fit the second-level cache, so the
+three passes over a block cost one trip to memory.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,26 +19,36 @@ _BLOCK = 3 * 16384
 _ROW = np.dtype("V6")    # x, y, z of one pixel: selected as one item, runs of valid pixels are moved whole
 
 
-def surface_points(message: ArrayMessage) -> tuple[np.ndarray, np.ndarray]:
-    """Valid points (N, 3) float32 mm, and their pixel (N,) int32 = row * width + column. A pixel is valid if its z is."""
+@dataclass(frozen=True)
+class Surface:
+    """points: (N, 3) float32 mm. pixel: (N,) int32 = row * width + column of each. valid: (L, W) bool, True where a point is."""
+
+    points: np.ndarray
+    pixel: np.ndarray
+    valid: np.ndarray
+
+
+def surface_points(message: ArrayMessage) -> Surface:
+    """The valid points of a surface, copied. A pixel is valid if its z is. Raises ProtocolError."""
     if message.type not in (SURFACE_POINTS, UNIFORM_SURFACE):
         raise ProtocolError(f"a message of type {message.type} is no surface")
     scale, offset = _scales(message)
     raw = message.array
     heights = raw[..., 2] if message.type == SURFACE_POINTS else raw
-    valid = (heights != INVALID).ravel()
-    pixel = np.flatnonzero(valid).astype(np.int32)
+    valid = heights != INVALID
+    flat = valid.reshape(-1)
+    pixel = np.flatnonzero(flat).astype(np.int32)
     if message.type == SURFACE_POINTS:
-        rows = raw.reshape(-1) if len(pixel) == valid.size else raw.reshape(-1).view(_ROW)[valid].view(raw.dtype)
-        return _to_mm(rows, scale, offset), pixel
-    return _uniform(raw.reshape(-1)[valid], raw.shape, pixel, scale, offset), pixel
+        rows = raw.reshape(-1) if len(pixel) == flat.size else raw.reshape(-1).view(_ROW)[flat].view(raw.dtype)
+        return Surface(_to_mm(rows, scale, offset), pixel, valid)
+    return Surface(_uniform(raw, valid, scale, offset), pixel, valid)
 
 
-def intensity_of(message: ArrayMessage, shape: tuple[int, int], pixel: np.ndarray) -> np.ndarray:
-    """(N,) uint8 at the given pixels, copied. The intensity image has the surface's own shape."""
-    if message.array.shape != shape:
-        raise ProtocolError(f"the intensity image is {message.array.shape} but the surface {shape}")
-    return message.array.reshape(-1)[pixel]
+def intensity_of(message: ArrayMessage, surface: Surface) -> np.ndarray:
+    """(N,) uint8 of every point, copied. The intensity image must have the surface's own shape, else ProtocolError."""
+    if message.array.shape != surface.valid.shape:
+        raise ProtocolError(f"the intensity image is {message.array.shape} but the surface {surface.valid.shape}")
+    return message.array.reshape(-1)[surface.valid.reshape(-1)]
 
 
 def _scales(message: ArrayMessage) -> tuple[np.ndarray, np.ndarray]:
@@ -61,16 +73,14 @@ def _to_mm(raw: np.ndarray, scale: np.ndarray, offset: np.ndarray) -> np.ndarray
     return points.reshape(-1, 3)
 
 
-def _uniform(z: np.ndarray, shape: tuple[int, int], pixel: np.ndarray, scale: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """x and y come from the grid: one value a column and a row, looked up by pixel."""
-    length, width = shape
+def _uniform(raw: np.ndarray, valid: np.ndarray, scale: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """x and y come from the grid, one value a column and a row; raw and valid are (L, W)."""
+    x, y = ((offset[axis] + np.arange(n) * scale[axis]).astype(np.float32) for axis, n in enumerate(raw.shape[::-1]))
+    z = raw.reshape(-1)[valid.reshape(-1)].astype(np.float32)
+    z *= np.float32(scale[2])
+    z += np.float32(offset[2])
     points = np.empty((len(z), 3), np.float32)
-    if not len(z):
-        return points
-    row, column = np.divmod(pixel, np.int32(width))
-    points[:, 0] = (offset[0] + np.arange(width) * scale[0]).astype(np.float32)[column]
-    points[:, 1] = (offset[1] + np.arange(length) * scale[1]).astype(np.float32)[row]
+    points[:, 0] = np.broadcast_to(x, raw.shape)[valid]
+    points[:, 1] = np.repeat(y, np.count_nonzero(valid, axis=1))
     points[:, 2] = z
-    points[:, 2] *= np.float32(scale[2])
-    points[:, 2] += np.float32(offset[2])
     return points

@@ -36,8 +36,8 @@ def read(message: bytes) -> None:
     try:
         decoded, _ = decode(message)
         if isinstance(decoded, ArrayMessage):
-            points, pixel = surface_points(decoded)
-            assert len(points) == len(pixel) <= decoded.array.size
+            surface = surface_points(decoded)
+            assert len(surface.points) == len(surface.pixel) == surface.valid.sum()
     except ProtocolError:
         pass
 
@@ -78,6 +78,6 @@ def test_valid_points_are_exactly_those_with_a_height(length, width, seed):
     raw = np.random.default_rng(seed).choice(np.array([-32768, -1, 0, 32767], "<i2"), (length, width, 3))
     attributes = struct.pack("<II3I3iBIBii", length, width, 1000, 1000, 1000, 0, 0, 0, 0, 0, 0, 6, 0)
     body = struct.pack("<H", len(attributes)) + attributes + raw.tobytes()
-    points, pixel = surface_points(decode(struct.pack("<IH", 6 + len(body), 28) + body)[0])
-    assert pixel.tolist() == [i for i, z in enumerate(raw[..., 2].ravel().tolist()) if z != -32768]
-    np.testing.assert_allclose(points, raw.reshape(-1, 3)[pixel] / 1000, rtol=0, atol=4e-6)
+    surface = surface_points(decode(struct.pack("<IH", 6 + len(body), 28) + body)[0])
+    assert surface.pixel.tolist() == [i for i, z in enumerate(raw[..., 2].ravel().tolist()) if z != -32768]
+    np.testing.assert_allclose(surface.points, raw.reshape(-1, 3)[surface.pixel] / 1000, rtol=0, atol=4e-6)

@@ -26,12 +26,17 @@ def height_map(raw: np.ndarray) -> bytes:
     return struct.pack("<IH", 6 + len(body), 8) + body
 
 
+def unpacked(message):
+    surface = surface_points(message)
+    return surface.points, surface.pixel, surface.valid
+
+
 def test_known_millimetres():
     frame = bytes.fromhex(
         "56 00 00 00 1c 80 36 00 02 00 00 00 02 00 00 00 20 4e 00 00 20 4e 00 00 d0 07 00 00 78 ec ff ff"
         "e8 03 00 00 90 d0 03 00 00 dc 05 00 00 00 06 00 00 00 00 00 00 00 01 00 00 00 00 00 00 00 ce ff"
         "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03")
-    points, pixel = surface_points(decode(frame)[0])
+    points, pixel, _ = unpacked(decode(frame)[0])
     assert points.dtype == np.float32
     np.testing.assert_allclose(points, [[-6, 0, 250], [-6, 1, 251.682], [-5, 1, 251.682]], rtol=0, atol=2e-5)
     assert pixel.tolist() == [0, 2, 3]
@@ -39,7 +44,7 @@ def test_known_millimetres():
 
 def test_minus_one_is_a_height_and_minus_32768_is_none():
     raw = np.array([[[5, 5, -1], [5, 5, -32768], [-32768, -1, -32767]]])
-    points, pixel = surface_points(decode(cloud(raw))[0])
+    points, pixel, _ = unpacked(decode(cloud(raw))[0])
     assert pixel.tolist() == [0, 2]
     np.testing.assert_allclose(points[:, 2], [250.001 - 0.001713, 250.001 - 32767 * 0.001713], rtol=0, atol=2e-5)
 
@@ -51,10 +56,10 @@ def test_every_point_of_a_frame_within_0_3_m_is_exact_to_0_03_um(kind):
     raw[rng.random((257, 311)) < 0.3, 2] = -32768
     scale, offset = np.array(RESOLUTION) / 1e6, np.array(OFFSET) / 1e3
     if kind == "cloud":
-        points, pixel = surface_points(decode(cloud(raw))[0])
+        points, pixel, _ = unpacked(decode(cloud(raw))[0])
         exact = (raw * scale + offset).reshape(-1, 3)
     else:
-        points, pixel = surface_points(decode(height_map(raw[..., 2]))[0])
+        points, pixel, _ = unpacked(decode(height_map(raw[..., 2]))[0])
         row, column = np.mgrid[:257, :311]
         exact = (np.stack([column, row, raw[..., 2]], axis=2) * scale + offset).reshape(-1, 3)
     assert pixel.tolist() == np.flatnonzero(raw[..., 2].ravel() != -32768).tolist()
@@ -63,16 +68,16 @@ def test_every_point_of_a_frame_within_0_3_m_is_exact_to_0_03_um(kind):
 
 def test_all_valid_and_none_valid():
     raw = np.arange(4 * 5 * 3).reshape(4, 5, 3)
-    assert len(surface_points(decode(cloud(raw))[0])[0]) == 20
-    points, pixel = surface_points(decode(cloud(np.full((4, 5, 3), -32768)))[0])
+    assert len(surface_points(decode(cloud(raw))[0]).points) == 20
+    points, pixel, _ = unpacked(decode(cloud(np.full((4, 5, 3), -32768)))[0])
     assert points.shape == (0, 3)
     assert pixel.shape == (0,)
-    assert surface_points(decode(height_map(np.full((4, 5), -32768)))[0])[0].shape == (0, 3)
+    assert surface_points(decode(height_map(np.full((4, 5), -32768)))[0]).points.shape == (0, 3)
 
 
 def test_result_outlives_the_receive_buffer():
     received = bytearray(cloud(np.full((2, 2, 3), 100)))
-    points, _ = surface_points(decode(received)[0])
+    points = surface_points(decode(received)[0]).points
     before = points.copy()
     received[62:] = bytes(len(received) - 62)
     np.testing.assert_array_equal(points, before)
@@ -82,6 +87,8 @@ def test_intensity_follows_the_pixels_and_must_fit_the_surface():
     attributes = struct.pack("<II2I2iBI3siiii", 2, 3, *RESOLUTION[:2], *OFFSET[:2], 0, 1500, b"", 6, 0, 1, 0)
     body = struct.pack("<H", 48) + attributes + bytes([1, 2, 3, 4, 5, 6])
     grey, _ = decode(struct.pack("<IH", 6 + len(body), 9) + body)
-    assert intensity_of(grey, (2, 3), np.array([5, 0])).tolist() == [6, 1]
+    raw = np.full((2, 3, 3), -32768)
+    raw[0, 0] = raw[1, 2] = 7
+    assert intensity_of(grey, surface_points(decode(cloud(raw))[0])).tolist() == [1, 6]
     with pytest.raises(ProtocolError, match="intensity"):
-        intensity_of(grey, (3, 3), np.array([0]))
+        intensity_of(grey, surface_points(decode(cloud(np.zeros((3, 3, 3))))[0]))

@@ -9,6 +9,7 @@ import numpy as np
 INVALID = -32768
 FINEST_NM = (3000, 3000, 2000)    # as over the measuring volume of a 3210: 154 mm and 110 mm in 16 bits
 _BLOCK = 3 * 8192
+_ROW = np.dtype("V6")    # one point
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,18 @@ def quantise(xyz: np.ndarray, scaling: Scaling, out: np.ndarray) -> None:
     source, target = np.ascontiguousarray(xyz, np.float32).reshape(-1), out.reshape(-1)
     shift = np.tile(scaling.offset.astype(np.float32), _BLOCK // 3)
     factor = np.tile((1 / scaling.scale).astype(np.float32), _BLOCK // 3)
-    for start in range(0, source.size, _BLOCK):
-        value = source[start:start + _BLOCK] - shift[:min(_BLOCK, source.size - start)]
-        value *= factor[:value.size]
-        np.rint(value, out=value)
-        bad = ~(np.abs(value) <= 32767)    # true for NaN
-        if bad.any():
-            point = bad.reshape(-1, 3).any(axis=1)
-            np.copyto(value.reshape(-1, 3), np.float32(INVALID), where=point[:, None])
-        target[start:start + _BLOCK] = value
+    buffer, nowhere = np.empty(_BLOCK, np.float32), np.full(3, INVALID, np.int16).view(_ROW)
+    with np.errstate(invalid="ignore"):    # casting NaN; those points are overwritten
+        for start in range(0, source.size, _BLOCK):
+            piece, raw = source[start:start + _BLOCK], target[start:start + _BLOCK]
+            value = buffer[:piece.size]
+            np.subtract(piece, shift[:piece.size], out=value)
+            np.multiply(value, factor[:piece.size], out=value)
+            np.rint(value, out=value)
+            raw[:] = value
+            good = np.abs(value, out=value) <= 32767    # false for NaN
+            if not good.all():
+                raw.view(_ROW)[~(good[0::3] & good[1::3] & good[2::3])] = nowhere
 
 
 def uniform_grid(xyz: np.ndarray, intensity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None, Scaling]:
