@@ -57,9 +57,12 @@ def resume_folder(folder: Path, loaded: LoadedPlan) -> tuple[Path, frozenset[int
 
 
 def solver_cell(loaded: LoadedPlan) -> Cell:
-    """The cell as a solver may know it: planned station places are aims, not measurements, and are left out."""
+    """The cell as a solver may know it: planned station places are aims, not measurements, and are left out.
+
+    So is the scanner's stated noise: it is that of one exposure, and what the mean of several has is estimated from the data.
+    """
     stations = tuple(replace(s, T_base_station=None, sigma_mm=None) for s in loaded.cell.stations)
-    return replace(loaded.cell, stations=stations)
+    return replace(loaded.cell, stations=stations, noise_mm=None)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ class Run:
     """One trajectory on an equidistant clock. Arrays (T, n), rad, rad/s, rad/s^2, N m on the joint side; None where not recorded.
 
     q is the motor-side angle the controller reports; q_set the command; q_joint the joint-side encoder (NaN columns where a
-    joint has none); torque the drive's torque at the joint, load the part of it that passes the gear (friction taken out); rigid the torque of the rigid-body simulation; gravity its static part.
+    joint has none); torque the drive's torque at the joint, load the part of it that passes the gear (friction taken out); rigid the
+    torque of the rigid-body simulation; gravity its static part.
     """
 
     step_s: float
