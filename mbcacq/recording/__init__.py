@@ -29,6 +29,8 @@ def load(path: Path | str) -> Observations:
     path = Path(path)
     if not path.exists():
         raise ConfigError(f"{path} does not exist; give {ACCEPTED}")
+    if path.is_dir() and (path / "trajectory.csv").exists() and not (path / "poses.csv").exists():
+        raise ConfigError(f"{path} is a trajectory set, a recording in time; only mbcacq diagnose takes it")
     if path.is_dir() and (path / "cell.yaml").exists():
         from mbcacq.recording.observation_set import read_observation_set
 

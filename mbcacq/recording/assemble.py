@@ -42,7 +42,7 @@ def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
         time_s=np.array([row["robot_time_s"][0] + shift[int(row["part"][0])] for row in found]),
         direction=np.stack([row["direction"] for row in found]),
         temperatures=sensors,
-        n_points=np.concatenate([row["n_points"] for row in found]),
+        n_points=_whole(np.concatenate([row["n_points"] for row in found])),
         rms_mm=np.concatenate([row["rms_mm"] for row in found]),
         extra=extra,
         cell_yaml=cell_yaml,
@@ -91,6 +91,10 @@ def _ball_index(cell: Cell, ball: np.ndarray, name: str) -> np.ndarray:
     if unknown:
         raise RecordingError(f"{name}: ball {unknown[0]} was measured but is not in the recorded cell; is the recording complete?")
     return np.array([index[b] for b in ball.tolist()], dtype=np.int64)
+
+
+def _whole(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.int64) if np.array_equal(values, np.rint(values)) else values
 
 
 def _text(values: np.ndarray) -> np.ndarray:

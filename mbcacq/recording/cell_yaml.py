@@ -131,6 +131,15 @@ def cell_to_yaml(cell: Cell) -> str:
     if cell.noise_mm is not None:
         scanner["noise_mm"] = _list(cell.noise_mm)
     data["scanner"] = scanner
+    return _dump(data)
+
+
+def robot_to_yaml(form: str, robot: RobotModel) -> str:
+    """A ``cell.yaml`` that holds only the robot, such as a trajectory set's."""
+    return _dump({"format": form, "robot": _robot(robot)})
+
+
+def _dump(data: dict[str, Any]) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=160)
 
 

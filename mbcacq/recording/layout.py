@@ -39,9 +39,9 @@ SCANNER = "world/robot/scanner"              # Transform3D T_base_scanner; frust
 STATIONS = "world/stations"                  # world/stations/ID: balls where they were measured, base frame
 
 # The result, in a file of its own with the same recording id.
-RESULT = "result"
-RESIDUAL = "result/residual_um"              # Scalars along x, y, z per pose
+RESIDUAL = "result/residual_um"              # result/residual_um/after, before: Scalars, mean of a pose along x, y, z
 RESIDUAL_BALL = "result/residual"            # mbcacq.Residual: float64, every centre
+CALIBRATED = "world/calibrated"              # world/calibrated/STATION: Transform3D T_base_station, certified balls
 ARROWS = "world/residuals"                   # Arrows3D, enlarged
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"

@@ -113,6 +113,15 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
     rec.log(f"{layout.SCANNER}/axes", rr.TransformAxes3D(axis_length=40.0), static=True)
 
 
+def home(plan_yaml: str, n: int) -> np.ndarray:
+    """(n,) rad, the plan's home: how the arm is drawn until it reports itself."""
+    try:
+        q = np.radians(np.array(yaml.safe_load(plan_yaml)["robot"]["home_deg"], dtype=float))
+    except (yaml.YAMLError, KeyError, TypeError, ValueError):
+        return np.zeros(n)
+    return q if q.shape == (n,) else np.zeros(n)
+
+
 def _field_of_view(plan_yaml: str) -> dict[str, Any]:
     """The plan's field of view, or a small cone where the run has no plan of that form."""
     try:

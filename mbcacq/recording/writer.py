@@ -18,7 +18,7 @@ from mbcacq.cell import Cell
 from mbcacq.errors import MbcacqError, RecordingError
 from mbcacq.geometry import se3
 from mbcacq.recording import layout, rows, scene
-from mbcacq.recording.blueprint import blueprint
+from mbcacq.recording.blueprint import blueprint, for_cell
 from mbcacq.recording.cell_yaml import parse_cell
 from mbcacq.recording.cycles import CycleWriter
 from mbcacq.recording.run_header import RunHeader, read_run_header, write_run_header
@@ -123,7 +123,9 @@ class Recorder:
         about = rows.row(layout.RUN_ARCHETYPE, layout=layout.VERSION, name=event.name, started=event.started, n_poses=event.n_poses,
                          offset_s=self._offset, versions_names=list(event.versions), versions_values=list(event.versions.values()))
         rec.log(layout.RUN, about, static=True)
+        rec.send_blueprint(for_cell(self._cell.robot.chain, event.plan_yaml), make_active=False, make_default=True)
         scene.log_static(rec, self._cell, event.plan_yaml)
+        scene.log_arm(rec, self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
         self._sink.flush()
 
     @_write.register
