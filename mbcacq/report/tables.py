@@ -1,0 +1,54 @@
+"""Parameters as tables: one row an axis or a ball where they come in rows, a plain list otherwise."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from mbcacq.report.content import Content, Parameter
+
+MDH = {"theta": "θ / deg", "d": "d / mm", "a": "a / mm", "alpha": "α / deg", "beta": "β / deg"}
+_KINEMATIC = re.compile(r"(theta|d|a|alpha|beta)_(\d+)")
+_BALL = re.compile(r"ball_(.+)\.([xyz])")
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """heads: column titles; rows: (name, cells), a cell a Parameter or None; the corrections are shown times ``scale`` with ``digits``."""
+
+    title: str
+    corner: str
+    heads: list[str]
+    rows: list[tuple[str, list[Parameter | None]]]
+    digits: list[int]
+    scale: float = 1.0
+    note: str = ""
+
+
+def matrices(content: Content) -> list[Matrix]:
+    """Kinematic errors by axis, as in the literature, and ball corrections by ball."""
+    kinematic = _table(content.parameters, _KINEMATIC, lambda m: (m.group(2), m.group(1)), list(MDH))
+    balls = _table([p for p in content.parameters if p.held is None], _BALL, lambda m: (m.group(1), m.group(2)), list("xyz"))
+    out = []
+    if kinematic:
+        out.append(Matrix("Kinematic errors, MD-H", "axis", list(MDH.values()), kinematic, [4, 4, 4, 4, 4],
+                          note="Calibrated minus nominal, with standard deviations (k = 1)."))
+    if balls:
+        out.append(Matrix("Ball centres against their certificate", "ball", ["x / µm", "y / µm", "z / µm"], balls, [2, 2, 2], 1e3,
+                          "Estimated within the uncertainty of the certificate, in the artefact's frame."))
+    return out
+
+
+def groups(content: Content) -> list[tuple[str, list[Parameter]]]:
+    """Free parameters that are in no matrix, by their group, in the order in which they come."""
+    rest = [p for p in content.parameters if p.held is None and not _KINEMATIC.fullmatch(p.name) and not _BALL.fullmatch(p.name)]
+    return [(name, [p for p in rest if p.group == name]) for name in dict.fromkeys(p.group for p in rest)]
+
+
+def _table(parameters: list[Parameter], pattern: re.Pattern, place, columns: list[str]) -> list[tuple[str, list[Parameter | None]]]:
+    rows: dict[str, dict[str, Parameter]] = {}
+    for p in parameters:
+        if match := pattern.fullmatch(p.name):
+            row, column = place(match)
+            rows.setdefault(row, {})[column] = p
+    return [(name, [cells.get(c) for c in columns]) for name, cells in rows.items()]

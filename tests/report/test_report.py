@@ -1,0 +1,236 @@
+"""The report says what the result says, is one file that loads nothing, and lets no text out of its place."""
+
+import copy
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from mbcacq.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.observations import Observations
+from mbcacq.report import report_from_result
+
+BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
+CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0, 0, -90, 0, 0, 180]), np.array([400, 0, 0, 420, 0, 80.0]),
+              np.array([25, 455, 35, 0, 0, 0.0]), np.radians([-90, 0, -90, 90, -90, 180]), np.zeros(6))
+
+
+def rows(chain):
+    return {name: getattr(chain, name).tolist() for name in ("theta", "d", "a", "alpha", "beta")}
+
+
+def make_result(limit=0.5):
+    names = ["a_1", "theta_2", "hand_eye.x", "ball_1.x"]
+    return {
+        "format": "mbcacq-result/1", "method": "ml", "measurement": "artefact_in_scanner",
+        "robot": {"name": "KUKA KR 6 R900", "sign": CHAIN.sign.tolist(), "nominal": rows(CHAIN), "calibrated": rows(CHAIN), "errors": rows(CHAIN)},
+        "T_flange_scanner": se3.transform(np.diag([1.0, -1, -1]), np.array([1.2621, -0.561, 264.7998])).tolist(),
+        "stations": [{"id": "s1", "artefact": "mbc", "T_base_station": np.eye(4).tolist(), "std": [0.01] * 6}],
+        "balls": [{"id": 1, "centre_mm": [0.0, 0, 0]}, {"id": 2, "centre_mm": [30.0, 0, 0]}],
+        "preliminary": {"T_flange_scanner": np.eye(4).tolist()},
+        "parameters": [
+            {"name": "theta_1", "value": 0.0, "error": 0.0, "unit": "rad", "std": None, "status": "held", "reason": "turns base and stations together"},
+            {"name": "a_1", "value": 25.143, "error": 0.143, "unit": "mm", "std": 0.0057, "status": "free"},
+            {"name": "theta_2", "value": float(np.radians(-0.017)), "error": float(np.radians(-0.017)), "unit": "rad", "std": float(np.radians(0.0009)), "status": "free"},
+            {"name": "hand_eye.x", "value": 1.2621, "error": 0.5, "unit": "mm", "std": 0.0031, "status": "free"},
+            {"name": "ball_1.x", "value": 0.0004, "error": 0.0004, "unit": "mm", "std": 0.0007, "status": "prior"},
+        ],
+        "names": names, "covariance": (np.diag([0.0057, 1.6e-5, 0.0031, 0.0007]) ** 2).tolist(),
+        "noise": {"scanner_mm": [0.005, 0.005, 0.009], "joint_rad": [5e-6] * 6},
+        "fit": {"poses": 76, "centres": 608, "rms_mm": 0.0089, "chi2": 1733.0, "dof": 1752, "chi2_dof": 0.989, "rank": 96, "iterations": 5, "expected_accuracy_mm": 0.0123},
+        "held": {"theta_1": "turns base and stations together"},
+        "correlated": [{"parameters": ["a_1", "hand_eye.x"], "correlation": -0.987}],
+        "rejected": [{"pose": 41, "ball": 2, "distance_mm": 0.8}],
+        "verification": {
+            "before": {}, "after": {"max_mm": max(AFTER)}, "limit_mm": limit,
+            "places": [{"station": f"b{i}", "balls": [9, 10], "certified_mm": 735.2364, "before_mm": b, "after_mm": a, "expected_mm": 0.01}
+                       for i, (b, a) in enumerate(zip(BEFORE, AFTER, strict=True), 1)],
+        },
+    }
+
+
+def make_observations(seed=0):
+    rng = np.random.default_rng(seed)
+    P = 12
+    robot = RobotModel("KUKA KR 6 R900", CHAIN, np.radians([[-170, 170]] * 6), np.zeros(6), np.zeros((6, 3)))
+    cell = Cell(robot, np.eye(4), (Artefact("mbc", "MBC", (1, 2), np.array([[0.0, 0, 0], [30, 0, 0]]), np.array([12.0, 12])),), (Station("s1", "mbc"),))
+    q = rng.uniform(-1, 1, (P, 6))
+    T = CHAIN.flange(q) @ np.array(make_result()["T_flange_scanner"])
+    points = se3.apply(se3.inverse(T)[:, None], cell.ball_centres[None])
+    noise = rng.normal(0, [0.005, 0.005, 0.009], points.shape)
+    return Observations(cell, np.arange(P), np.zeros(P, int), q, np.repeat(np.arange(P), 2), np.tile([0, 1], P), (points + noise).reshape(-1, 3),
+                        phase=np.array(["position"] * 10 + ["verification"] * 2))
+
+
+class Page(HTMLParser):
+    """Visible text and every address that a browser would load."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.text, self.loads, self.tags, self.skip = [], [], [], 0
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.skip += tag in ("script", "style")
+        self.loads += [v for k, v in attrs if k in ("src", "href", "data", "action", "srcset", "poster")]
+
+    def handle_endtag(self, tag):
+        self.skip -= tag in ("script", "style")
+
+    def handle_data(self, data):
+        if not self.skip:
+            self.text.append(data)
+
+    @property
+    def words(self):
+        return re.sub(r"\s+", " ", " ".join(self.text))
+
+
+def page(tmp_path, result, **more):
+    return Page(report_from_result(result, path=tmp_path / "report.html", **more).read_text(encoding="utf-8"))
+
+
+def test_the_table_is_that_of_the_published_experiment(tmp_path):
+    words = page(tmp_path, make_result()).words
+    for number in BEFORE + AFTER:
+        assert f"+{number:.3f}" in words
+    assert "mean of magnitudes 0.809 0.394" in words
+    assert "maximum 1.041 0.457" in words
+    assert "735.2364" in words
+
+
+@pytest.mark.parametrize(("limit", "level", "headline"), [
+    (0.5, "pass", "Passed"), (0.4, "fail", "Not passed"), (0.457, "undecided", "Neither proven nor disproven"), (None, "none", "Calibrated and verified"),
+])
+def test_the_verdict_considers_the_certificate(tmp_path, limit, level, headline):
+    report = page(tmp_path, make_result(limit), observations=make_observations())
+    assert headline in report.words
+    assert f'class="verdict {level}"' in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_without_verification_nothing_is_claimed(tmp_path):
+    result = make_result()
+    result["verification"] = None
+    words = page(tmp_path, result).words
+    assert "Calibrated, not verified" in words
+    assert "Passed" not in words
+
+
+def test_verification_on_the_poses_of_the_fit_is_called_so(tmp_path):
+    result = make_result()
+    assert "took no part in the calibration" in page(tmp_path, result).words
+    result["verification"]["places"][0]["station"] = "s1"
+    assert "took part in the calibration" in page(tmp_path, result).words
+
+
+def test_parameters_with_their_standard_deviations(tmp_path):
+    words = page(tmp_path, make_result()).words
+    assert "+0.1430 ± 0.0057" in words
+    assert "−0.0170 ± 0.0009" in words  # degrees
+    assert "+0.40 ± 0.70" in words  # micrometres of a ball
+    assert "theta_1 turns base and stations together" in words
+    assert "264.7998" in words
+    assert "a_1 and hand_eye.x −0.987" in words
+    assert "pose 41 ball 2" in words
+
+
+def test_residuals_need_the_recording(tmp_path):
+    assert "Residuals" not in page(tmp_path, make_result()).words
+    words = page(tmp_path, make_result(), observations=make_observations()).words
+    assert "Residuals" in words
+    assert "Every pose on the range of each axis" in words
+
+
+def test_residuals_are_measured_minus_predicted():
+    from mbcacq.calibration import state_from_dict
+    from mbcacq.report.measured import calibrated_poses, residuals
+
+    obs = make_observations()
+    shifted = replace(obs, xyz=obs.xyz + [0.0, 0.0, 0.1])
+    found = residuals(calibrated_poses(shifted, make_result()), state_from_dict(make_result(), obs.cell), [0.005, 0.005, 0.009], [0.0] * 6, {(3, 2), (5, None)})
+    assert len(found.xyz) == 20  # ten poses, two balls; the verification poses are not the fit's
+    np.testing.assert_allclose(found.xyz.mean(axis=0), [0, 0, 0.1], atol=0.006)
+    np.testing.assert_allclose(found.weighted, found.xyz / [0.005, 0.005, 0.009])
+    assert found.outlier.sum() == 3
+
+
+def test_one_file_that_loads_nothing(tmp_path):
+    report = page(tmp_path, make_result(), observations=make_observations())
+    assert report.loads == []
+    assert "link" not in report.tags
+    assert "iframe" not in report.tags
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "@import" not in html[: html.index("</style>")]
+    assert html.count("plotly.js v") == 1
+
+
+def test_text_from_files_stays_text(tmp_path):
+    evil = '<script>alert("x")</script><img src="http://example.org/x.png">'
+    result = make_result()
+    result["robot"]["name"] = evil
+    result["parameters"][0]["reason"] = evil
+    result["correlated"][0]["parameters"] = [evil, "b"]
+    result["verification"]["places"][0]["station"] = evil
+    result["names"][0] = evil
+    result["warnings"] = [evil]
+    info = {"name": evil, "started": evil, "plan_yaml": evil, "versions": {evil: evil}, "facts": {evil: evil}}
+    obs = make_observations()
+    phase = obs.phase.astype(object)
+    phase[:3] = evil
+    report = page(tmp_path, result, run_info=info, observations=replace(obs, phase=phase))
+    clean = page(tmp_path, make_result(), run_info=dict.fromkeys(["name", "plan_yaml"], "a") | {"versions": {"a": "a"}, "facts": {"a": "a"}},
+                 observations=make_observations())
+    assert "img" not in report.tags
+    assert report.tags.count("script") == clean.tags.count("script")
+    assert report.loads == []
+    assert 'alert("x")' in report.words
+
+
+def test_figures_carry_no_markup_of_names(tmp_path):
+    result = make_result()
+    result["names"][0] = "<b>bold</b>"
+    report_from_result(result, path=tmp_path / "r.html")
+    html = (tmp_path / "r.html").read_text(encoding="utf-8")
+    figure = html[html.index('id="figure-correlation"'):]
+    assert "<b>bold" not in figure
+
+
+def test_a_file_that_is_no_result_is_refused(tmp_path):
+    for wrong in ({}, [], {"format": "mbcacq-result/9"}):
+        with pytest.raises(ConfigError, match="not a calibration result"):
+            report_from_result(wrong, path=tmp_path / "r.html")
+
+
+@pytest.mark.parametrize("key", ["robot", "parameters", "fit", "noise", "T_flange_scanner", "names", "covariance"])
+def test_a_damaged_result_is_named(tmp_path, key):
+    for value in (None, "x", [1]):
+        result = copy.deepcopy(make_result())
+        result[key] = value
+        with pytest.raises(ConfigError, match="damaged"):
+            report_from_result(result, path=tmp_path / "r.html")
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_a_result_survives_its_file(tmp_path):
+    a = report_from_result(make_result(), path=tmp_path / "a.html").read_text(encoding="utf-8")
+    b = report_from_result(json.loads(json.dumps(make_result())), path=tmp_path / "b.html").read_text(encoding="utf-8")
+    assert Page(a).words == Page(b).words
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="cannot be written"):
+        report_from_result(make_result(), path=tmp_path / "file" / "r.html")
+
+
+def test_many_stations_share_one_limit_line(tmp_path):
+    result = make_result()
+    result["verification"]["limit_mm"] = 0.3
+    assert "limit ±0.300 mm" in page(tmp_path, result).words
