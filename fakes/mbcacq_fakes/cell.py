@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -21,6 +22,7 @@ from mbcacq_fakes.world.description import CellFacts, from_cell
 
 LOOPBACK = "127.0.0.1"
 CLOCK_START_MS = 1_000_000
+PACE_S = 4.0  # robot time from one pose to the next, roughly
 
 
 class FakeCell:
@@ -38,11 +40,12 @@ class FakeCell:
             raise ConfigError("the fake cell plays a KUKA controller and a Gocator; for other drivers use their makers' simulators")
         self._plan, self._robot, self._realtime, self._ports = plan, loaded.cell.robot, realtime, ports
         self._options = fake_options.parse(plan.fake)
-        self._facts: CellFacts = from_cell(loaded.cell, plan.scanner.field_of_view)
         self._seed = seed if self._options.seed is None else self._options.seed
+        self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, loaded.cell.robot.n)
+        pace_s = PACE_S * self._options.climate.time_scale
+        self._facts: CellFacts = replace(from_cell(loaded.cell, plan.scanner.field_of_view), planned_q=self._planned_q, pace_s=pace_s)
         check(self._options, self._facts)
         make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later
-        self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, self._facts.n)
         self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
         self._state: ArmState | None = None
         self._krc: FakeKrc | None = None
@@ -96,8 +99,14 @@ class FakeCell:
         return self.ask("truth")
 
     def alive(self) -> bool:
-        """Both child processes still run."""
+        """The world's process still runs."""
         return self._process is not None and self._process.poll() is None
+
+    @property
+    def process_id(self) -> int:
+        """Of the world's process."""
+        assert self._process is not None, "the fake cell is not started"
+        return self._process.pid
 
     @property
     def arm(self) -> ArmState:

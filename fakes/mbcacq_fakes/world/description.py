@@ -37,8 +37,8 @@ class View:
 class CellFacts:
     """Nominal arm (sign (n,), rows (n, 5), masses), first guess of the hand-eye transform, artefacts, planned stations.
 
-    planned_poses: how many will be taken, pace_s: the time from one to the next, both roughly; concealed effects that come at a
-    moment or creep choose it by them.
+    planned_q: (P, n) rad of the poses to be taken, or none; pace_s: the time from one to the next, roughly. Concealed effects
+    choose by them the moment at which they come, and the place where they matter.
     """
 
     sign: np.ndarray
@@ -51,12 +51,16 @@ class CellFacts:
     station_artefact: np.ndarray
     station_pose: np.ndarray
     view: View = View()
-    planned_poses: int = 100
+    planned_q: np.ndarray | None = None
     pace_s: float = 3.0
 
     @property
     def n(self) -> int:
         return len(self.sign)
+
+    @property
+    def planned_poses(self) -> int:
+        return 100 if self.planned_q is None else len(self.planned_q)
 
     @property
     def balls(self) -> tuple[int, ...]:
