@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import ARM, HAND_EYE, MASSES, ROWS, SIGN, act, cell, moments, spread_q
+from elastic_cell import ARM, HAND_EYE, MASSES, ROWS, SIGN, act, cell, moments, spread_q
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 
 

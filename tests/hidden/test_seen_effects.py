@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ARM, BALLS, act, cell, looking, moments, pose, spread_q
+from elastic_cell import ARM, BALLS, act, cell, looking, moments, pose, spread_q
 from mbcacq_fakes.build import make_camera, make_world
 from mbcacq_fakes.hidden import CATALOGUED, OUTSIDE, make
 from mbcacq_fakes.options import parse

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import BALLS, fit_sphere
 from mbcacq_fakes.world import artefact, rays
 from mbcacq_fakes.world.description import ArtefactFacts, View
 from mbcacq_fakes.world.noise import Noise
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.rigid import carry, nudge
 from mbcacq_fakes.world.scanner import Scanner, Scene
+from small_cell import BALLS, fit_sphere
 
 NOISE_MM = np.array([0.005, 0.005, 0.009])
 MBC = artefact.make(ArtefactFacts("mbc", tuple(range(1, 9)), BALLS, np.full(8, 12.0), 0.0), np.random.default_rng(0))

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BALLS, HAND_EYE, POSE_STATION, facts, fit_sphere, poses_q
 from mbcacq_fakes.cell import FakeCell
 from mbcacq_fakes.world.arm import Arm
 from mbcacq_fakes.world.rigid import carry, invert
+from small_cell import BALLS, HAND_EYE, POSE_STATION, facts, fit_sphere, poses_q
 
 from mbcacq import cell as cells
 from mbcacq.cellfile import RobotSpec
@@ -149,7 +149,7 @@ def children(process_id):
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc to see processes")
 def test_a_killed_parent_leaves_no_orphans():
-    code = ("import sys; sys.path.insert(0, sys.argv[1]); from test_cell import *; plan, poses = loaded(); c = FakeCell(plan, poses).start();"
+    code = ("import sys; sys.path.insert(0, sys.argv[1]); from test_fake_cell import *; plan, poses = loaded(); c = FakeCell(plan, poses).start();"
             "print('up', flush=True); time.sleep(60)")
     parent = subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent)], stdout=subprocess.PIPE, text=True)
     with parent:
