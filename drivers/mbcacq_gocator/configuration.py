@@ -15,8 +15,9 @@ from mbcacq.devices import ConfigError, ProtocolError
 
 TRIGGER_SOURCES = {0: "time", 1: "encoder", 2: "input", 3: "software"}
 SCAN_MODES = {0: "video", 1: "range", 2: "profile", 3: "surface"}
-SOFTWARE = 3
-SURFACE = 3
+EXPOSURE_MODES = {0: "single", 1: "multiple", 2: "dynamic"}
+SOFTWARE, SURFACE, SINGLE = 3, 3, 0
+_DEVICE = "Setup/Devices/Device[@role='0']"
 _TOLD_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "value"}
 _MAX_SIZE = 16 * 2**20
 
@@ -35,28 +36,26 @@ class Configuration:
             raise ProtocolError(f"the sensor's configuration starts with <{self._root.tag}> instead of <Configuration>")
 
     @property
-    def scan_mode(self) -> int:
-        return int(self._number("Setup/ScanMode"))
-
-    @property
     def trigger_source(self) -> int:
         return int(self._number("Setup/Trigger/Source"))
 
     @property
-    def uniform_spacing(self) -> bool:
-        return bool(self._number("Setup/UniformSpacingEnabled"))
+    def exposure_us(self) -> float | None:
+        """Of the main sensor; None if the file does not say."""
+        return _float(self._root.findtext(_DEVICE + "/Exposure"), None)
 
-    @property
-    def intensity(self) -> bool:
-        return bool(self._number("Setup/IntensityEnabled"))
-
-    @property
-    def exposure_us(self) -> float:
-        return self._number(self._exposure_path)
+    def exposes_for(self, exposure_us: float) -> bool:
+        """Whether this already is the exposure, to a nanosecond."""
+        return self.exposure_us is not None and abs(self.exposure_us - exposure_us) < 1e-3
 
     def set_exposure(self, exposure_us: float) -> None:
-        """Raises ConfigError outside the limits that the sensor states."""
-        node = self._node(self._exposure_path)
+        """Raises ConfigError outside the limits that the sensor states, or if the job chooses its exposure by itself."""
+        mode = int(_float(self._root.findtext(_DEVICE + "/ExposureMode"), 0) or 0)
+        if mode != SINGLE:
+            kind = EXPOSURE_MODES.get(mode, "another kind of")
+            raise ConfigError(f"the Gocator's job uses {kind} exposure, so {exposure_us:g} us cannot be set; choose single exposure "
+                              "in the job, or leave the exposure out of the plan")
+        node = self._node(_DEVICE + "/Exposure")
         low, high = (_float(node.get(name), default) for name, default in (("min", 0.0), ("max", float("inf"))))
         if not low <= exposure_us <= high:
             raise ConfigError(f"an exposure of {exposure_us:g} us is outside the {low:g} to {high:g} us that the Gocator allows; "
@@ -70,10 +69,6 @@ class Configuration:
             for name in _TOLD_BY_SENSOR & node.attrib.keys():
                 del node.attrib[name]
         return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True).replace(b"\n", b"\r\n")
-
-    @property
-    def _exposure_path(self) -> str:
-        return "Setup/Devices/Device[@role='0']/Exposure"
 
     def _node(self, path: str) -> ElementTree.Element:
         node = self._root.find(path)

@@ -117,7 +117,7 @@ class Gocator:
         assert session is not None
         assert session.configuration is not None
         wanted = self._wanted_exposure_us
-        if wanted is not None and abs(session.configuration.exposure_us - wanted) > 1e-3:
+        if wanted is not None and not session.configuration.exposes_for(wanted):
             if self._running:
                 self._running = False
                 session.stop()
@@ -173,7 +173,7 @@ class Gocator:
             points=surface.points, pixel=surface.pixel, shape=surface.valid.shape,
             intensity=None if grey is None else intensity_of(grey, surface),
             time_s=data.stamp.time_s if data.stamp else 0.0, frame=data.stamp.frame if data.stamp else 0,
-            exposure_us=session.configuration.exposure_us, measurements=data.measurements, health=session.health.values(),
+            exposure_us=session.configuration.exposure_us or 0.0, measurements=data.measurements, health=session.health.values(),
         )
 
     def _drop(self) -> None:

@@ -114,13 +114,13 @@ class Session:
         """Write the exposure into the live job, if it is another one. The sensor must be at rest."""
         with self._settings:
             configuration = self.read_configuration()
-            if abs(configuration.exposure_us - exposure_us) > 1e-3:
+            if not configuration.exposes_for(exposure_us):
                 configuration.set_exposure(exposure_us)
                 self.write_file(LIVE_CONFIGURATION, configuration.values_only())
                 configuration = self.read_configuration()
-                if abs(configuration.exposure_us - exposure_us) > 0.5:
-                    raise DeviceFault(f"the Gocator took an exposure of {configuration.exposure_us:g} us instead of {exposure_us:g} us; "
-                                      "check the exposure mode of the job")
+                if not configuration.exposes_for(exposure_us):
+                    raise DeviceFault(f"the Gocator took an exposure of {configuration.exposure_us} us instead of {exposure_us:g} us; "
+                                      "check the exposure settings of the job")
             self.configuration = configuration
 
     def _identify(self) -> SystemInfo:
@@ -139,11 +139,12 @@ class Session:
         return info
 
     def _check_job(self, configuration: Configuration) -> None:
-        if configuration.scan_mode != SURFACE:
-            raise ConfigError(f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(configuration.scan_mode, '?')}'; "
+        (mode,) = _unpack("<i", self.control.request(commands.SCAN_MODE), "scan mode")
+        if mode != SURFACE:
+            raise ConfigError(f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; "
                               "choose the scan mode Surface")
         if self.options.mode == "trigger" and configuration.trigger_source != SOFTWARE:
-            source = TRIGGER_SOURCES.get(configuration.trigger_source, "?")
+            source = TRIGGER_SOURCES.get(configuration.trigger_source, configuration.trigger_source)
             raise ConfigError(f"the Gocator's job '{self._job_name()}' is triggered by '{source}'; choose Software as trigger source, "
                               "or the scanner option mode: snapshot")
 

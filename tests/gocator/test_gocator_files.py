@@ -83,6 +83,14 @@ def test_exposure_outside_the_sensors_limits_is_refused_in_words():
         Configuration(TEMPLATE).set_exposure(200000)
 
 
-def test_configuration_without_an_exposure_is_named():
+def test_exposure_of_a_job_that_chooses_its_own_is_not_overridden_in_silence():
+    dynamic = TEMPLATE.replace(b"<ExposureMode options=\"0\">0<", b"<ExposureMode options=\"0\">2<")
+    with pytest.raises(ConfigError, match="uses dynamic exposure, so 900 us cannot be set"):
+        Configuration(dynamic).set_exposure(900)
+
+
+def test_configuration_without_an_exposure_is_named_only_when_one_is_wanted():
+    bare = Configuration(b'<Configuration version="101"/>')
+    assert bare.exposure_us is None
     with pytest.raises(ProtocolError, match="Exposure"):
-        _ = Configuration(b'<Configuration version="101"/>').exposure_us
+        bare.set_exposure(1500)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import select
 import socket
 import threading
 import time
@@ -35,10 +36,9 @@ class Client:
         if self.gone:
             return False
         try:
-            return bool(self.sock.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT))
-        except BlockingIOError:
-            return True
-        except OSError:
+            readable, _, _ = select.select([self.sock], [], [], 0)
+            return not readable or bool(self.sock.recv(1, socket.MSG_PEEK))
+        except (OSError, ValueError):    # reset, or closed meanwhile
             return False
 
     def close(self) -> None:
