@@ -108,13 +108,13 @@ def _chain(cell: Cell, options: Options) -> Block:
         why = dict.fromkeys(names, "kinematics not asked for")
     else:
         if not any(s.T_base_station is not None for s in cell.stations):
-            why |= {"theta_1": "turns base and stations together", "d_1": "moves base and stations together"}
+            why |= dict.fromkeys(("theta_1", "d_1"), "moves the base together with the stations")
         parallel = chain.parallel_next()
         for i in range(n - 1):
             if parallel[i]:
                 why.setdefault(f"d_{i + 1}", f"acts like d_{i + 2}: axes {i + 1} and {i + 2} are parallel")
             else:
-                why[f"beta_{i + 1}"] = f"acts like other parameters: axes {i + 1} and {i + 2} are not parallel"
+                why[f"beta_{i + 1}"] = "acts like its neighbours, except between parallel axes"
         for p in PARAMETERS:
             why[f"{p}_{n}"] = "acts like the hand-eye transform"
         for name in options.release:

@@ -54,7 +54,7 @@ def calibrate(observations: Observations, options: Options | None = None) -> Cal
         lineariser = Lineariser(obs, layout, options)
         solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
         solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
-    solution = solve(lineariser, solution.estimate, noise, weights, tolerance=FINE)
+    solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
     return Calibration.of(obs, options, lineariser, solution, noise, weights, preliminary, found)
 
 
@@ -91,7 +91,7 @@ def fit_hand_eye(obs: Observations, options: Options) -> CellState:
     return solution.estimate.state
 
 
-def robust_solve(lineariser: Lineariser, start: Estimate, noise: Noise, weights: Weights, options: Options,
+def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: Options,
                  tolerance: float) -> tuple[Solution, Weights]:
     """Solve and screen by turns until no verdict changes."""
     solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
@@ -104,7 +104,7 @@ def robust_solve(lineariser: Lineariser, start: Estimate, noise: Noise, weights:
         if np.mean(weights.pose == 0) > REJECTED_SHARE or np.mean(weights.centre == 0) > REJECTED_SHARE:
             raise CalibrationError(f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
                                    "artefact, the stations, and that joint angles and scans belong together")
-        solution = solve(lineariser, solution.estimate, noise, weights, tolerance=tolerance)
+        solution = solve(lineariser, solution, noise, weights, tolerance=tolerance)
     return solution, weights
 
 
@@ -114,7 +114,7 @@ def settle_noise(lineariser: Lineariser, solution: Solution, noise: Noise, weigh
     prior = variance.noise_prior(lineariser.obs.cell, variance.first_noise(lineariser.obs.cell), options.noise)
     for _ in range(NOISE_ROUNDS):
         noise, change = variance.improve(solution, noise, prior)
-        solution, weights = robust_solve(lineariser, solution.estimate, noise, weights, options, COARSE)
+        solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
         if change < 0.03:
             break
     return solution, noise, weights

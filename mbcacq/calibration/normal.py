@@ -61,7 +61,7 @@ class Normal:
         self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg                # F' Hsg
         reduced_b = np.einsum("sji,sj->si", self.station_root, bs)
         self.station_b = reduced_b
-        tall = self.reduced.reshape(-1, g)
+        tall = self.reduced.reshape(6 * len(self.reduced), g)
         self.information = H - tall.T @ tall
         self.gradient = b - tall.T @ reduced_b.reshape(-1)
 

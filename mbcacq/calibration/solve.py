@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,14 +49,27 @@ def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: We
     return Solution(estimate, linear, whitening, X, Normal(lineariser.rows, X, prior), prior, iterations)
 
 
-def solve(lineariser: Lineariser, start: Estimate, noise: Noise, weights: Weights, *, tolerance: float = 1e-6, limit: int = 30) -> Solution:
-    """Iterate until the next step would take less than ``tolerance`` off the cost (chi square)."""
+def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weights) -> Solution:
+    """The system at the same estimate with other noise or weights."""
+    whitening = Whitening(lineariser.rows, at.linear.J, noise, weights.centre, weights.pose)
+    X = whitening(at.linear.X)
+    return replace(at, whitening=whitening, X=X, normal=Normal(lineariser.rows, X, at.prior))
+
+
+def solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, *, tolerance: float = 1e-6,
+          limit: int = 30) -> Solution:
+    """Iterate until the next step would take less than ``tolerance`` off the cost (chi square).
+
+    A :class:`Solution` of the same lineariser as start saves evaluating it anew.
+    """
     layout = lineariser.layout
     damping = 0.0
-    now = system(lineariser, start, noise, weights)
+    now = reweighted(lineariser, start, noise, weights) if isinstance(start, Solution) else system(lineariser, start, noise, weights)
     for iteration in range(1, limit + 1):
         step = damped(now.normal, layout.gather("scale"), damping)
         promised = now.normal.decrease(step)
+        if promised < tolerance:
+            break
         station_step = np.zeros((len(now.estimate.state.T_base_station), 6))
         station_step[lineariser.rows.stations] = now.normal.station_step(step)
         candidate = now.estimate.moved(layout, step, station_step)
@@ -67,8 +80,6 @@ def solve(lineariser: Lineariser, start: Estimate, noise: Noise, weights: Weight
             now, damping = trial, damping / 10 if damping > 1e-3 else 0.0
         else:
             damping = max(10 * damping, 1e-2)
-        if promised < tolerance:
-            break
     return now
 
 

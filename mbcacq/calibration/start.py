@@ -14,7 +14,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.observations import Observations
 
-ROUNDS = 8
+ROUNDS = 6
 
 
 def start(obs: Observations, chain: Chain | None = None) -> CellState:
@@ -90,32 +90,40 @@ def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) 
     """T_base_station (S, 4, 4): given ones as given, the others by matching the points seen there."""
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
-    out = np.tile(np.eye(4), (len(cell.stations), 1, 1))
-    station = obs.station[obs.pose]
-    for s in np.unique(obs.station):
-        if cell.stations[s].T_base_station is not None:
-            out[s] = cell.stations[s].T_base_station
-            continue
-        rows = station == s
-        if cell.measurement == TARGET_IN_BASE:
-            out[s] = match(obs.xyz[rows], T_base_scanner[obs.pose[rows], :3, 3])
-            continue
-        base = se3.apply(T_base_scanner[obs.pose[rows]], obs.xyz[rows])
-        balls, index = np.unique(obs.ball[rows], return_inverse=True)
-        middle = np.stack([np.median(base[index == b], axis=0) for b in range(len(balls))])
-        out[s] = match(cell.ball_centres[balls], middle)
+    if cell.measurement == TARGET_IN_BASE:
+        here, there = obs.xyz, T_base_scanner[obs.pose, :3, 3]
+    else:
+        here, there = cell.ball_centres[obs.ball], se3.apply(T_base_scanner[obs.pose], obs.xyz)
+    out = match(here, there, obs.station[obs.pose], len(cell.stations))
+    for s, station in enumerate(cell.stations):
+        if station.T_base_station is not None:
+            out[s] = station.T_base_station
     return out
 
 
-def match(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Rigid transform (4, 4) that brings points a (N, 3) onto b (Kabsch), reweighted against outliers."""
+def match(a: np.ndarray, b: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Rigid transforms (count, 4, 4) that bring the points a (M, 3) of each group onto b (Kabsch), reweighted against outliers."""
     weight = np.ones(len(a))
-    for _ in range(ROUNDS if len(a) > 3 else 1):
-        ca, cb = weight @ a / weight.sum(), weight @ b / weight.sum()
-        R = se3.nearest_rotation((b - cb).T @ (weight[:, None] * (a - ca))) if len(a) > 1 else np.eye(3)
-        off = np.linalg.norm(b - cb - (a - ca) @ R.T, axis=1)
+    for _ in range(ROUNDS):
+        ca, cb = _means(a, weight, group, count), _means(b, weight, group, count)
+        da, db = a - ca[group], b - cb[group]
+        product = (db[:, :, None] * (weight[:, None] * da)[:, None, :]).reshape(-1, 9)
+        R = se3.nearest_rotation(_sums(product, group, count).reshape(-1, 3, 3))
+        off = np.linalg.norm(db - np.einsum("mij,mj->mi", R[group], da), axis=1)
         weight = 1.0 / np.maximum(off, 0.5 * np.median(off) + 1e-9)
-    return se3.transform(R, cb - R @ ca)
+    return se3.transform(R, cb - np.einsum("sij,sj->si", R, ca))
+
+
+def _sums(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, k) of values (M, k) by group."""
+    k = values.shape[1]
+    return np.bincount((group[:, None] * k + np.arange(k)).ravel(), values.ravel(), count * k).reshape(count, k)
+
+
+def _means(values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Weighted means (count, k); zero for an empty group."""
+    total = np.bincount(group, weight, count)
+    return _sums(values * weight[:, None], group, count) / np.where(total > 0, total, 1.0)[:, None]
 
 
 def misfit(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, stations: np.ndarray) -> float:
@@ -141,12 +149,9 @@ def _linear_l1(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np
     weight = np.ones(len(columns))
     x = None
     for _ in range(ROUNDS):
-        total = np.bincount(group, weight, count)
-
-        def centred(values, weight=weight, total=total):
-            flat = values.reshape(len(values), -1) * weight[:, None]
-            mean = np.stack([np.bincount(group, flat[:, j], count) for j in range(flat.shape[1])], axis=1) / total[:, None]
-            return values - mean[group].reshape(values.shape)
+        def centred(values, weight=weight):
+            flat = values.reshape(len(values), -1)
+            return (flat - _means(flat, weight, group, count)[group]).reshape(values.shape)
 
         A, b = centred(columns), centred(target)
         flat = (A * weight[:, None, None]).reshape(-1, A.shape[2])

@@ -1,0 +1,91 @@
+"""``mbcacq calibrate``: identify the cell from a recording and say how far to trust the result."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+@click.command("calibrate")
+@click.argument("data", type=click.Path(path_type=Path))
+@click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", show_default=True,
+              help="ml: everything at once by maximum likelihood; paper: the published method, stage by stage.")
+@click.option("--held-out", type=click.Choice(["station", "random", "block"]), help="Also refit without some poses and predict those.")
+@click.option("--held-out-size", type=click.IntRange(min=1), help="Poses held out of each random fit [default: 30 %, at most 300].")
+@click.option("--fits", type=click.IntRange(min=1), help="Number of random or block fits [default: 3 random, 5 blocks].")
+@click.option("--seed", default=0, show_default=True, help="Seed of the random choice.")
+@click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
+@click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
+@click.option("--release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable).")
+@click.option("--hand-eye-only", is_flag=True, help="Take the arm as nominal; identify hand-eye and stations only.")
+@click.option("--noise", type=click.Choice(["auto", "given", "estimate"]), default="auto", show_default=True,
+              help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.")
+@click.option("--keep-outliers", is_flag=True, help="Do not screen gross outliers.")
+@click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+def command(data: Path, method: str, held_out: str | None, held_out_size: int | None, fits: int | None, seed: int, phases: tuple[str, ...],
+            hold: tuple[str, ...], release: tuple[str, ...], hand_eye_only: bool, noise: str, keep_outliers: bool,
+            even_if_undetermined: bool, out: Path | None, as_json: bool) -> None:
+    """Calibrate the cell from DATA: a run folder, a recording (.rrd) or an observation set.
+
+    \b
+    Examples:
+      mbcacq calibrate runs/today
+      mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
+    """
+    from mbcacq.calibration import Options, calibrate, verify
+    from mbcacq.calibration.held_out import held_out as leave_out
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording import load
+
+    options = Options(method=method, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release, noise=noise,
+                      robust=not keep_outliers, refuse=not even_if_undetermined)
+    observations = load(data)
+    calibration = calibrate(observations, options)
+    result = calibration.to_dict()
+    result["verification"] = verify(observations, calibration).to_dict()
+    if held_out:
+        result["held_out"] = leave_out(observations, options, held_out, size=held_out_size, fits=fits, seed=seed).to_dict()
+    if out:
+        try:
+            out.write_text(json.dumps(result, indent=1), encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
+        result["files"] = {"result": str(out)}
+    if as_json:
+        click.echo(json.dumps(result))
+    else:
+        print_result(result)
+
+
+def print_result(result: dict[str, Any]) -> None:
+    """Show a result (content of result.json, with 'verification', 'held_out', 'files' where there are) as tables on stdout."""
+    from rich.console import Console
+
+    from mbcacq.cli import tables
+
+    console = Console(highlight=False, soft_wrap=True)
+    fit, noise = result["fit"], result["noise"]
+    console.print(tables.parameters(result))
+    console.print(tables.hand_eye(result))
+    chi2 = f", chi2/dof {fit['chi2_dof']:.2f}" if fit.get("chi2_dof") is not None else ""
+    console.print(f"Fit: {fit['centres']} centres of {fit['poses']} poses, residual {fit['rms_mm']:.4f} mm rms{chi2}, rank {fit['rank']}")
+    if fit.get("expected_accuracy_mm") is not None:
+        expected = fit["expected_accuracy_mm"]
+        console.print(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, noise of measuring aside)")
+    if noise:
+        sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
+        joints = " ".join(f"{1e6 * s:.1f}" for s in noise["joint_rad"])
+        console.print(f"Noise: scanner {sigmas} um along x y z; joints repeat within {joints} urad")
+    for line in tables.remarks(result):
+        console.print(line)
+    if result.get("verification"):
+        console.print(tables.verification(result["verification"]))
+    if result.get("held_out"):
+        console.print(tables.held_out(result["held_out"]))
+    for name, path in (result.get("files") or {}).items():
+        console.print(f"{name}: {path}", soft_wrap=True)

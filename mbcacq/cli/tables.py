@@ -1,0 +1,96 @@
+"""Tables of calibration results for the terminal: deg and mm, as people read them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+TO_DEG = 180 / np.pi
+
+
+def parameters(result: dict[str, Any]) -> Table:
+    """Identified MD-H errors with standard deviations, one row a link, as the paper's Table 1."""
+    rows = {p["name"]: p for p in result["parameters"]}
+    table = Table(title=f"{result['robot']['name']}: MD-H errors (deg, mm), +- standard deviation", title_justify="left")
+    table.add_column("link")
+    for name in ("theta", "d", "a", "alpha", "beta"):
+        table.add_column(f"{name} {'mm' if name in 'da' else 'deg'}", justify="right")
+    for i in range(len(result["robot"]["sign"])):
+        table.add_row(str(i + 1), *(_cell(rows.get(f"{p}_{i + 1}")) for p in ("theta", "d", "a", "alpha", "beta")))
+    return table
+
+
+def _cell(parameter: dict[str, Any] | None) -> str:
+    if parameter is None or parameter["status"] == "held":
+        return "-"
+    scale, digits = (TO_DEG, 4) if parameter["unit"] == "rad" else (1.0, 3)
+    std = f"\n+-{scale * parameter['std']:.{digits}f}" if parameter["std"] is not None else ""
+    return f"{scale * parameter['error']:+.{digits}f}{std}"
+
+
+def hand_eye(result: dict[str, Any]) -> Table:
+    from mbcacq.geometry import se3
+
+    xyz, abc = se3.to_abc(np.array(result["T_flange_scanner"]))
+    std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
+    what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
+    table = Table(title=f"{what}, X Y Z mm, A B C deg", title_justify="left")
+    for name in "XYZABC":
+        table.add_column(name, justify="right")
+    table.add_row(*(f"{v:.4f}" for v in xyz), *(f"{TO_DEG * v:.4f}" for v in abc))
+
+    def text(name: str, scale: float) -> str:
+        return "held" if std.get(f"hand_eye.{name}") is None else f"+-{scale * std[f'hand_eye.{name}']:.4f}"
+
+    # The standard deviations of the rotation are about the scanner's z, y, x axes, close enough to A, B, C only for reading.
+    table.add_row(*(text(c, 1.0) for c in "xyz"), *(text(c, TO_DEG) for c in ("rz", "ry", "rx")))
+    return table
+
+
+def remarks(result: dict[str, Any]) -> list[str]:
+    """Held parameters, pairs that cannot be told apart, rejected measurements, noise that contradicts what was stated."""
+    out = []
+    held = result.get("held") or {}
+    reasons: dict[str, list[str]] = {}
+    for name, why in held.items():
+        reasons.setdefault(why, []).append(name)
+    for why, names in reasons.items():
+        out.append(f"Held: {', '.join(names)}: {why}")
+    for pair in (result.get("correlated") or [])[:5]:
+        a, b = pair["parameters"]
+        out.append(f"Hard to tell apart: {a} and {b} (correlation {pair['correlation']:+.3f})")
+    rejected = result.get("rejected") or []
+    if rejected:
+        some = ", ".join(f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({r['distance_mm']:.3f} mm)"
+                         for r in rejected[:5])
+        out.append(f"Left out as outliers: {len(rejected)}: {some}{', ...' if len(rejected) > 5 else ''}")
+    factor = (result.get("noise") or {}).get("check_factor")
+    if factor and (max(factor) > 2 or min(factor) < 0.5):
+        out.append(f"The scanner's noise is {max(factor, key=lambda f: abs(np.log(f))):.1f} times what was stated")
+    return out
+
+
+def verification(v: dict[str, Any]) -> Table:
+    """Sphere spacing errors before and after, as the paper's Table 2."""
+    table = Table(title="Sphere spacing error (mm)", title_justify="left")
+    for name in ("station", "balls", "certified", "before", "after", "expected +-"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for p in v["places"]:
+        expected = "" if p["expected_mm"] is None else f"{p['expected_mm']:.3f}"
+        table.add_row(str(p["station"]), f"{p['balls'][0]}-{p['balls'][1]}", f"{p['certified_mm']:.4f}", f"{p['before_mm']:+.3f}",
+                      f"{p['after_mm']:+.3f}", expected)
+    table.add_section()
+    table.add_row("max", "", "", f"{v['before']['max_mm']:.3f}", f"{v['after']['max_mm']:.3f}", "")
+    expected = "" if v.get("expected_mean_mm") is None else f"{v['expected_mean_mm']:.3f}"
+    table.add_row("mean", "", "", f"{v['before']['mean_mm']:.3f}", f"{v['after']['mean_mm']:.3f}", expected)
+    return table
+
+
+def held_out(h: dict[str, Any]) -> str:
+    what = {"station": "Leaving each station out", "random": "Random poses held out", "block": "Blocks of poses held out"}[h["split"]]
+    spread = f", spread of each ball {h['spread_mm']:.4f} mm" if h.get("spread_mm") is not None else ""
+    gross = f"; {h['gross']} gross, without them {h['rms_without_gross_mm']:.4f} mm" if h["gross"] else ""
+    rms = f"{h['rms_mm']:.4f} mm rms (3D){spread}, median {h['median_mm']:.4f}, max {h['max_mm']:.4f}{gross}"
+    return f"{what} ({h['fits']} fits, {h['poses']} poses): {rms}"
