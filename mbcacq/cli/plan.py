@@ -91,8 +91,8 @@ def _print_poses(content: dict[str, Any]) -> None:
     click.echo(f"{'pose':>4} {'at s':>5}  {'step':{wide['step']}}  {'station':{wide['station']}} {'balls':>5}{axes}  via")
     for p in poses:
         angles = "".join(f"{a:8.2f}" for a in p["q_deg"])
-        click.echo(f"{p['pose']:4} {p['start_s']:5.0f}  {p['step']:{wide['step']}}  {p['station']:{wide['station']}} {len(p['balls']):5}{angles}"
-                   f"  {p['waypoints'] or ''}".rstrip())
+        where = f"{p['step']:{wide['step']}}  {p['station']:{wide['station']}}"
+        click.echo(f"{p['pose']:4} {p['start_s']:5.0f}  {where} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
 
 
 def _time_sentence(content: dict[str, Any]) -> str:

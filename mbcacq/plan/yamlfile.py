@@ -52,7 +52,8 @@ class YamlFile:
 def read(path: Path, role: str = "file") -> YamlFile:
     """Read a YAML file. Raises ConfigError for a missing, oversized, broken or ambiguous one."""
     try:
-        raw = path.open("rb").read(MAX_BYTES + 1)
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"{path}: the {role} cannot be read ({error.strerror}); correct the path") from None
     if len(raw) > MAX_BYTES:
@@ -72,6 +73,8 @@ def parse(text: str, path: Path) -> YamlFile:
         if node is not None:
             _walk(node, (), lines, path, [0])
         data = yaml.safe_load(text)
+    except ConfigError:
+        raise
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
@@ -124,7 +127,7 @@ def _explain(error: Any, lines: dict[Path_, int]) -> tuple[Path_, str]:
     if kind == "extra_forbidden":
         return where, f"unknown key '{last}'; correct or remove it"
     if kind == "missing":
-        return where, f"{_name(where)} lacks '{last}'"
+        return where, f"{_name(where)} has too few values" if isinstance(last, int) else f"{_name(where)} lacks '{last}'"
     if kind == "union_tag_not_found":
         return where, f"{_name(where)} lacks 'do'; say which of 'translate', 'look', 'joints'"
     if kind == "union_tag_invalid":

@@ -1,0 +1,208 @@
+"""Each kind of finding, provoked once; the shipped plans give none."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import PLANS
+
+from mbcacq.cli.plan import command
+from mbcacq.errors import ConfigError
+from mbcacq.plan import expand, load, path, refuse_errors
+from mbcacq.plan.checks import check
+from mbcacq.plan.clearance import Clearance
+from mbcacq.plan.duration import motion_time
+from mbcacq.plan.expansion import expand_reachable
+from mbcacq.plan.path import find_paths, way_home
+from mbcacq.plan.sight import occluded
+
+
+def findings(plan_path):
+    loaded = load(plan_path)
+    return check(loaded, expand_reachable(loaded)[0])
+
+
+def codes(plan_path, level="error"):
+    return {f.code for f in findings(plan_path) if f.level == level}
+
+
+def taught(folder, *poses, extra=""):
+    text = folder.plan().read_text().split("steps:")[0]
+    rows = ", ".join(str(list(p)) for p in poses)
+    return folder.write("plan.yaml", f"{text}{extra}steps:\n  - {{name: t, phase: position, do: joints, station: 1, poses_deg: [{rows}]}}\n")
+
+
+GOOD = (0, -66, 122, 0, 24, 90)
+
+
+@pytest.mark.parametrize("name", ["kuka.yaml", "quick.yaml"])
+def test_shipped_plans_have_nothing_to_complain_about(name):
+    loaded = load(PLANS / name)
+    poses = expand(loaded)
+    assert [str(f) for f in check(loaded, poses) if f.level != "info"] == []
+    refuse_errors(loaded, poses)
+
+
+def test_small_plan_is_clean(folder):
+    assert codes(folder.plan()) == set()
+
+
+def test_out_of_reach(folder):
+    found = [f for f in findings(folder.plan(("[600, 0, 150]", "[1600, 0, 150]"))) if f.code == "reach"]
+    assert [f.place for f in found] == [f"{folder.path}/plan.yaml:{line}" for line in (24, 25)]
+    assert all("step 'views'" in f.sentence for f in found)
+
+
+def test_taught_pose_beyond_a_limit_and_close_to_one(folder):
+    found = {f.code: f for f in findings(taught(folder, (0, -90, 157, 0, 60, 0), (0, -90, 155, 0, 60, 0)))}
+    assert found["limits"].level == "error"
+    assert "A3 at 157.0 deg exceeds its limits -120..156 deg" in found["limits"].sentence
+    assert found["near-limit"].level == "warning"
+
+
+def test_singular_postures(folder):
+    assert "wrist-singular" in codes(taught(folder, (0, -66, 122, 10, 2, 0)), "warning")
+    assert "elbow-singular" in codes(taught(folder, (0, -30, 3, 0, 60, 0)), "warning")
+    # the upper arm leans back by 20 deg, the forearm forward until the wrist (behind four rows) stands on axis 1
+    postures = np.array([[0, -110, a, 0, 60, 0] for a in np.arange(20, 150, 0.25)])
+    wrist = load(folder.path / "plan.yaml").cell.robot.chain.frames(np.radians(postures))[:, 4, 0, 3]
+    assert "shoulder-singular" in codes(taught(folder, postures[np.argmin(np.abs(wrist))].tolist()), "warning")
+
+
+def test_balls_outside_the_view(folder):
+    found = findings(folder.plan(("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 20, azimuth_deg: 30, shift_mm: [0, 0, 80]}")))
+    assert [(f.level, f.code) for f in found if f.step == "views"][0] == ("error", "out-of-view")
+    assert "0 of 8 balls are in view, fewer than the 3 that are needed" in found[0].sentence
+    part = folder.plan(("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 20, azimuth_deg: 30, shift_mm: [15, 0, 0]}"))
+    assert "part-view" in codes(part, "info")
+    assert "out-of-view" not in codes(part)
+
+
+def test_expected_ball_that_cannot_be_seen(folder):
+    text = folder.plan().read_text().split("steps:")[0]
+    steps = f"steps:\n  - {{name: t, phase: position, do: joints, station: 1, balls: [1, 2], poses_deg: [{list(GOOD[:5])[:4] + [60, 0]}]}}\n"
+    found = [f for f in findings(folder.write("plan.yaml", text + steps)) if f.code == "out-of-view"]
+    assert found
+    assert "outside the field of view" in found[0].sentence
+
+
+def test_looking_at_the_edge_of_the_artefact(folder):
+    assert "steep" in codes(folder.plan(("tilt_deg: 20", "tilt_deg: 80"), ("[600, 0, 150]", "[600, 0, 350]")), "warning")
+
+
+def test_one_ball_before_another():
+    """Camera about 245 mm above the origin of this view; two balls on one ray, a third aside."""
+    field = load(PLANS / "quick.yaml").plan.scanner.field_of_view
+    xyz = np.array([[0, 0, 0], [0.5, 0, 20], [30, 0, 0.0]])
+    assert occluded(xyz, np.full(3, 6.0), field) == [(1, 0)]
+    assert occluded(np.array([[0, 0, 0], [14.0, 0, 20]]), np.full(2, 6.0), field) == []
+
+
+def test_scanner_in_the_table(folder):
+    table = ("artefacts: [", "obstacles:\n  - {name: table, min_mm: [300, -500, 0], max_mm: [900, 500, 500]}\nartefacts: [")
+    found = [f for f in findings(folder.plan(table)) if f.code == "collision"]
+    assert found
+    assert any("scanner runs" in f.sentence and "into table" in f.sentence for f in found)
+    with pytest.raises(ConfigError, match=r"plan\.yaml:\d+: .*table.*\(\d+ more: mbcacq plan check"):
+        refuse_errors(load(folder.path / "plan.yaml"), expand(load(folder.path / "plan.yaml")))
+
+
+def test_home_inside_something(folder):
+    box = ("artefacts: [", "obstacles:\n  - {name: post, min_mm: [450, -50, 500], max_mm: [650, 50, 1100]}\nartefacts: [")
+    assert any("at home" in f.sentence for f in findings(folder.plan(box)))
+
+
+def test_scanner_against_its_own_forearm(folder):
+    assert any("link" in f.sentence for f in findings(taught(folder, (0, -90, 90, 0, 119, 0), extra="clearance_mm: 60\n")) if f.code == "collision")
+
+
+def test_same_pose_twice(folder):
+    assert "repeated" in codes(taught(folder, GOOD, (0, -66, 122, 0, 24.001, 90)), "warning")
+
+
+SIDES = ("{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
+         "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [0, 0, 0]}}")
+
+
+def test_a_way_round_an_obstacle_is_found_and_is_free(folder):
+    """A screen stands between two views, higher than the straight motion passes: the arm must go round or over it."""
+    home = ("home_deg: [0, -90, 90, 0, 90, 0]", "home_deg: [60, -110, 110, 0, 90, 0]")
+    views = ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 45, azimuth_deg: 90}"), ("{tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}", "{tilt_deg: 45, azimuth_deg: 270}")
+    loaded = load(folder.plan(("artefacts: [", "obstacles:\n  - {name: screen, min_mm: [560, -15, 330], max_mm: [640, 15, 420]}\nartefacts: ["), SIDES, home, *views))
+    poses = expand(loaded)
+    clearance = Clearance(loaded)
+    assert clearance.on_way(poses[0].q, poses[1].q, "1", 10.0) is not None
+    transits, blocked = find_paths(loaded, poses)
+    assert blocked == []
+    assert len(transits[1]) > 0
+    stops = [poses[0].q, *transits[1], poses[1].q]
+    for a, b in zip(stops, stops[1:], strict=False):
+        for share in np.linspace(0, 1, 200):
+            assert clearance.at(a + share * (b - a), "1").distance > 5.0
+
+
+def test_no_way_is_an_error_with_its_line(folder):
+    cage = "  - {name: screen, min_mm: [330, 330, -200], max_mm: [350, 1100, 1800]}\n"
+    turned = ("{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
+              "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [0, 600, 150], abc_deg: [0, 0, 0]}}")
+    found = [f for f in findings(folder.plan(("artefacts: [", f"obstacles:\n{cage}artefacts: ["), turned)) if f.code == "way"]
+    assert found
+    assert "no free way to pose 0 was found" in found[0].sentence
+    assert found[0].place.endswith("plan.yaml:26")
+    loaded = load(folder.path / "plan.yaml")
+    poses = expand(loaded)
+    with pytest.raises(ConfigError, match="no free way"):
+        path(loaded, poses[:1])
+
+
+def test_a_motion_is_never_called_free_where_a_fine_look_finds_contact():
+    """Random motions past a post: bounded halving against looking every hundredth of the way."""
+    loaded = load(PLANS / "kuka.yaml")
+    clearance, rng = Clearance(loaded), np.random.default_rng(8)
+    disagreements = hits = 0
+    for _ in range(40):
+        a, b = np.radians(rng.uniform([-40, -60, 60, -180, -100, -180], [40, 0, 140, 180, 100, 180], (2, 6)))
+        finest = min(clearance.at(a + s * (b - a), "p1").distance for s in np.linspace(0, 1, 101))
+        free = clearance.on_way(a, b, "p1", 10.0) is None
+        hits += finest < 10
+        disagreements += free and finest < 10 - 4
+    assert hits > 10
+    assert disagreements == 0
+
+
+def test_the_artefact_is_moved_while_the_arm_is_at_home():
+    loaded = load(PLANS / "kuka.yaml")
+    poses = expand(loaded)
+    home = np.radians(loaded.plan.robot.home_deg)
+    for before, pose, transit in zip(poses, poses[1:], path(loaded, poses)[1:], strict=False):
+        if before.station == pose.station:
+            assert transit.leave == []
+        else:
+            assert transit.leave[-1] == pytest.approx(home)
+    assert way_home(loaded, poses[-1])[-1] == pytest.approx(home)
+
+
+def test_motion_time_of_a_long_and_a_short_move():
+    """Trapezoid with jerk: s/v + v/a + a/j, where the top speed is reached."""
+    from mbcacq.devices import MotionLimits
+
+    limits = MotionLimits(np.array([1.0, 2.0]), np.array([5.0, 5.0]), np.array([50.0, 50.0]))
+    assert motion_time(np.zeros(2), np.array([2.0, 0.1]), limits) == pytest.approx(2.0 + 0.2 + 0.1)
+    assert motion_time(np.zeros(2), np.zeros(2), limits) == 0
+
+
+def test_command_line(folder):
+    good = folder.plan()
+    shown = CliRunner().invoke(command, ["show", str(good), "--json"])
+    content = json.loads(shown.output)
+    assert [p["balls"] for p in content["poses"]][2:] == [[9], [10]]
+    assert content["duration"]["station_changes"] == 1
+    assert CliRunner().invoke(command, ["check", str(good)]).exit_code == 0
+    bad = folder.plan(("[600, 0, 150]", "[1600, 0, 150]"))
+    failed = CliRunner().invoke(command, ["check", str(bad)])
+    assert failed.exit_code == 2
+    assert "plan.yaml:24: step 'views'" in failed.output
+    failed = json.loads(CliRunner().invoke(command, ["check", str(bad), "--json"]).output)
+    assert failed["errors"] == 2
+    assert failed["findings"][0]["code"] == "reach"

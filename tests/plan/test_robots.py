@@ -1,0 +1,112 @@
+"""The shipped arms against their published forward kinematics, reach and gravity moments."""
+
+import ast
+import json
+
+import numpy as np
+import pytest
+import yaml
+from conftest import PLANS, ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbcacq.cellfile import RobotSpec
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.geometry.gravity import gravity_torque
+from mbcacq.plan.kinematics import InverseKinematics
+
+MODELS = ROOT.parent / "shared" / "facts" / "kuka_models.json"
+ARMS = sorted(path.stem for path in (PLANS / "robots").glob("*.yaml"))
+
+
+def robot(name):
+    return RobotSpec.model_validate(yaml.safe_load((PLANS / "robots" / f"{name}.yaml").read_text())).model()
+
+
+# X and Z (mm) of the flange with the upper arm upright and the forearm level, A = (0, -90, 90, 0, 0, 0): a1 + c3 + c4, c1 + c2 + z-off
+UPRIGHT = {
+    "kr6_r700_sixx": (470, 750), "kr6_r900_sixx": (525, 890), "kr10_r1100_sixx": (620, 995), "kr6_r900_2": (535, 880), "kr10_r900_2": (535, 880),
+    "kr10_r1100_2": (630, 985), "kr16_r1610_2": (968, 1450), "kr16_r2010_2": (1173, 1650), "kr20_r1810_2": (1173, 1450), "kr70_r2100": (1395, 1515),
+    "kr120_r2700_2": (1765, 1910), "kr150_r3100_2": (1965, 2110), "kr210_r2700_2": (1765, 1910), "kr300_r2700_2": (1790, 1910),
+}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_upright_arm_reaches_where_the_drawing_says_and_positive_angles_turn_kukas_way(name):
+    chain = robot(name).chain
+    T = chain.flange(np.radians([[0, -90, 90, 0, 0, 0.0]]))[0]
+    assert T[:3, 3] == pytest.approx([UPRIGHT[name][0], 0, UPRIGHT[name][1]], abs=2e-3)
+    assert T[:3, 2] == pytest.approx([1, 0, 0], abs=1e-9)  # the flange's z points away from the arm
+    turned = chain.flange(np.radians([[10, -90, 90, 0, 0, 0], [0, -80, 90, 0, 0, 0], [0, -90, 100, 0, 0, 0], [0, -90, 90, 0, 10, 0.0]]))[:, :3, 3]
+    assert turned[0, 1] < -50  # A1 clockwise, seen from above
+    assert (turned[1:, 2] < T[2, 3] - 10).all()  # A2, A3 and A5 downwards
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_forward_kinematics_of_the_published_model(name):
+    if not MODELS.exists():
+        pytest.skip("the collection of published arm models is not beside this checkout")
+    models = json.loads(MODELS.read_text())
+    table = models.get(name) or models["exp:" + name.replace("_", "")]
+    arm = robot(name)
+    for angles, frame in table["fk_tool0"].items():
+        expected = se3.from_abc(np.array(frame[:3]), np.radians(frame[3:]))
+        found = arm.chain.flange(np.radians([ast.literal_eval(angles)]))[0]
+        assert found[:3, 3] == pytest.approx(expected[:3, 3], abs=0.02)
+        assert found[:3, :3] == pytest.approx(expected[:3, :3], abs=3e-5)
+    assert np.degrees(arm.limits) == pytest.approx(np.array(table["limits_deg"]), abs=0.01)
+
+
+# N m about A2 and A3, all axes 0, no tool, from the links' published centres of gravity in the base frame
+MOMENTS = {"kr6_r900_2": (108, 26), "kr10_r1100_2": (140, 32), "kr16_r1610_2": (674, 126), "kr20_r1810_2": (721, 159), "kr120_r2700_2": (4975, 1071), "kr70_r2100": (2038, 510)}
+
+
+@pytest.mark.parametrize("name", MOMENTS)
+def test_gravity_moments_of_the_stretched_arm(name):
+    arm = robot(name)
+    torque = gravity_torque(arm.chain, arm.chain.frames(np.zeros((1, 6))), arm.mass, arm.com, 0.0, np.zeros(3), arm.gravity)[0]
+    assert torque[1] == pytest.approx(MOMENTS[name][0], rel=0.005)
+    assert torque[2] == pytest.approx(MOMENTS[name][1], rel=0.02)
+    assert torque[0] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_inverse_kinematics_finds_the_way_back(name):
+    """Every posture within the limits is among the solutions of its own flange pose, and every solution leads there."""
+    arm = robot(name)
+    solver = InverseKinematics.of(arm)
+    q = np.random.default_rng(4).uniform(arm.limits[:, 0], arm.limits[:, 1], (60, 6))
+    q = q[np.abs(q[:, 4]) > 0.01]  # a straight wrist has no single answer
+    T = arm.chain.flange(q)
+    for posture, pose, found in zip(q, T, solver.solutions(T), strict=True):
+        assert np.abs(found - posture).max(axis=1).min() < 1e-6
+        assert arm.chain.flange(found) == pytest.approx(np.broadcast_to(pose, (len(found), 4, 4)), abs=1e-6)
+        assert (found >= arm.limits[:, 0]).all()
+        assert (found <= arm.limits[:, 1]).all()
+
+
+@given(base=st.tuples(*[st.floats(-500, 500)] * 3), turn=st.tuples(*[st.floats(-3, 3)] * 3))
+def test_out_of_reach_has_no_solution(base, turn):
+    arm = robot("kr10_r1100_2")
+    direction = np.array(base) + 1e-3
+    far = se3.from_abc(direction / np.linalg.norm(direction) * 1600, np.array(turn))
+    assert len(InverseKinematics.of(arm).solutions(far[None])[0]) == 0
+
+
+def test_arms_without_a_closed_form_are_refused_by_name():
+    spec = yaml.safe_load((PLANS / "robots" / "kr10_r1100_2.yaml").read_text())
+
+    def refused(link, **changes):
+        links = [dict(x) for x in spec["links"]]
+        links[link].update(changes)
+        with pytest.raises(ConfigError) as error:
+            InverseKinematics.of(RobotSpec.model_validate({**spec, "links": links}).model())
+        return str(error.value)
+
+    assert "axes 4, 5 and 6 do not meet" in refused(4, d_mm=60)
+    assert "axes 2 and 3 are not parallel" in refused(1, alpha_deg=90)
+    assert "axes 1 and 2 are not perpendicular" in refused(0, alpha_deg=-80)
+    short = RobotSpec.model_validate({**spec, "links": spec["links"][:5]}).model()
+    with pytest.raises(ConfigError, match="it has 5 axes, not 6; give its poses as joint positions"):
+        InverseKinematics.of(short)
