@@ -6,11 +6,13 @@ import numpy as np
 
 from mbcacq.diagnosis import prove, residual_test
 from mbcacq.diagnosis.explain import NOTHING, Search
-from mbcacq.diagnosis.finding import Finding, Setup, find, prepare
+from mbcacq.diagnosis.finding import Finding, Setup, find, prepare, thin
 from mbcacq.diagnosis.locate import log10_tail
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.smooth import MANY_POSES
 from mbcacq.observations import Observations
 
+MOST_POSES = 4000
 UNDECIDED = 6.0  # chi2 by which an alternative may be worse and still not be excluded
 
 
@@ -18,11 +20,17 @@ def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: 
     """Locate, explain, prove. Raises CalibrationError where the data do not even determine the geometry."""
     progress("fitting the geometry")
     setup = prepare(obs)
+    extra = []
+    if obs.n_poses > MOST_POSES:
+        setup = thin(setup, setup.linear.keep, MOST_POSES)
+        extra = [f"of {obs.n_poses} poses {MOST_POSES}, evenly at random, were used"]
     progress("searching for effects")
     full = find(setup)
     progress("proving on data left out")
-    proof = prove.prove(setup, full, folds or (4 if obs.n_poses < 4000 else 2))
-    return conclude(setup, full, proof)
+    proof = prove.prove(setup, full, folds or (4 if obs.n_poses < MANY_POSES else 3 if obs.n_poses < 2000 else 2))
+    result = conclude(setup, full, proof)
+    result.notes += extra
+    return result
 
 
 def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
@@ -78,8 +86,8 @@ def named_effects(setup: Setup, full: Finding, before: prove.Quality) -> list[Ef
     out = []
     for members in grouped.values():
         first = model.members[members[0]][0]
-        rest = search.solve(full.before, tuple(m for j, m in enumerate(model.members) if j not in members))
-        gain = model.gain - (rest.gain if rest is not None else 0.0)
+        rest = search.solve(full.before, tuple(m for j, m in enumerate(model.members) if j not in members), permit=True)
+        gain = model.gain - rest.gain
         k = sum(model.members[j][0].k for j in members)
         where = list(dict.fromkeys(w for j in members for w in model.members[j][0].where))
         out.append((gain, EffectFound(first.name, where, first.depends_on, merge_parameters(full, members),
@@ -156,8 +164,8 @@ def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[di
     excess = max(before.chi2 - before.dof, model.gain, 1e-9)
     out = []
     for j, (candidate, _) in enumerate(model.members):
-        rest = search.solve(full.before, model.members[:j] + model.members[j + 1:])
-        gain = model.gain - (rest.gain if rest is not None else 0.0)
+        rest = search.solve(full.before, model.members[:j] + model.members[j + 1:], permit=True)
+        gain = model.gain - rest.gain
         for at in candidate.where[-1:]:
             out.append({"at": at, "depends_on": candidate.depends_on, "share": float(np.clip(gain / excess, 0, 1)),
                         "p_value": 10 ** max(log10_tail(gain, candidate.k), -300.0)})

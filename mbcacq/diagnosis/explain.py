@@ -83,8 +83,9 @@ class Search:
                     continue
                 if rest.score > improved.score:
                     improved = rest
-                if len(model.members) > 6 or not self.thorough:
-                    continue
+                candidate, hyper = model.members[j]
+                if len(model.members) > 6 and (candidate.several and hyper > 4.0):
+                    continue  # a fast wiggle can be nothing else
                 for scored in self.expand(screen, rest)[:2]:
                     other = self.solve(screen, (*rest.members, (scored.candidate, scored.hyper)))
                     if other is not None and other.score > improved.score + 1e-6:
@@ -119,8 +120,8 @@ class Search:
         out = threshold(candidate.k, round(np.log(max(tries, 1)), 1), candidate.name in names)
         return out + (NEW_FAMILY if names and candidate.name not in names else 0.0)
 
-    def solve(self, screen: Screen, members: tuple[tuple[Candidate, float | None], ...]) -> Model | None:
-        """All members and the geometry together; None where physics forbids the result."""
+    def solve(self, screen: Screen, members: tuple[tuple[Candidate, float | None], ...], permit: bool = False) -> Model | None:
+        """All members and the geometry together; None where physics forbids the result and ``permit`` does not."""
         if not members:
             return NOTHING
         X = np.concatenate([screen.block(c, h) for c, h in members], axis=1)
@@ -139,7 +140,7 @@ class Search:
             cost += self.cost(candidate, hyper, sofar)
             sofar = replace(sofar, members=(*sofar.members, (candidate, hyper)))
         model = Model(members, gain, gain - cost, coefficients, covariance)
-        if any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
+        if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
             return None
         return model
 

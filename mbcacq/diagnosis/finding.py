@@ -19,6 +19,7 @@ from mbcacq.physics.effect import Candidate
 from mbcacq.physics.situation import Situation
 
 PASSES = 4
+SEARCHED = 1200  # poses that the search for names looks at, of a long recording
 
 
 @dataclass(frozen=True)
@@ -69,16 +70,46 @@ def columns_of(linear: Linear, model: Model, smooth_model: SmoothModel | None) -
     return np.concatenate(blocks, axis=2), np.concatenate(widths)
 
 
-def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, structure: bool | None = None) -> Finding:
-    """The model of the centres in keep. structure: whether to fit smooth groups; None lets the examination decide."""
-    linear = setup.linear if keep is None else setup.linear.restricted(keep)
+def thin(setup: Setup, keep: np.ndarray, most: int) -> Setup:
+    """The same recording with at most ``most`` of the poses that have a kept centre, evenly at random along its order."""
+    obs = setup.linear.obs
+    has = np.flatnonzero(np.bincount(obs.pose[keep], minlength=obs.n_poses) > 0)
+    rng = np.random.default_rng(0)
+    chosen = np.zeros(obs.n_poses, bool)
+    chosen[[rng.choice(part) for part in np.array_split(has[np.argsort(setup.situation.order[has])], min(most, len(has)))]] = True
+    small = obs.select(chosen)
+    linear = Linear(small, setup.linear.state, keep[chosen[obs.pose]])
+    situation = Situation(small, setup.linear.state, linear.prediction)
+    return Setup(linear, situation, catalogue.candidates(situation)[0], setup.dropped, setup.first)
+
+
+def back(setup: Setup, small: Setup, model: Model) -> Model:
+    """The members of a model found on a thinned recording, as candidates of the whole one."""
+    by_key = {c.key: c for c in setup.candidates}
+    members = []
+    for candidate, hyper in model.members:
+        if candidate.hyper is not None and candidate.hyper.name == "at_pose":
+            pose = small.linear.obs.pose_id[np.flatnonzero(small.situation.order == int(hyper))[0]]
+            later = setup.linear.obs.pose_id[np.argsort(setup.situation.order)]
+            hyper = float(np.flatnonzero(later == pose)[0]) if np.any(later == pose) else float(hyper) * len(later) / small.linear.obs.n_poses
+        if candidate.key in by_key:
+            members.append((by_key[candidate.key], hyper))
+    return Model(tuple(members), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+
+
+def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search]:
+    """Named effects and noise in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > smooth.MANY_POSES
     search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=10, thorough=not large)
     sigma = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
     model = NOTHING
-    for _ in range(2 if large else PASSES):
+    for turn in range(2 if large else PASSES):
         screen = Screen(linear, sigma)
-        new = search.run(screen, start=model if large else NOTHING)
+        start = NOTHING
+        if large:  # every arm is elastic: what elasticity explains is not given to slow periodic errors
+            elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
+            start = Search(elastic, beam=1, branches=2, most=6).run(screen) if turn == 0 else model
+        new = search.run(screen, start=start)
         same = {c.key for c, _ in new.members} == {c.key for c, _ in model.members}
         model = new
         if not model.members:
@@ -86,22 +117,43 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
         sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
         if same:
             break
+    return model, sigma, search
+
+
+def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, structure: bool | None = None) -> Finding:
+    """The model of the centres in keep. structure: whether to fit smooth groups; None lets the examination decide."""
+    linear = setup.linear if keep is None else setup.linear.restricted(keep)
+    large = linear.obs.n_poses > smooth.MANY_POSES
+    small = thin(setup, linear.keep, SEARCHED) if large else setup
+    model, sigma, search = search_named(small, small.linear if large else linear)
+    if large:
+        model = back(setup, small, model)
+        sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
+        search = Search(setup.candidates, thorough=False)
     before = Screen(linear, sigma)
-    model = search.solve(before, model.members) or model
+    model = search.solve(before, model.members, permit=True)
     named = with_members(before, model)
-    leftover = residual_test.examine(named, setup.situation) if examine else None
+    leftover = None
+    if examine and large:
+        small_named = with_members(Screen(small.linear, sigma), back(small, setup, model))
+        leftover = residual_test.examine(small_named, small.situation)
+    elif examine:
+        leftover = residual_test.examine(named, setup.situation)
     rest = None
     if structure or (structure is None and leftover is not None and leftover.structure):
         groups = smooth.everything(linear, setup.situation) if large else smooth.located(linear, setup.situation, leftover_spots(named, setup, leftover))
+        sizes = None
         for _ in range(2):
-            rest = smooth.fit(named, groups)
-            if rest is None:
+            new = smooth.fit(named, groups, sizes)
+            if new is None:
                 break
+            rest, groups, sizes = new, new.groups, new.sizes
             sigma = noise.estimate(linear, *columns_of(linear, model, rest), sigma, setup.first)
             before = Screen(linear, sigma)
             named = with_members(before, model)
         if rest is not None:
-            rest = smooth.fit(named, groups) or rest
+            rest = smooth.fit(named, groups, sizes) or rest
+            model = search.solve(before, model.members, permit=True)
     return Finding(model, rest, sigma, before, named, leftover)
 
 

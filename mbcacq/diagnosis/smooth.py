@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri
 
 from mbcacq.diagnosis import covariates
 from mbcacq.diagnosis.linear import Linear
@@ -19,6 +21,7 @@ from mbcacq.physics.situation import Situation
 MANY_POSES = 350
 OWN_ORDER, OTHER_ORDER = 45.0, 9.0
 START_MM = 0.02
+SMALLEST = 0.03  # of the instrument noise: a group that moves nothing is dropped
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,12 @@ class Group:
 
 @dataclass(frozen=True)
 class SmoothModel:
-    """Groups with their coefficients, prior sigmas (all concatenated) and gains."""
+    """Groups with their coefficients and prior sigmas (all concatenated), and the size of each group."""
 
     groups: tuple[Group, ...]
     coefficients: np.ndarray
     sigma: np.ndarray
+    sizes: np.ndarray
 
     @property
     def columns(self) -> np.ndarray:
@@ -119,8 +123,8 @@ def located(linear: Linear, s: Situation, spots: list[Spot]) -> list[Group]:
     return out
 
 
-def fit(screen: Screen, groups: list[Group], rounds: int = 40) -> SmoothModel | None:
-    """Sizes and coefficients of the groups beyond what the screen has projected out."""
+def fit(screen: Screen, groups: tuple[Group, ...] | list[Group], start: np.ndarray | None = None, rounds: int = 25) -> SmoothModel | None:
+    """Sizes and coefficients of the groups beyond what the screen has projected out. start: (G,) sizes to begin with."""
     if not groups:
         return None
     unit = []
@@ -133,24 +137,29 @@ def fit(screen: Screen, groups: list[Group], rounds: int = 40) -> SmoothModel | 
     S, b = X.T @ X - taken.T @ taken, X.T @ screen.r
     ends = np.cumsum([0] + [len(g.weight) for g in groups])
     parts = [slice(a, z) for a, z in zip(ends[:-1], ends[1:], strict=True)]
-    size2 = np.full(len(groups), START_MM**2)
+    size2 = np.full(len(groups), START_MM**2) if start is None else start**2
+    smallest = (SMALLEST * float(np.mean(screen.noise.point))) ** 2
     alive = np.ones(len(groups), bool)
     for _ in range(rounds):
         index = np.concatenate([np.arange(p.start, p.stop) for p, a in zip(parts, alive, strict=True) if a]) if alive.any() else np.zeros(0, int)
         if len(index) == 0:
             return None
         prior = np.concatenate([np.full(p.stop - p.start, v) for p, v, a in zip(parts, size2, alive, strict=True) if a])
-        covariance = np.linalg.inv(S[np.ix_(index, index)] + np.diag(1.0 / prior))
-        u = covariance @ b[index]
+        normal = S[np.ix_(index, index)]
+        normal[np.diag_indices_from(normal)] += 1.0 / prior
+        factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
+        u = cho_solve((factor, True), b[index], check_finite=False)
+        half, _ = dtrtri(factor, lower=1)
+        variance = np.einsum("ij,ij->j", half, half)
         before, at = size2.copy(), 0
         for g in np.flatnonzero(alive):
             k = parts[g].stop - parts[g].start
             mine = slice(at, at + k)
             at += k
-            determined = k - np.trace(covariance[mine, mine]) / size2[g]
+            determined = k - np.sum(variance[mine]) / size2[g]
             size2[g] = np.clip(np.sum(u[mine] ** 2) / max(determined, 1e-3), 1e-12, 1e2) if determined > 1e-4 else 0.0
-        alive &= size2 > 1e-8
-        if np.all(np.abs(np.log(size2[alive] / before[alive])) < 0.05):
+        alive &= size2 > smallest
+        if np.all(np.abs(np.log(size2[alive] / before[alive])) < 0.1):
             break
     chosen = [g for g in range(len(groups)) if alive[g]]
     index = np.concatenate([np.arange(parts[g].start, parts[g].stop) for g in chosen]) if chosen else np.zeros(0, int)
@@ -158,4 +167,4 @@ def fit(screen: Screen, groups: list[Group], rounds: int = 40) -> SmoothModel | 
         return None
     prior = np.concatenate([np.full(parts[g].stop - parts[g].start, size2[g]) for g in chosen])
     u = np.linalg.solve(S[np.ix_(index, index)] + np.diag(1.0 / prior), b[index])
-    return SmoothModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index])
+    return SmoothModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]))
