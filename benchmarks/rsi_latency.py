@@ -105,9 +105,9 @@ def lock_step(n: int = 60) -> tuple[int, float]:
 
 def report(rows: list[dict[str, float]], plan: tuple[int, float] | None) -> str:
     lines = ["# Reply latency of the RSI cycle", "",
-             f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from sending "
-             "a telegram to having the answer, at the controller's side. The machine was shared with other work: the median is a property of "
-             "the program, the tail mostly of the machine.", "",
+             f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from "
+             "sending a telegram to having the answer, at the controller's side. The machine was shared with other work: the median is a "
+             "property of the program, the tail mostly of the machine.", "",
              "| other load | SCHED_FIFO | cycles | median us | 99.9 % us | worst us | missed |", "|---|---|---|---|---|---|---|"]
     for r in rows:
         load, fifo = "decoding scans and logging to rerun" if r["loaded"] else "none of ours", "yes" if r["fifo"] else "no"

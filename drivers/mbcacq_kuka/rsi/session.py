@@ -22,7 +22,7 @@ _PATIENCE = 5        # telegrams that are no use before we say so
 _STILL_DEG = 1e-3    # less motion in a cycle is standing still
 _REST_CYCLES = 5     # standing still so long is being at rest
 _END_CYCLES = 12     # and so long, before the session is ended
-_STOP_CYCLES = 250
+_STOP_CYCLES = 125
 _CLOSE_S = 5.0
 
 
