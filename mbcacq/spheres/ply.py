@@ -16,8 +16,8 @@ from mbcacq.spheres.found import BallOptions, FoundBalls
 MAX_BYTES = 4 * 2**30
 
 
-def read_cloud(path: str | Path) -> np.ndarray:
-    """Points (N, 3) mm of a PLY or PCD file (float32 or float64 as stored). Raises ConfigError naming the file."""
+def read_tensor_cloud(path: str | Path):
+    """Open3D tensor point cloud of a PLY or PCD file. Raises ConfigError naming the file where it holds no points."""
     path = Path(path)
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such cloud")
@@ -29,12 +29,16 @@ def read_cloud(path: str | Path) -> np.ndarray:
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         try:
             cloud = o3d.t.io.read_point_cloud(str(path))
-            points = cloud.point.positions.numpy() if "positions" in cloud.point else np.empty((0, 3))
         except RuntimeError as error:
             raise ConfigError(f"{path}: cannot be read as a cloud: {str(error).strip().splitlines()[-1]}") from error
-    if not len(points):
+    if "positions" not in cloud.point or not len(cloud.point.positions):
         raise ConfigError(f"{path}: holds no points, or is not a complete {path.suffix[1:].upper()} file")
-    return points
+    return cloud
+
+
+def read_cloud(path: str | Path) -> np.ndarray:
+    """Points (N, 3) mm of a PLY or PCD file (float32 or float64 as stored). Raises ConfigError naming the file."""
+    return read_tensor_cloud(path).point.positions.numpy()
 
 
 def centres_from_ply(path: str | Path, artefact: Artefact, *, expected: Sequence[int] | None = None,

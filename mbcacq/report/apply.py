@@ -1,0 +1,84 @@
+"""A scan taken at a pose, brought into the base frame with the calibrated cell, and how well that is known."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import state_from_dict
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import PARAMETERS, Chain
+
+_HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
+CHUNK = 200_000
+
+
+@dataclass(frozen=True)
+class Placement:
+    """T_base_scanner (4, 4) mm. The sigmas are (3,) mm along the base axes at the middle of the scan, k = 1: of the calibrated
+    parameters, of the joints' repeatability, and both together; worst_mm: the largest 3D one over the scan. The base is where the
+    held parameters (theta_1, d_1) put it; noise of the scanner's single points is not in it.
+    """
+
+    T_base_scanner: np.ndarray
+    parameters_mm: np.ndarray
+    repeatability_mm: np.ndarray
+    total_mm: np.ndarray
+    rms_mm: float
+    worst_mm: float
+
+
+def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, Placement]:
+    """Points (N, 3) mm in the scanner frame, seen from joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
+
+    Raises ConfigError for a wrong number of joints, or a damaged result.
+    """
+    state = state_from_dict(dict(result))
+    q = np.asarray(q, dtype=float)
+    if q.shape != (state.chain.n,):
+        raise ConfigError(f"the arm has {state.chain.n} axes, {q.size} joint angles were given; give one for each axis, in degrees")
+    if not np.isfinite(q).all():
+        raise ConfigError("a joint angle is not a finite number; give one for each axis, in degrees")
+    T = state.chain.flange(q[None])[0] @ state.T_flange_scanner
+    out = np.empty((len(points), 3))
+    for start in range(0, len(points), CHUNK):
+        out[start:start + CHUNK] = points[start:start + CHUNK].astype(float) @ T[:3, :3].T + T[:3, 3]
+    low, high = (out.min(axis=0), out.max(axis=0)) if len(out) else (T[:3, 3], T[:3, 3])
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    places = np.concatenate([[(low + high) / 2], corners])
+    known, joints = base_covariance(result, state.chain, state.T_flange_scanner, q, places)
+    total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
+    sigma = [np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints)]
+    return out, Placement(T, *sigma, float(total[0]), float(total.max()))
+
+
+def base_covariance(result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray,
+                    places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances (P, 3, 3) mm^2 of places (P, 3) in the base, seen from q (n,): by the parameters, and by the joints' repeatability."""
+    frames = chain.frames(q[None])
+    by_row = chain.parameter_twists(frames, q[None])[0]
+    local = se3.adjoint(frames[0, -1] @ T_flange_scanner)
+    twists, index = [], []
+    for i, name in enumerate(result["names"]):
+        if match := re.fullmatch(r"(theta|d|a|alpha|beta)_(\d+)", name):
+            twists.append(by_row[int(match.group(2)) - 1, PARAMETERS.index(match.group(1))])
+        elif name.startswith("hand_eye.") and name[9:] in _HAND_EYE:
+            twists.append(local[:, _HAND_EYE.index(name[9:])])
+        else:
+            continue
+        index.append(i)
+    C = np.array(result["covariance"], dtype=float).reshape(len(result["names"]), -1)[np.ix_(index, index)]
+    A = _moved(np.array(twists).reshape(-1, 6), places)
+    B = _moved(chain.joint_twists(frames)[0] * np.asarray(result["noise"]["joint_rad"])[:, None], places)
+    return A @ C @ np.swapaxes(A, 1, 2), B @ np.swapaxes(B, 1, 2)
+
+
+def _moved(twists: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(P, 3, k): movement of each place by each spatial twist (k, 6)."""
+    moved = twists[None, :, :3] + np.cross(twists[None, :, 3:], places[:, None])
+    return np.swapaxes(moved, 1, 2)

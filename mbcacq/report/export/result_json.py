@@ -1,0 +1,117 @@
+"""result.json as others may rely on it: its JSON Schema, and reading one with every fault named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mbcacq.errors import ConfigError
+
+MAX_BYTES = 256 << 20
+Row = tuple[float, float, float, float]
+Transform = tuple[Row, Row, Row, Row]
+Rows = dict[Literal["theta", "d", "a", "alpha", "beta"], list[float]]
+
+
+class Open(BaseModel):
+    """Further keys are allowed, and kept."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class Robot(Open):
+    name: str
+    sign: list[float] = Field(description="sense of each axis, +1 or -1")
+    nominal: Rows = Field(description="MD-H rows by parameter, over the axes: theta, alpha, beta rad; d, a mm")
+    calibrated: Rows
+    errors: Rows = Field(description="calibrated minus nominal")
+
+
+class Station(Open):
+    id: str
+    artefact: str
+    T_base_station: Transform
+    std: list[float] = Field(description="of the local twist: mm, mm, mm, rad, rad, rad", min_length=6, max_length=6)
+
+
+class Ball(Open):
+    id: int
+    centre_mm: tuple[float, float, float]
+
+
+class Parameter(Open):
+    name: str
+    value: float
+    error: float = Field(description="value minus nominal")
+    unit: str
+    std: float | None
+    status: Literal["free", "prior", "held"]
+    reason: str = ""
+
+
+class Noise(Open):
+    scanner_mm: tuple[float, float, float] = Field(description="sigma of one centre along x, y, z of the scanner")
+    joint_rad: list[float] = Field(description="repeatability of each axis")
+
+
+class Fit(Open):
+    poses: int
+    centres: int
+    rms_mm: float | None
+    chi2: float
+    dof: int
+    rank: int
+
+
+class Result(Open):
+    """Result of a calibration. Lengths mm, angles rad; T_outer_inner are 4 x 4 row lists that act on column vectors."""
+
+    format: Literal["mbcacq-result/1"]
+    method: str
+    robot: Robot
+    T_flange_scanner: Transform
+    stations: list[Station]
+    balls: list[Ball]
+    parameters: list[Parameter]
+    names: list[str] = Field(description="free parameters, in the order of the covariance")
+    covariance: list[list[float]] = Field(description="hand_eye entries are a local twist (scanner frame) behind T_flange_scanner")
+    noise: Noise
+    fit: Fit
+
+
+def result_schema() -> dict[str, Any]:
+    """JSON Schema (2020-12) of result.json."""
+    schema = Result.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "mbcacq-result/1"}
+
+
+def load_result(path: str | Path) -> dict[str, Any]:
+    """The result in a file, or in the run folder's result.json. Raises ConfigError naming file and what is wrong."""
+    path = Path(path)
+    file = path / "result.json" if path.is_dir() else path
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise ConfigError(f"{file}: larger than {MAX_BYTES >> 20} MiB; this is no calibration result")
+        data = json.loads(file.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read: {error.strerror}; give a result.json, or the run folder that holds one") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{file}: is not JSON ({error}); give the result.json that mbcacq calibrate writes") from error
+    if not isinstance(data, dict) or data.get("format") != "mbcacq-result/1":
+        raise ConfigError(f"{file}: is not a calibration result of format 'mbcacq-result/1'; give the one that mbcacq calibrate writes")
+    try:
+        Result.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(p) for p in first["loc"])
+        raise ConfigError(f"{file}: {place}: {first['msg']}; the file is damaged, write it anew with mbcacq calibrate") from None
+    n, axes = len(data["names"]), len(data["robot"]["sign"])
+    if len(data["covariance"]) != n or any(len(row) != n for row in data["covariance"]):
+        raise ConfigError(f"{file}: the covariance is not {n} x {n} as the {n} names say; write it anew with mbcacq calibrate")
+    for which in ("nominal", "calibrated", "errors"):
+        if any(len(column) != axes for column in data["robot"][which].values()):
+            raise ConfigError(f"{file}: robot.{which} has not {axes} axes in every column; write it anew with mbcacq calibrate")
+    return data

@@ -1,0 +1,86 @@
+"""JSON with its schema, and CSV: what is written can be read back, exactly."""
+
+import copy
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+
+from mbcacq.errors import ConfigError
+from mbcacq.report.export import tables
+from mbcacq.report.export.result_json import load_result, result_schema
+
+
+def read(text):
+    assert "\r\n" in text
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_the_result_meets_its_schema(solved):
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.Draft202012Validator.check_schema(result_schema())
+    jsonschema.validate(solved[0], result_schema())
+
+
+def test_the_file_reads_back(solved, result_file):
+    assert load_result(result_file) == solved[0]
+    assert load_result(result_file.parent) == solved[0]
+
+
+@pytest.mark.parametrize(("key", "value", "message"), [
+    ("format", "mbcacq-result/2", "format 'mbcacq-result/1'"),
+    ("T_flange_scanner", [[1, 2], [3, 4]], "T_flange_scanner"),
+    ("covariance", [[1.0]], "the covariance is not"),
+    ("robot", {"name": "x"}, r"robot\."),
+    ("noise", {"scanner_mm": [1, 2, "x"], "joint_rad": []}, r"noise\.scanner_mm"),
+])
+def test_a_damaged_file_is_named(solved, tmp_path, key, value, message):
+    result = copy.deepcopy(solved[0])
+    result[key] = value
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(result))
+    with pytest.raises(ConfigError, match=message) as error:
+        load_result(path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\xff"])
+def test_what_is_no_json_is_named(tmp_path, text):
+    path = tmp_path / "result.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(ConfigError, match=r"result\.json: is not JSON"):
+        load_result(path)
+
+
+def test_parameters_to_the_last_bit(solved):
+    rows = read(tables.parameters_csv(solved[0]))
+    for row, p in zip(rows, solved[0]["parameters"], strict=True):
+        assert (row["name"], float(row["value"]), float(row["error"]), row["unit"]) == (p["name"], p["value"], p["error"], p["unit"])
+        assert row["std"] == "" if p["std"] is None else float(row["std"]) == p["std"]
+
+
+def test_the_covariance_to_the_last_bit(solved):
+    rows = read(tables.covariance_csv(solved[0]))
+    assert [r["name"] for r in rows] == solved[0]["names"]
+    np.testing.assert_array_equal([[float(r[n]) for n in solved[0]["names"]] for r in rows], solved[0]["covariance"])
+
+
+def test_verification(solved):
+    rows = read(tables.verification_csv(solved[0]))
+    assert rows[0]["station"] == "b1"
+    assert (rows[0]["ball_a"], rows[0]["ball_b"]) == ("9", "10")
+    assert float(rows[0]["certified_mm"]) == pytest.approx(600.0)
+    assert float(rows[0]["after_mm"]) == solved[0]["verification"]["places"][0]["after_mm"]
+    assert tables.verification_csv(solved[0] | {"verification": None}).strip().startswith("station,")
+
+
+def test_residuals_are_the_noise_that_was_put_in(solved):
+    result, observations = solved[:2]
+    rows = read(tables.residuals_csv(result, observations))
+    assert len(rows) == 150 * 8
+    size = np.array([[float(r[k]) for k in ("dx_mm", "dy_mm", "dz_mm")] for r in rows])
+    scaled = np.array([[float(r[f"{k}_over_sigma"]) for k in ("dx", "dy", "dz")] for r in rows])
+    assert 0.0045 < np.sqrt(np.mean(size**2)) < 0.009  # 5 um of noise and 5 urad of joint repeatability
+    assert 0.85 < scaled.std() < 1.1
