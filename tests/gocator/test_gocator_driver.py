@@ -30,15 +30,15 @@ def truth_at(frame: Frame, scan: devices.Scan) -> tuple[np.ndarray, np.ndarray]:
 def test_two_megapixel_frames_arrive_within_half_a_step(mode):
     frame = big_frame()
     with FakeGocator(lambda e: frame) as sensor, Gocator("eye", "3210", options(sensor, mode=mode)) as scanner:
-        scans = [scanner.capture() for _ in range(3)]
+        scans = [scanner.capture() for _ in range(2)]
     for scan in scans:
         assert scan.shape == (1250, 1650)
-        assert scan.pixel.tolist() == np.flatnonzero(np.isfinite(frame.xyz[..., 2])).tolist()
+        np.testing.assert_array_equal(scan.pixel, np.flatnonzero(np.isfinite(frame.xyz[..., 2])))
         points, grey = truth_at(frame, scan)
         assert (np.abs(scan.points - points).max(axis=0) < [1.53e-3, 1.53e-3, 1.03e-3]).all()
         assert (scan.intensity == grey).all()
-    assert [s.frame for s in scans] == [0, 1, 2]
-    assert scans[0].time_s < scans[1].time_s < scans[2].time_s
+    assert [s.frame for s in scans] == [0, 1]
+    assert scans[0].time_s < scans[1].time_s
     assert not np.shares_memory(scans[0].points, scans[1].points)
 
 

@@ -16,14 +16,14 @@ SNAPSHOT, INFO, STATES, TIME = 0x4528, 0x4010, 0x4525, 0x100A
 
 @pytest.fixture
 def scanner(driver) -> Gocator:
-    made = driver(timeout_s=0.5, reply_limit_s=0.5, retries=1)
+    made = driver(timeout_s=1.0, reply_limit_s=1.0, retries=1)
     made.connect()
     return made
 
 
 @pytest.mark.parametrize(("fault", "value", "error", "words"), [
     ("stamp_only", True, DeviceTimeout, r"1 data set\(s\) came with only a stamp; in the job, open Output > Ethernet"),
-    ("no_data", True, DeviceTimeout, "no scan within 0.5 s"),
+    ("no_data", True, DeviceTimeout, "no scan within 1 s"),
     ("old_stamp", True, DeviceTimeout, r"only 1 older data set\(s\) came"),
     ("stall", True, DeviceTimeout, r"stopped after \d+ of \d+ bytes"),
     ("short_message", True, ProtocolError, "surface point cloud message .* announces an array of"),
@@ -65,7 +65,7 @@ def test_fault_while_connecting(fake, driver, fault, value, error, words):
     if fault == "refuse_connections":
         while any(_accepts(port) for port in fake.ports):
             pass
-    scanner = driver("3210", reply_limit_s=0.4)
+    scanner = driver("3210", reply_limit_s=1.0)
     with pytest.raises(error, match=words):
         scanner.connect()
     assert scanner.describe().serial == ""

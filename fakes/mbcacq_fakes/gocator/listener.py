@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 _POLL_S = 0.05
 
@@ -24,6 +25,9 @@ class Listener:
 
     def close(self) -> None:
         self._closing.set()
+        if self._sock is not None:
+            with suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)    # wakes accept at once where the system does that, else it polls
         if self._thread.is_alive():
             self._thread.join(2.0)
         if self._sock is not None:
@@ -54,6 +58,9 @@ class Listener:
             try:
                 connection, _ = self._sock.accept()
             except TimeoutError:
+                continue
+            except OSError:    # woken to close, or no descriptor left for a connection
+                self._closing.wait(_POLL_S)
                 continue
             connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -238,7 +238,7 @@ class FakeGocator:
             intensity=bool(self.files.number("Setup/IntensityEnabled")), generation=self.generation, volume=self.volume)
         self.scans += 1
         # A client asks right after connecting; its connection may still wait to be accepted.
-        self.data.wait_for_client(0.5)
+        self.data.wait_for_client(0.2)
         self.data.publish(spoil(messages, self.faults))
 
     def _timer_due(self) -> bool:
