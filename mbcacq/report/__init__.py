@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mbcacq.report.run_folder import about_run
+
 if TYPE_CHECKING:
     from mbcacq.calibration import Calibration, Verification
     from mbcacq.observations import Observations
 
-__all__ = ["report_from_result", "write_report"]
+__all__ = ["about_run", "report_from_result", "write_report"]
 
 
 def report_from_result(result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None,
@@ -32,4 +34,5 @@ def write_report(run_folder: str | Path, *, observations: Observations, calibrat
     result = calibration.to_dict()
     if verification is not None:
         result["verification"] = verification.to_dict()
-    return report_from_result(result, path=path or Path(run_folder) / "report.html", observations=observations, run_info=run_info)
+    info = about_run(run_folder) if run_info is None else run_info
+    return report_from_result(result, path=path or Path(run_folder) / "report.html", observations=observations, run_info=info)

@@ -113,6 +113,9 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", f"{1e3 * fit['rms_mm']:.1f} µm")]
     if fit.get("chi2_dof") is not None:
         out.append(("χ² over degrees of freedom", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
+    held_out = result.get("held_out")
+    if held_out:
+        out.append(("poses held out, 3D rms", f"{1e3 * held_out['rms_mm']:.1f} µm ({held_out['poses']} poses, by {held_out['split']})"))
     if fit.get("expected_accuracy_mm") is not None:
         out.append(("expected accuracy of a point", f"{1e3 * fit['expected_accuracy_mm']:.1f} µm"))
     return out

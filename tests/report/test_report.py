@@ -14,7 +14,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.observations import Observations
-from mbcacq.report import report_from_result
+from mbcacq.report import about_run, report_from_result
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
 CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0, 0, -90, 0, 0, 180]), np.array([400, 0, 0, 420, 0, 80.0]),
@@ -139,6 +139,25 @@ def test_parameters_with_their_standard_deviations(tmp_path):
     assert "264.7998" in words
     assert "a_1 and hand_eye.x −0.987" in words
     assert "pose 41 ball 2" in words
+
+
+def test_poses_held_out_are_told(tmp_path):
+    assert "held out" not in page(tmp_path, make_result()).words
+    result = make_result() | {"held_out": {"split": "station", "poses": 64, "rms_mm": 0.0213}}
+    assert "poses held out, 3D rms 21.3 µm (64 poses, by station)" in page(tmp_path, result).words
+
+
+def test_a_run_folder_tells_what_it_was(tmp_path):
+    assert about_run(tmp_path / "nowhere") == {}
+    (tmp_path / "plan.yaml").write_text("format: mbcacq-plan/1\n")
+    (tmp_path / "journal.jsonl").write_text('{"event": "run_started", "name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}}\n{"torn')
+    info = about_run(tmp_path)
+    assert info == {"name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}, "plan_yaml": "format: mbcacq-plan/1\n"}
+    words = page(tmp_path, make_result(), run_info=info).words
+    assert "cell 7 · 2026-11-21T07:45:48+00:00" in words
+    assert "format: mbcacq-plan/1" in words
+    (tmp_path / "journal.jsonl").write_text("torn")
+    assert list(about_run(tmp_path)) == ["plan_yaml"]
 
 
 def test_residuals_need_the_recording(tmp_path):
