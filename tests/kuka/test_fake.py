@@ -213,6 +213,13 @@ def test_by_the_clock_a_cycle_is_answered_or_missed(start):
     assert wait(lambda: client.newest()[2]) >= 3
 
 
+@pytest.mark.parametrize("wrong", [{"layout": "other"}, {"layout": ("AIPos", "Xyz")}, {"counting": "sum"}, {"cycle_ms": 8}, {"precision": 0},
+                                   {"faults": {"silent": 1}}])
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"layout|counting|cycle_ms|faults"):
+        FakeKrc(**wrong)
+
+
 def test_unknown_faults_are_refused(start):
     krc, _ = start()
     with pytest.raises(ValueError, match="unknown faults"):

@@ -133,7 +133,8 @@ class Session:
 
     def _learn(self, ipoc: int, digits: bytes, row: list[float], measured: tuple[float, ...], now: float) -> bytes | None:
         """The first telegrams are answered with no correction while the step of IPOC shows itself."""
-        self._learned.append(ipoc)
+        if not self._learned or ipoc != self._learned[-1]:
+            self._learned.append(ipoc)
         if len(self._learned) > _LEARN:
             cycle_ms = self._settings["cycle_ms"]
             steps = {b - a for a, b in zip(self._learned, self._learned[1:], strict=False)}

@@ -12,6 +12,7 @@ PROFILES = {
     "minimal": ("AIPos", "Delay"),
 }
 
+ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "Delay")
 COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign")
 FAULTS = (
     "silence",       # no telegram leaves the controller
@@ -65,6 +66,18 @@ class KrcSettings:
     log: bool = False
     seed: int = 0
     faults: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.layout, str) and self.layout not in PROFILES:
+            raise ValueError(f"layout must be one of {', '.join(PROFILES)}, or a list of elements")
+        if unknown := sorted(set(self.elements) - set(ELEMENTS)):
+            raise ValueError(f"layout: unknown element {', '.join(unknown)}; known are {', '.join(ELEMENTS)}")
+        if self.counting not in ("total", "consecutive"):
+            raise ValueError("counting must be total or consecutive")
+        if self.cycle_ms not in (4, 12) or not 1 <= self.precision <= 32 or self.timeout < 1:
+            raise ValueError("cycle_ms must be 4 or 12, precision 1 to 32, timeout at least 1")
+        if unknown := sorted(set(self.faults) - set(FAULTS)):
+            raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(FAULTS)}")
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
