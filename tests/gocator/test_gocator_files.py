@@ -41,6 +41,10 @@ def test_upload_of_values_keeps_limits_and_every_other_element():
     assert store.modified
 
 
+def test_stored_jobs_always_have_their_suffix():
+    assert Files(("spheres", "spheres.job", "bar"), {}).names() == ["bar.job", "spheres.job"]
+
+
 def test_loading_a_job_restores_its_settings():
     store = Files(("a.job", "b.job"), {})
     store.write("_live.cfg", UPLOAD)

@@ -22,6 +22,7 @@ class Files:
     def __init__(self, jobs: tuple[str, ...], settings: Mapping[str, float]) -> None:
         """settings: values by path that the served configuration and all jobs start with."""
         self._lock = threading.RLock()
+        jobs = tuple(dict.fromkeys(name if name.endswith(".job") else name + ".job" for name in jobs))
         package = files("mbcacq_fakes.gocator")
         self._tree = SafeTree.fromstring(package.joinpath("live.cfg").read_bytes())
         for path, value in settings.items():
