@@ -93,20 +93,20 @@ class Acquisition:
             ).run()
 
 
-def evaluate(source: Path, out: Path, limit_mm: float | None = None) -> dict:
-    """Calibrate what was recorded, verify it on the poses kept apart, write result.json and report.html into ``out``.
+def evaluate(run: Path, limit_mm: float | None = None) -> dict:
+    """Calibrate what a run recorded, verify it on the poses kept apart, write result.json, report.html and the residuals into its folder.
 
-    Returns the result as written, with 'files' naming both. limit_mm: the plan's limit of the sphere spacing error.
+    Returns the result as written, with 'files' naming all of them. limit_mm: the plan's limit of the sphere spacing error.
     """
     from mbcacq.calibration import calibrate, verify
-    from mbcacq.recording import load
-    from mbcacq.report import report_from_result
+    from mbcacq.recording import load, log_result
+    from mbcacq.report import write_report
 
-    observations = load(source)
+    observations = load(run)
     calibration = calibrate(observations)
-    result = calibration.to_dict()
-    result["verification"] = verify(observations, calibration, limit_mm=limit_mm).to_dict()
-    files = {"recording": str(source), "result": str(out / "result.json"), "report": str(out / "report.html")}
-    (out / "result.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
-    report_from_result(result, path=out / "report.html")
-    return result | {"files": files}
+    verification = verify(observations, calibration, limit_mm=limit_mm)
+    result = calibration.to_dict() | {"verification": verification.to_dict()}
+    (run / "result.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    report = write_report(run, observations=observations, calibration=calibration, verification=verification)
+    log_result(run, observations, calibration.state, calibration.preliminary)
+    return result | {"files": {"recording": str(run / "run.rrd"), "result": str(run / "result.json"), "report": str(report)}}

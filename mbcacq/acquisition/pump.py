@@ -22,6 +22,7 @@ class CyclePump:
         self._lock = threading.Lock()
         self._quit = threading.Event()
         self._error: BaseException | None = None
+        self.count, self._delay = 0, [np.nan, np.nan]
         self._thread = threading.Thread(target=self._work, name="cycle-pump", daemon=True)
 
     def __enter__(self) -> CyclePump:
@@ -44,7 +45,16 @@ class CyclePump:
             cycles = self._robot.cycles()
             if len(cycles):
                 self._span.append(cycles)
+                self.count += len(cycles)
+                delay = cycles.columns.get("delay")
+                if delay is not None:
+                    self._delay = [delay[0] if np.isnan(self._delay[0]) else self._delay[0], delay[-1]]
                 self._bus.emit(CyclesReceived, cycles)
+
+    @property
+    def late(self) -> int | None:
+        """Answers that the controller counted as late, if it counts them."""
+        return None if np.isnan(self._delay[0]) else int(self._delay[1] - self._delay[0])
 
     def mark(self) -> None:
         """Forget the cycles so far: a new span begins."""

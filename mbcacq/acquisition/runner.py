@@ -49,7 +49,7 @@ class Runner:
             self.devices.connect()
             self._describe()
             try:
-                self._measure()
+                summary = self._measure()
             finally:
                 self.devices.robot.stop()
                 self.devices.close()
@@ -59,9 +59,9 @@ class Runner:
         except BaseException as error:
             self._finish("fail", str(error) if isinstance(error, MbcacqError) else f"unexpected {type(error).__name__}: {error}")
             raise
-        self._finish("success", "all poses measured")
+        self._finish("success", summary)
 
-    def _measure(self) -> None:
+    def _measure(self) -> str:
         robot = self.devices.robot
         with CyclePump(robot, self.bus) as pump:
             self.confirm(robot.state().q)
@@ -84,6 +84,8 @@ class Runner:
                     if missed > max(1, MISSED_SHARE * len(self.poses)):
                         raise DeviceFault(f"{missed} poses showed too few balls; look at the scans, the exposure and the artefact's place")
             self._pass([np.radians(self.loaded.plan.robot.home_deg)], mover)
+        late = "" if pump.late is None else f", {pump.late} of them answered late"
+        return f"all poses measured, {missed} of them without enough balls; {pump.count} robot cycles{late}"
 
     def _pass(self, waypoints: Sequence[np.ndarray], mover: Mover) -> None:
         if waypoints:

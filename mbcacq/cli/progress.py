@@ -42,8 +42,8 @@ class RunProgress:
                 self._console.print(f"{event.level}: {event.text}", markup=False)
             case events.RunStopped():
                 self._bar.stop()
-                if event.exit_status != "success":
-                    self._console.print(f"run ended after {self._done} of {self._total} poses: {event.reason}", markup=False)
+                after = "" if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses: "
+                self._console.print(after + event.reason, markup=False)
         if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
             self._bar.update(self._task, completed=self._done, description=self._step or "connecting", station=self._station,
                              balls=str(self._balls))

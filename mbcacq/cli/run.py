@@ -48,7 +48,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
         confirm = None if dry_run else ask_before_motion(loaded.plan.robot.options, loaded.cell.robot.name, len(poses), arm)
         acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, confirm=confirm, done=done)
     limit = loaded.plan.accept.sphere_spacing_error_mm
-    result = pipeline.evaluate(folder, folder, limit)
+    result = pipeline.evaluate(folder, limit)
     if as_json:
         click.echo(json.dumps(result))
     else:
