@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -98,11 +97,12 @@ def _check_references(spec: CellSpec, node: yaml.Node, name: str) -> None:
         for i, key in enumerate(ids):
             if ids.index(key) < i:
                 refuse((kind, i), f"{kind}: id '{key}' is used twice; give each an id of its own")
-    count = Counter(b.id for a in spec.artefacts for b in a.balls)
+    balls: set[int] = set()
     for i, artefact in enumerate(spec.artefacts):
         for k, ball in enumerate(artefact.balls):
-            if count[ball.id] > 1:
+            if ball.id in balls:
                 refuse(("artefacts", i, "balls", k), f"ball id {ball.id} is used twice; ids must be unique over all artefacts")
+            balls.add(ball.id)
     for i, station in enumerate(spec.stations):
         if station.artefact not in artefacts:
             refuse(("stations", i), f"station '{station.id}' names the artefact '{station.artefact}', "

@@ -36,6 +36,12 @@ class Journal:
             self._journal.close()
             self._log.close()
 
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     @singledispatchmethod
     def _write(self, event: events.Event) -> None:
         pass

@@ -89,7 +89,14 @@ def _merge(sources: list[Path], output: Path) -> None:
 
 
 def _verified(path: Path) -> bool:
-    return rerun_program.run(["rrd", "verify", str(path)]).returncode == 0
+    """Whether rerun's own check finds no fault, and our reader something to read."""
+    if rerun_program.run(["rrd", "verify", str(path)]).returncode:
+        return False
+    try:
+        Recording(path).about()
+    except RecordingError:
+        return False
+    return True
 
 
 def _summary(source: Path, output: Path) -> Recovered:

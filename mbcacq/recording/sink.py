@@ -13,7 +13,7 @@ import rerun as rr
 from mbcacq.errors import RecordingError
 from mbcacq.recording import layout
 
-FLUSH_TIMEOUT_S = 20.0
+STALLED_S = 5              # without one byte more in the file, while there is something to write
 MARGIN_BYTES = 48 << 20
 TICK_S = 0.04
 
@@ -47,24 +47,46 @@ class Sink:
             raise RecordingError(f"the disk of {self.path.parent} is almost full ({free >> 20} MiB free); what was measured is kept: "
                                  "free some space and resume the run")
 
+    def push(self) -> None:
+        """Set everything logged on its way to the file, without waiting."""
+        if self._alive:
+            try:
+                self.stream.flush(timeout_sec=0)
+            except RuntimeError as error:
+                raise self._lost(error) from error
+
     def flush(self) -> None:
         """Wait until everything logged is in the file. Raises RecordingError if it cannot be written."""
-        if not self._alive:
-            return
-        try:
-            self.stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
-        except RuntimeError as error:
-            self.abandon()
-            raise RecordingError(f"the recording {self.path} can no longer be written ({error}); is the disk full? "
-                                 f"What was written is kept: mbcacq recover {self.path}") from error
-        self._sync.soon()
+        if self._alive:
+            try:
+                self._wait()
+            except RuntimeError as error:
+                raise self._lost(error) from error
+            self._sync.soon()
+
+    def _lost(self, error: RuntimeError) -> RecordingError:
+        self.abandon()
+        return RecordingError(f"the recording {self.path} can no longer be written ({error}); is the disk full? "
+                              f"What was written is kept: mbcacq recover {self.path}")
+
+    def _wait(self) -> None:
+        """Flush for as long as the file still grows: a writer that met an error may leave a flush waiting for ever."""
+        stalled, size = 0, -1
+        while True:
+            try:
+                return self.stream.flush(timeout_sec=1.0)
+            except RuntimeError:
+                now = self.path.stat().st_size
+                stalled, size = (stalled + 1, size) if now == size else (0, now)
+                if stalled >= STALLED_S - 1:
+                    raise
 
     def stop_writing(self) -> None:
         """Complete the file as it is; later calls do nothing."""
         if self._alive:
             self._alive = False
             try:
-                self.stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
+                self._wait()
                 self.stream.disconnect()
             except RuntimeError:
                 self.abandon()

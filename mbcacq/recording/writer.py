@@ -77,12 +77,10 @@ class Recorder:
             try:
                 self._set_times(event.time_s)
                 self._write(event)
-            except RecordingError:
+            except MbcacqError:
                 self._failed = True
                 raise
-            except MbcacqError:
-                raise
-            except (RuntimeError, ValueError, TypeError, OSError) as error:
+            except Exception as error:
                 self._failed = True
                 self._sink.stop_writing()
                 raise RecordingError(
@@ -155,6 +153,7 @@ class Recorder:
     def _(self, event: events.CyclesReceived) -> None:
         if len(event.cycles):
             self._cycles.write(event.cycles, event.time_s, self._clock, self._offset, self._cell)
+            self._sink.push()
 
     @_write.register
     def _(self, event: events.PoseReached) -> None:
