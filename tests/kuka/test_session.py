@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mbcacq_kuka.rsi.motion import Motion
 from mbcacq_kuka.rsi.options import Options
 from mbcacq_kuka.rsi.session import Session
 from mbcacq_kuka.rsi.shared import MOVE, STOP, Command, Shared
@@ -124,6 +125,17 @@ def test_no_disturbance_makes_the_arm_jump(bench, events, target):
         for _ in range(150):
             one.cycle()
         assert one.cycle() == one.cycle() is not None
+
+
+def test_a_distance_at_which_two_profiles_of_the_planner_meet():
+    """7.200000000000005 deg with these limits is a case ruckig 0.19 cannot solve."""
+    motion = Motion((7.200000000000005, *START[1:]), T, LIMITS)
+    motion.move(Command(MOVE, START, (90.0,) * 6, (360.0,) * 6, (3600.0,) * 6))
+    path = [motion.position]
+    while motion.moving:
+        path.append(motion.step())
+    assert path[-1] == pytest.approx(START)
+    assert np.abs(np.diff(path, 3, axis=0)).max() <= 3600.0 * T**3 * 1.001 + 1e-9
 
 
 def test_a_restarted_program_is_never_answered(bench):

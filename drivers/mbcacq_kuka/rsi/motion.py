@@ -8,6 +8,8 @@ from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
 
 from mbcacq_kuka.rsi.shared import Command
 
+_SHARES = (1.0, 0.999, 0.99, 0.97)
+
 
 class Refused(ValueError):
     """A motion that cannot be made within its limits."""
@@ -74,12 +76,15 @@ class Motion:
         return ask
 
     def _calculate(self, ask: InputParameter, trajectory: Trajectory) -> None:
-        try:
-            result = self._otg.calculate(ask, trajectory)
-        except RuckigError as error:
-            raise Refused(f"no motion within the limits exists: {error}") from error
-        if result not in (Result.Working, Result.Finished):
-            raise Refused(f"no motion within the limits exists ({result})")
+        jerk = ask.max_jerk
+        for share in _SHARES:  # ruckig misses a rare case where two profiles meet to the last digit; a little less jerk avoids it
+            ask.max_jerk = [share * v for v in jerk]
+            try:
+                if self._otg.calculate(ask, trajectory) in (Result.Working, Result.Finished):
+                    return
+            except RuckigError:
+                continue
+        raise Refused("no motion to this target exists within the limits of speed, acceleration and jerk")
 
     def _begin(self, trajectory: Trajectory) -> None:
         self._trajectory, self._duration, self._elapsed = trajectory, trajectory.duration, 0.0
