@@ -46,6 +46,10 @@ class Parameter:
     std: float | None
     held: str | None = None
 
+    @property
+    def label(self) -> str:
+        return f"hand-eye {self.name}" if self.group.startswith("Hand-eye") else self.name
+
 
 @dataclass(frozen=True)
 class Residuals:
@@ -75,6 +79,7 @@ class Content:
     title: str
     subtitle: str
     verdict: Verdict
+    instrument: str = "scanner"
     facts: list[tuple[str, str]] = field(default_factory=list)
     fit: list[tuple[str, str]] = field(default_factory=list)
     spacing: Spacing | None = None

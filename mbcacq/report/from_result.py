@@ -44,7 +44,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(str(run_info[k]) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
-        verdict=_verdict(spacing, result, _certificate(observations)),
+        verdict=_verdict(spacing, result, _certificate(observations)), instrument=_instrument(result),
         facts=_facts(result, run_info), fit=_fit(result), spacing=spacing, parameters=_parameters(result),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         noise=_noise(result), observability=_observability(result), correlation=_correlation(result),
@@ -78,6 +78,10 @@ def _certificate(observations: Observations | None) -> float:
     if observations is None:
         return 0.0
     return float(np.sqrt(2) * max(a.uncertainty_mm for a in observations.cell.artefacts))
+
+
+def _instrument(result: Mapping[str, Any]) -> str:
+    return "instrument" if result.get("measurement") == "target_in_base" else "scanner"
 
 
 def _verdict(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> Verdict:
@@ -141,12 +145,12 @@ def _parameters(result: Mapping[str, Any]) -> list[Parameter]:
 
 def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     noise = result["noise"]
-    out = [("scanner, one centre along x, y, z", ", ".join(f"{1e3 * v:.1f}" for v in noise["scanner_mm"]) + " µm"),
+    out = [(f"{_instrument(result)}, one centre along x, y, z", ", ".join(f"{1e3 * v:.1f}" for v in noise["scanner_mm"]) + " µm"),
            ("joint repeatability, A1 …", ", ".join(f"{1e6 * v:.1f}" for v in noise["joint_rad"]) + " µrad")]
     if noise.get("turn_rad") is not None:
         out.append(("orientation of the target", f"{1e6 * noise['turn_rad']:.1f} µrad"))
     if noise.get("check_factor"):
-        out.append(("found over stated scanner noise", ", ".join(f"{v:.2f}" for v in noise["check_factor"])))
+        out.append((f"found over stated noise of the {_instrument(result)}", ", ".join(f"{v:.2f}" for v in noise["check_factor"])))
     return out
 
 
@@ -174,8 +178,8 @@ def _warnings(result: Mapping[str, Any]) -> list[str]:
     out = []
     factor = result["noise"].get("check_factor")
     if factor and max(factor) > 1.5:
-        out.append(f"The residuals need {max(factor):.1f} times the scanner noise that was stated: something is not in the model. "
-                   "mbcacq diagnose looks for it.")
+        out.append(f"The residuals need {max(factor):.1f} times the noise that was stated for the {_instrument(result)}: "
+                   "something is not in the model. mbcacq diagnose looks for it.")
     rejected = result.get("rejected", ())
     if rejected:
         listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])

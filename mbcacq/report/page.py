@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.errors import RecordingError
 from mbcacq.report.content import Content
-from mbcacq.report.tables import groups, matrices
+from mbcacq.report.tables import groups, held, matrices
 
 
 def render(content: Content) -> str:
@@ -21,7 +21,8 @@ def render(content: Content) -> str:
                               trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"number": number, "signed": signed}
     return environment.get_template("page.html.j2").render(
-        c=content, figures=_figures(content), plotly=Markup(get_plotlyjs()), groups=groups(content), matrices=matrices(content), np=np,
+        c=content, figures=_figures(content), plotly=Markup(get_plotlyjs()), np=np,
+        groups=groups(content), matrices=matrices(content), held=held(content),
     )
 
 

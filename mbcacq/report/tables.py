@@ -45,6 +45,12 @@ def groups(content: Content) -> list[tuple[str, list[Parameter]]]:
     return [(name, [p for p in rest if p.group == name]) for name in dict.fromkeys(p.group for p in rest)]
 
 
+def held(content: Content) -> list[tuple[str, list[str]]]:
+    """Reasons for which parameters were held, each with the names."""
+    reasons = dict.fromkeys(p.held for p in content.parameters if p.held is not None)
+    return [(reason, [p.label for p in content.parameters if p.held == reason]) for reason in reasons]
+
+
 def _table(parameters: list[Parameter], pattern: re.Pattern, place, columns: list[str]) -> list[tuple[str, list[Parameter | None]]]:
     rows: dict[str, dict[str, Parameter]] = {}
     for p in parameters:
