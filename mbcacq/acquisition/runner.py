@@ -145,7 +145,7 @@ class Runner:
     def _describe(self) -> None:
         for name, device in self.devices.all.items():
             about = device.describe()
-            self._say("info", f"{name}: {about.kind} {about.model} {about.serial} {about.firmware}".rstrip())
+            self._say("info", " ".join(part for part in (f"{name}:", about.model, about.serial, about.firmware) if part))
 
     def _state(self, state: str) -> None:
         self.bus.emit(events.StateChanged, state)

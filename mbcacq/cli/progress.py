@@ -39,11 +39,11 @@ class RunProgress:
                 self._done += 1
                 self._line(event.time_s)
             case events.Message(level="warning" | "error"):
-                self._console.print(f"{event.level}: {event.text}", markup=False)
+                self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
             case events.RunStopped():
                 self._bar.stop()
                 after = "" if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses: "
-                self._console.print(after + event.reason, markup=False)
+                self._console.print(after + event.reason, markup=False, soft_wrap=True)
         if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
             self._bar.update(self._task, completed=self._done, description=self._step or "connecting", station=self._station,
                              balls=str(self._balls))
@@ -55,4 +55,4 @@ class RunProgress:
         if self._stepped or self._done % 10 == 0 or self._done == self._total:
             self._stepped = False
             self._console.print(f"{self._step}: pose {self._done} of {self._total}, station {self._station}, "
-                                f"{self._balls} balls, {remaining:.0f} s left", markup=False)
+                                f"{self._balls} balls, {remaining:.0f} s left", markup=False, soft_wrap=True)
