@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from mbcacq.calibration.blocks import Estimate, Layout
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
 from mbcacq.calibration.options import Noise, Options
-from mbcacq.calibration.rank import hold_undetermined
+from mbcacq.calibration.rank import Undetermined, hold_undetermined
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.screen import distances, screen
 from mbcacq.calibration.solve import Solution, Weights, solve, system
@@ -23,6 +23,7 @@ from mbcacq.observations import Observations
 COARSE, FINE = 1e-2, 1e-7
 SCREEN_ROUNDS, NOISE_ROUNDS = 8, 12
 REJECTED_SHARE = 0.4
+THIN = 200   # poses that settle geometry and noise before all of a large recording are looked at
 
 
 def calibrate(observations: Observations, options: Options | None = None) -> Calibration:
@@ -37,25 +38,75 @@ def calibrate(observations: Observations, options: Options | None = None) -> Cal
         return calibrate_paper(observations, options)
     obs = select_phases(observations, options)
     refuse_degenerate(obs, options)
-    preliminary = fit_hand_eye(obs, options)
-    layout = blocks.build(obs, options)
-    start = Estimate(preliminary, tuple(np.zeros(t.size) for t in options.terms))
-    noise = variance.first_noise(obs.cell)
+    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
+    fitted = adjust(obs, options, first)
+    return Calibration.of(obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found)
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """A converged adjustment and what led to it."""
+
+    lineariser: Lineariser
+    solution: Solution
+    noise: Noise
+    weights: Weights
+    preliminary: CellState
+    found: list[Undetermined]
+
+    @property
+    def state(self) -> CellState:
+        return self.solution.estimate.state
+
+
+def adjust(obs: Observations, options: Options, first: Adjustment | None = None) -> Adjustment:
+    """Everything from the start to the settled noise; ``first``, an adjustment of some of the poses, saves most of it."""
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    layout, found = _determined(obs, layout, start, noise, weights, options)
+    if first is None:
+        preliminary = fit_hand_eye(obs, options)
+        start = Estimate(preliminary, tuple(np.zeros(t.size) for t in options.terms))
+        noise = variance.first_noise(obs.cell)
+    else:
+        preliminary, start, noise = with_all_stations(obs, first.preliminary), Estimate(with_all_stations(obs, first.state)), first.noise
+    layout = blocks.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
-    solution, weights = robust_solve(lineariser, start, noise, weights, options, COARSE)
-    solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+    at = system(lineariser, start, noise, weights)
+    layout, found = hold_undetermined(layout, at.normal.information, obs, start.state)
+    refuse_undetermined(found, obs, options)
+    if found:
+        lineariser = Lineariser(obs, layout, options)
+    solution, weights = robust_solve(lineariser, start if found else at, noise, weights, options, COARSE)
+    # Scoring converges quadratically: from the noise of a part of the poses, one step is enough.
+    solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
     # Noise larger than expected may leave more undetermined than the first look showed.
-    narrower, more = hold_undetermined(layout, solution.normal.information, obs, solution.estimate.state)
+    layout, more = hold_undetermined(layout, solution.normal.information, obs, solution.estimate.state)
     if more:
         refuse_undetermined(more, obs, options)
-        found, layout = [*found, *more], narrower
+        found = [*found, *more]
         lineariser = Lineariser(obs, layout, options)
         solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
-        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
     solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
-    return Calibration.of(obs, options, lineariser, solution, noise, weights, preliminary, found)
+    return Adjustment(lineariser, solution, noise, weights, preliminary, found)
+
+
+def thin(obs: Observations, size: int) -> Observations:
+    """About ``size`` poses: whole stations where there are many, evenly chosen poses of each where there are few."""
+    rng = np.random.default_rng(1)
+    stations = np.unique(obs.station)
+    per_station = max(12, size // len(stations))
+    chosen = stations if per_station * len(stations) <= size else rng.choice(stations, max(size // per_station, 1), replace=False)
+    keep = np.zeros(obs.n_poses, bool)
+    for s in chosen:
+        there = np.flatnonzero(obs.station == s)
+        keep[there[np.unique(np.linspace(0, len(there) - 1, min(per_station, len(there))).astype(int))]] = True
+    return obs.select(keep)
+
+
+def with_all_stations(obs: Observations, state: CellState) -> CellState:
+    """The state with every station placed by the points seen there."""
+    placed = starting.place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
+    return replace(state, T_base_station=placed)
 
 
 def select_phases(obs: Observations, options: Options) -> Observations:
@@ -84,10 +135,13 @@ def fit_hand_eye(obs: Observations, options: Options) -> CellState:
     noise = Noise(np.full(3, 0.02), np.full(obs.cell.robot.n, 4e-4), 5e-4)
     layout = blocks.build(obs, held)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    at = system(Lineariser(obs, layout, held), first, noise, weights)
+    lineariser = Lineariser(obs, layout, held)
+    at = system(lineariser, first, noise, weights)
     layout, found = hold_undetermined(layout, at.normal.information, obs, first.state)
     refuse_undetermined(found, obs, options)
-    solution, _ = robust_solve(Lineariser(obs, layout, held), first, noise, weights, held, 1.0)
+    if found:
+        lineariser = Lineariser(obs, layout, held)
+    solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0)
     return solution.estimate.state
 
 
@@ -109,22 +163,15 @@ def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Nois
 
 
 def settle_noise(lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights,
-                 options: Options) -> tuple[Solution, Noise, Weights]:
+                 options: Options, rounds: int = NOISE_ROUNDS) -> tuple[Solution, Noise, Weights]:
     """Estimate the noise, refit, screen again, by turns."""
     prior = variance.noise_prior(lineariser.obs.cell, variance.first_noise(lineariser.obs.cell), options.noise)
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(rounds):
         noise, change = variance.improve(solution, noise, prior)
         solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
-        if change < 0.03:
+        if change < 0.1:
             break
     return solution, noise, weights
-
-
-def _determined(obs: Observations, layout: Layout, start: Estimate, noise: Noise, weights: Weights, options: Options):
-    at = system(Lineariser(obs, layout, options), start, noise, weights)
-    narrower, found = hold_undetermined(layout, at.normal.information, obs, start.state)
-    refuse_undetermined(found, obs, options)
-    return narrower, found
 
 
 def _back_to_nominal(estimate: Estimate, layout: Layout, obs: Observations) -> Estimate:

@@ -33,6 +33,8 @@ class Solution:
     X: np.ndarray
     normal: Normal
     prior: Prior
+    noise: Noise
+    weights: Weights
     iterations: int
 
     @property
@@ -46,14 +48,16 @@ def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: We
     whitening = Whitening(lineariser.rows, linear.J, noise, weights.centre, weights.pose)
     X = whitening(linear.X)
     prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, lineariser.rows.stations)
-    return Solution(estimate, linear, whitening, X, Normal(lineariser.rows, X, prior), prior, iterations)
+    return Solution(estimate, linear, whitening, X, Normal(lineariser.rows, X, prior), prior, noise, weights, iterations)
 
 
 def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weights) -> Solution:
     """The system at the same estimate with other noise or weights."""
+    if noise is at.noise and weights is at.weights:
+        return at
     whitening = Whitening(lineariser.rows, at.linear.J, noise, weights.centre, weights.pose)
     X = whitening(at.linear.X)
-    return replace(at, whitening=whitening, X=X, normal=Normal(lineariser.rows, X, at.prior))
+    return replace(at, whitening=whitening, X=X, normal=Normal(lineariser.rows, X, at.prior), noise=noise, weights=weights)
 
 
 def solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, *, tolerance: float = 1e-6,
