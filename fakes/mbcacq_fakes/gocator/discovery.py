@@ -95,3 +95,13 @@ class Discovery:
         pairs = {"PartNumber": self._sensor.part_number, "ModelNumber": self._sensor.model, "ModelDisplayName": self._sensor.model,
                  "Family": family, "OpMode": "1", "AccelSensorIpVersion": "4", "AccelSensorIp": "0.0.0.0"}
         return bytes([len(pairs)]) + b"".join(bytes([len(t)]) + t for pair in pairs.items() for t in (v.encode() for v in pair))
+
+
+def outward_address() -> str:
+    """The address other machines see; no packet is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+            return probe.getsockname()[0]
+        except OSError:
+            return "127.0.0.1"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import queue
 import socket
 import threading
 import time
@@ -15,20 +13,17 @@ import numpy as np
 
 from mbcacq_fakes.frame import Frame
 from mbcacq_fakes.gocator import channel, encode
-from mbcacq_fakes.gocator.discovery import PORT, Discovery
+from mbcacq_fakes.gocator.discovery import PORT, Discovery, outward_address
+from mbcacq_fakes.gocator.exposures import EXPOSURE, TICKS_PER_S, Exposures
 from mbcacq_fakes.gocator.faults import Faults
 from mbcacq_fakes.gocator.files import Files
 from mbcacq_fakes.gocator.listener import Listener
 from mbcacq_fakes.gocator.publish import Publisher
-from mbcacq_fakes.gocator.replies import BUSY, INVALID_STATE, UNKNOWN_COMMAND, Refused
-from mbcacq_fakes.gocator.spoil import spoil
+from mbcacq_fakes.gocator.replies import INVALID_STATE, UNKNOWN_COMMAND, Refused
 
 Source = Callable[[float], Frame]
-_TIME, _TICKS_PER_S = 0, 1.024e6
-_EXPOSURE = "Setup/Devices/Device[@role='0']/Exposure"
 _FIRMWARE = {4: (4, 8, 2, 29), 5: (5, 3, 23, 10), 6: (6, 1, 32, 12)}
 _PROTOCOL = {4: (101, 4), 5: (101, 10), 6: (101, 11)}
-_log = logging.getLogger("mbcacq.fakes.gocator")
 
 
 class Ports(NamedTuple):
@@ -59,18 +54,17 @@ class FakeGocator:
         self.settings = dict.fromkeys(("alignment_reference", "recording", "playback_source", "autostart", "quick_edit"), 0)
         self.variables, self.flags, self.encoder = [0, 0, 0, 0], {}, 0
         self.temperature_C = 41.0
-        self.running, self.scans, self.dropped = False, 0, 0
+        self.running = False
         self.ready = threading.Event()
         self.data, self.health = Publisher(), Publisher()
-        self._clock, self._born = clock, time.monotonic()
+        self.clock, self._born = clock, time.monotonic()
         self._wanted = (host, control_port, health_port, data_port)
         self._discovery_wanted = (discovery, discovery_port, broadcast)
-        self._exposures: queue.Queue[int | None] = queue.Queue(16)
         self._operation = 0
         self._controls: dict[socket.socket, threading.Thread] = {}
-        self._next_timed = 0.0
         self._lock = threading.Lock()
         self._closing = threading.Event()
+        self._exposures = Exposures(self, self._closing)
         self._listeners: list[Listener] = []
         self._threads: list[threading.Thread] = []
         self._discovery: Discovery | None = None
@@ -87,7 +81,7 @@ class FakeGocator:
         except OSError:
             self.stop()
             raise
-        self._threads = [threading.Thread(target=run, name="fake-gocator", daemon=True) for run in (self._expose, self._pulse)]
+        self._threads = [threading.Thread(target=run, name="fake-gocator", daemon=True) for run in (self._exposures.run, self._pulse)]
         for starter in (*self._listeners, *self._threads, *filter(None, [self._discovery])):
             starter.start()
         self.ready.set()
@@ -124,7 +118,7 @@ class FakeGocator:
 
     @property
     def address(self) -> str:
-        return self.host if self.host not in ("", "0.0.0.0") else _outward_address()
+        return self.host if self.host not in ("", "0.0.0.0") else outward_address()
 
     @property
     def discovery_port(self) -> int | None:
@@ -132,12 +126,17 @@ class FakeGocator:
         return self._discovery.port if self._discovery else None
 
     @property
+    def scans(self) -> int:
+        """Exposures made so far."""
+        return self._exposures.made
+
+    @property
     def uptime_s(self) -> float:
         return time.monotonic() - self._born
 
     def ticks(self) -> int:
         """The sensor's clock in the unit of time stamps."""
-        return int((self._clock() if self._clock else self.uptime_s) * _TICKS_PER_S)
+        return int((self.clock() if self.clock else self.uptime_s) * TICKS_PER_S)
 
     def begin(self) -> None:
         """Command start."""
@@ -156,12 +155,12 @@ class FakeGocator:
             raise Refused(UNKNOWN_COMMAND)
         if self.running:
             raise Refused(INVALID_STATE)
-        self._ask()
+        self._exposures.ask()
 
     def trigger(self) -> None:
         if not self.running:
             raise Refused(INVALID_STATE)
-        self._ask()
+        self._exposures.ask()
 
     def reboot(self) -> None:
         """Three seconds after the reply all connections end and the sensor is ready again."""
@@ -179,7 +178,7 @@ class FakeGocator:
         if alignment:
             self.data.publish([encode.operation_result(encode.ALIGNMENT_RESULT, number)])
         else:
-            exposure = int(self.files.number(_EXPOSURE)).to_bytes(4, "little")
+            exposure = int(self.files.number(EXPOSURE)).to_bytes(4, "little")
             self.data.publish([encode.operation_result(encode.EXPOSURE_RESULT, number, exposure)])
         return number
 
@@ -206,48 +205,6 @@ class FakeGocator:
             self._controls[sock] = thread
         thread.start()
 
-    def _ask(self) -> None:
-        try:
-            self._exposures.put_nowait(self.ticks())
-        except queue.Full:
-            self.dropped += 1
-            raise Refused(BUSY) from None
-
-    def _expose(self) -> None:
-        while not self._closing.is_set():
-            try:
-                asked = self._exposures.get(timeout=0.02)
-            except queue.Empty:
-                if not self._timer_due():
-                    continue
-                asked = self.ticks()
-            try:
-                self._scan(asked)
-            except Exception:
-                _log.exception("the exposure failed; no data set is sent")
-
-    def _scan(self, asked: int) -> None:
-        if self.scan_time_s and self._closing.wait(self.scan_time_s):
-            return
-        exposure_us = self.files.number(_EXPOSURE)
-        frame = self.source(exposure_us)
-        ticks = int(frame.time_s * _TICKS_PER_S) if self._clock and frame.time_s else self.ticks()
-        messages = encode.data_set(
-            frame, exposure_us=exposure_us, ticks=0 if self.faults.use("old_stamp") else max(ticks, asked), index=self.scans,
-            serial=self.serial, encoder=self.encoder, uniform=bool(self.files.number("Setup/UniformSpacingEnabled")),
-            intensity=bool(self.files.number("Setup/IntensityEnabled")), generation=self.generation, volume=self.volume)
-        self.scans += 1
-        # A client asks right after connecting; its connection may still wait to be accepted.
-        self.data.wait_for_client(0.2)
-        self.data.publish(spoil(messages, self.faults))
-
-    def _timer_due(self) -> bool:
-        """Whether a job that is triggered by time wants an exposure now; at most 50 a second."""
-        if not self.running or int(self.files.number("Setup/Trigger/Source")) != _TIME or time.monotonic() < self._next_timed:
-            return False
-        self._next_timed = time.monotonic() + 1.0 / max(self.files.number("Setup/Trigger/FrameRate"), 1e-3)
-        return True
-
     def _pulse(self) -> None:
         while not self._closing.wait(self.health_period_s):
             self.health.publish(self._health())
@@ -260,13 +217,3 @@ class FakeGocator:
                   (2002, 0): round(self.temperature_C), (2404, 0): round(self.temperature_C) + 4, (1003, 0): self.encoder,
                   (20005, 0): self.scans, (2007, 0): 12}
         return [encode.health(values)]
-
-
-def _outward_address() -> str:
-    """The address other machines see; no packet is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-            return probe.getsockname()[0]
-        except OSError:
-            return "127.0.0.1"
