@@ -145,3 +145,14 @@ def test_closing_while_moving_brakes_and_ends_the_session(cell):
     robot.connect()
     robot.move_to(np.radians(HOME_DEG), motion_limits())
     arrive(robot)
+
+
+def test_the_slower_cycle_of_ipo(cell):
+    krc, robot = cell({"log": True, "cycle_ms": 12}, {"cycle_ms": 12})
+    target = np.radians(HOME_DEG + [15.0, 3.0, 0.0, -20.0, 0.0, 0.0])
+    robot.move_to(target, motion_limits())
+    np.testing.assert_allclose(arrive(robot).q, target, atol=2e-4)
+    path, ipoc = corrections(krc)
+    assert set(np.diff(ipoc)) == {12}
+    assert np.abs(np.diff(path, axis=0)).max() <= 90.0 * 0.012 * 1.001 + 2e-6
+    np.testing.assert_allclose(np.diff(robot.cycles().columns["time_s"]), 0.012, atol=1e-9)
