@@ -1,0 +1,171 @@
+"""The whole line as a user has it: the command, its exit code, what it leaves behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+MBCACQ = Path(sys.executable).parent / "mbcacq"
+
+
+def mbcacq(*args, timeout=240):
+    return subprocess.run([MBCACQ, *map(str, args)], cwd=ROOT, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL)
+
+
+def plan_file(folder, change, name="quick.yaml"):
+    """A shipped plan with a change, its files named from where it now lies."""
+    plan = yaml.safe_load((ROOT / "plans" / name).read_text())
+    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
+    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
+    change(plan)
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan, sort_keys=False))
+    return path
+
+
+def one_sentence(done):
+    lines = [line for line in done.stderr.splitlines() if line.startswith("mbcacq: ")]
+    assert len(lines) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    return lines[0]
+
+
+@pytest.mark.timeout(300)
+def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
+    done = mbcacq("run", "plans/kuka.yaml", "--dry-run", "--out", tmp_path / "run", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert len(result["verification"]["places"]) == 10
+    assert result["verification"]["before"]["mean_mm"] > 0.3
+    assert result["verification"]["after"]["mean_mm"] < 0.03
+    assert result["fit"]["chi2_dof"] == pytest.approx(1.0, abs=0.15)
+    for name in result["files"].values():
+        assert Path(name).stat().st_size > 10_000
+    again = mbcacq("calibrate", tmp_path / "run", "--json")
+    same = json.loads(again.stdout)
+    assert [p["value"] for p in same["parameters"]] == [p["value"] for p in result["parameters"]]
+    back = tmp_path / "observations"
+    assert mbcacq("export", tmp_path / "run", "--observations", back).returncode == 0
+    folder = json.loads(mbcacq("calibrate", back, "--json").stdout)
+    assert [p["value"] for p in folder["parameters"]] == [p["value"] for p in result["parameters"]]
+
+
+def test_an_interrupted_run_is_resumed_into_the_same_result(tmp_path):
+    """Killed without warning in the middle: what was measured is readable, the rest is measured by --resume."""
+    run = tmp_path / "run"
+    process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.DEVNULL,
+                               stdout=subprocess.DEVNULL, start_new_session=True)
+    journal = run / "journal.jsonl"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (journal.exists() and journal.read_text().count("\n") >= 5):
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    mbcacq("recover", run)
+    from mbcacq.recording import load, poses_done
+
+    done = poses_done(run)
+    assert 0 < len(done) < 10
+    assert load(run).n_poses >= len(done)
+    resumed = mbcacq("run", "plans/quick.yaml", "--dry-run", "--resume", run, "--json")
+    assert resumed.returncode == 0, resumed.stderr
+    observations = load(run)
+    assert sorted(observations.pose_id.tolist()) == list(range(10))
+
+
+def test_ctrl_c_ends_with_130_and_a_readable_recording(tmp_path):
+    run = tmp_path / "run"
+    process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.PIPE,
+                               stdout=subprocess.DEVNULL, text=True)
+    journal = run / "journal.jsonl"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (journal.exists() and journal.read_text().count("\n") >= 4):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, text = process.communicate(timeout=60)
+    assert process.returncode == 130, text
+    assert "Traceback" not in text
+    from mbcacq.recording import load
+
+    assert load(run).n_poses >= 1
+
+
+def test_broken_yaml(tmp_path):
+    path = tmp_path / "plan.yaml"
+    path.write_text("format: mbcacq-plan/1\nname: [unclosed\nrobot: {}\n")
+    done = mbcacq("run", path, "--dry-run")
+    assert done.returncode == 2
+    assert f"{path}:" in one_sentence(done)
+
+
+def test_unknown_key_names_its_line(tmp_path):
+    path = plan_file(tmp_path, lambda p: p["robot"].update(sped=0.5))
+    line = next(k for k, text in enumerate(path.read_text().splitlines(), 1) if "sped" in text)
+    done = mbcacq("plan", "check", path)
+    assert done.returncode == 2
+    assert f"{path}:{line}:" in one_sentence(done)
+    assert "sped" in done.stderr
+
+
+def test_unreachable_pose_names_step_and_line(tmp_path):
+    path = plan_file(tmp_path, lambda p: p["stations"][0]["pose_in_base"].update(translation_mm=[2600, 0, 150]))
+    done = mbcacq("run", path, "--dry-run", "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert "translations" in one_sentence(done)
+    assert f"{path}:" in done.stderr
+    assert not (tmp_path / "run" / "run.rrd").exists()
+
+
+def test_wrong_artefact_in_view_loses_nothing(tmp_path):
+    def change(plan):
+        plan["artefacts"].append(str(ROOT / "plans" / "artefacts" / "bar-735.yaml"))
+        plan["fake"] = {"mishaps": [{"kind": "wrong_artefact", "station": "p1", "artefact": "bar", "from_arrival": 4}]}
+
+    done = mbcacq("run", plan_file(tmp_path, change), "--dry-run", "--out", tmp_path / "run")
+    assert done.returncode == 4, done.stderr
+    assert "artefact" in one_sentence(done)
+    from mbcacq.recording import load
+
+    assert load(tmp_path / "run").n_poses >= 1
+
+
+def test_a_scanner_that_is_not_there(tmp_path):
+    def change(plan):
+        plan["robot"]["options"] = {"bind": "127.0.0.1", "port": 49977, "connect_timeout_s": 1.0}
+        plan["scanner"]["options"] = {"address": "127.0.0.1", "control_port": 49978}
+
+    done = mbcacq("run", plan_file(tmp_path, change), "--yes", "--out", tmp_path / "run")
+    assert done.returncode == 3
+    sentence = one_sentence(done)
+    assert "49978" in sentence  # the scanner, and the controller that keeps silent too, in one message
+    assert "49977" in sentence
+
+
+def test_a_real_arm_is_not_moved_unasked(tmp_path):
+    from mbcacq.cli.run import ask_before_motion
+    from mbcacq.errors import ConfigError
+
+    confirm = ask_before_motion({"bind": "192.168.1.5"}, "KR 10", 3, arm=False)
+    with pytest.raises(ConfigError, match="--arm"):
+        confirm(np.zeros(6))
+
+
+@pytest.mark.parametrize("keep", [0.3, 0.9])
+def test_truncated_recording(tmp_path, keep):
+    run = tmp_path / "run"
+    assert mbcacq("run", "plans/quick.yaml", "--dry-run", "--out", run).returncode == 0
+    torn = tmp_path / "torn.rrd"
+    data = (run / "run.rrd").read_bytes()
+    torn.write_bytes(data[: int(keep * len(data))])
+    done = mbcacq("calibrate", torn)
+    assert done.returncode in (6, 7), done.stderr
+    if done.returncode == 6:
+        assert "mbcacq recover" in one_sentence(done)
