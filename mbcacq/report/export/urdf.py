@@ -7,8 +7,6 @@ calibrated one.
 
 from __future__ import annotations
 
-import ast
-import operator
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,11 +16,10 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.report.export.xacro_numbers import vector
 
 MAX_BYTES = 16 << 20
 AXIS_TOLERANCE_MM, AXIS_TOLERANCE_RAD = 1.0, 2e-3
-_OPERATORS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv, ast.USub: operator.neg,
-              ast.UAdd: operator.pos}
 
 
 def patch(path: str | Path, nominal: Chain, calibrated: Chain, *, joints: Sequence[str] | None = None,
@@ -184,39 +181,8 @@ def _add_scanner(root, named: dict, flange: str, T: np.ndarray, scanner: str) ->
 
 
 def _vector(text: str, element, path) -> np.ndarray:
-    """Three numbers; xacro's ${...} may hold arithmetic of numbers, pi and radians()."""
-    parts, depth = [""], 0
-    for c in text.strip():
-        depth += (c == "{") - (c == "}")
-        if c.isspace() and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += c
     try:
-        values = [_value(p) for p in parts if p]
-        if len(values) != 3:
-            raise ValueError(text)
-    except (ValueError, SyntaxError, ZeroDivisionError) as error:
+        return vector(text)
+    except ValueError as error:
         raise ConfigError(f"{path}:{element.sourceline}: the origin of joint '{element.get('name')}' is not three numbers: '{text}'; "
                           "expand the file with xacro first") from error
-    return np.array(values)
-
-
-def _value(text: str) -> float:
-    if not text.startswith("${"):
-        return float(text)
-    return float(_arithmetic(ast.parse(text[2:-1].strip(), mode="eval").body))
-
-
-def _arithmetic(node: ast.AST) -> float:
-    if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
-        return node.value
-    if isinstance(node, ast.Name) and node.id == "pi":
-        return np.pi
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-        return _OPERATORS[type(node.op)](_arithmetic(node.left), _arithmetic(node.right))
-    if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
-        return _OPERATORS[type(node.op)](_arithmetic(node.operand))
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "radians" and len(node.args) == 1:
-        return np.radians(_arithmetic(node.args[0]))
-    raise ValueError("not arithmetic")
