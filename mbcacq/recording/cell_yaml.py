@@ -17,6 +17,7 @@ from mbcacq.recording import angles
 FORMAT = "mbcacq-observation-set/1"
 MAX_BYTES = 16 << 20
 Spec = TypeVar("Spec", bound=BaseModel)
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def read_cell(path: Path) -> tuple[Cell, str]:
@@ -46,15 +47,18 @@ def read_yaml_text(path: Path) -> str:
 
 def load_yaml(text: str, name: str) -> tuple[dict[str, Any], yaml.Node]:
     """The mapping in a YAML text, and its node tree for line numbers. Raises ConfigError."""
+    loader = _Loader(text)
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-        data = yaml.safe_load(text)
+        node = loader.get_single_node()
+        data = loader.construct_document(node) if node is not None else None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1
         raise ConfigError(f"{name}:{line}: not valid YAML ({getattr(error, 'problem', None) or 'unreadable'}); correct the line") from None
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{name}:1: not valid YAML ({error}); correct it") from None
+    finally:
+        loader.dispose()
     if not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a mapping of keys is expected (format, robot, ...), found {type(data).__name__}; correct the file")
     return data, node

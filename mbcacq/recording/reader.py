@@ -29,7 +29,7 @@ class RecordedScan:
 
 
 class Recording:
-    """One .rrd file. Every method streams through the file and touches only what it is asked for."""
+    """One .rrd file. Every method reads only what it is asked for; where the footer is missing, it streams through the file."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -44,6 +44,10 @@ class Recording:
             raise RecordingError(
                 f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it")
         self._store = stores[0]
+        try:
+            self._indexed = self._reader.store(store=self._store)
+        except (RuntimeError, ValueError):
+            self._indexed = None              # no footer: the run was cut short, the file is read from end to end
 
     @property
     def recording_id(self) -> str:
@@ -104,7 +108,8 @@ class Recording:
     def _stream(self, entity: str) -> Iterator[pa.RecordBatch]:
         chunks = iter(())
         with _named_errors(self.path):
-            chunks = iter(self._reader.stream(store=self._store).filter(content=f"/{entity}"))
+            stream = self._indexed.stream() if self._indexed is not None else self._reader.stream(store=self._store)
+            chunks = iter(stream.filter(content=f"/{entity}"))
         while True:
             with _named_errors(self.path):
                 chunk = next(chunks, None)

@@ -22,7 +22,8 @@ AXES = ("x", "y", "z")
 def log_result(run: Path | str, observations: Observations, after: CellState, before: CellState | None = None) -> Path:
     """Write result.rrd into a run folder (replacing an older one); viewers show it together with the run.
 
-    observations: those of the run, or any selection of them. after, before: the calibrated cell, and the cell to compare it with.
+    observations: those of the run, or any selection of them; poses of a station that the calibration did not determine (its
+    T_base_station is the identity) are left out. after, before: the calibrated cell, and the cell to compare it with.
     Raises RecordingError where the run cannot be read or the file cannot be written.
     """
     run = Path(run)
@@ -36,13 +37,14 @@ def log_result(run: Path | str, observations: Observations, after: CellState, be
         _log_static(stream)
         states = {"after": after} | ({"before": before} if before is not None else {})
         errors = {name: residual(observations, predict(observations, state))[:, :3] for name, state in states.items()}
+        known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         for k, number in enumerate(observations.pose_id.tolist()):
-            if number not in times:
+            if number not in times or not known[observations.station[k]]:
                 continue
             stream.set_time(layout.TIME, duration=times[number])
             stream.set_time(layout.POSE, sequence=number)
             _log_pose(stream, observations, k, after, errors)
-        _log_stations(stream, observations, after)
+        _log_stations(stream, observations, after, known)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
         os.replace(partial, path)
@@ -74,9 +76,9 @@ def _log_pose(stream: rr.RecordingStream, obs: Observations, k: int, after: Cell
                                           colors=[(255, 96, 96)], radii=[0.8], labels=[f"ball {b}" for b in ball], show_labels=False))
 
 
-def _log_stations(stream: rr.RecordingStream, obs: Observations, after: CellState) -> None:
+def _log_stations(stream: rr.RecordingStream, obs: Observations, after: CellState, known: np.ndarray) -> None:
     """Where the calibrated cell says each artefact stood, with its certified balls."""
-    for s in np.unique(obs.station):
+    for s in np.flatnonzero(known):
         station = obs.cell.stations[s]
         artefact = obs.cell.artefact(station.artefact)
         entity = f"{layout.CALIBRATED}/{rr.escape_entity_path_part(station.id)}"

@@ -47,6 +47,15 @@ class Sink:
             raise RecordingError(f"the disk of {self.path.parent} is almost full ({free >> 20} MiB free); what was measured is kept: "
                                  "free some space and resume the run")
 
+    def foresee(self, done: int, poses: int) -> None:
+        """Raise RecordingError if the poses to come will not fit, judged by the size of those done: early, when little is lost."""
+        need = self.path.stat().st_size * max(poses - done, 0) // done
+        free = shutil.disk_usage(self.path.parent).free
+        if free < need:
+            self.stop_writing()
+            raise RecordingError(f"the run needs about {need >> 20} MiB more, {free >> 20} MiB are free in {self.path.parent}; "
+                                 "free some space and resume the run")
+
     def push(self) -> None:
         """Set everything logged on its way to the file, without waiting."""
         if self._alive:

@@ -25,6 +25,7 @@ from mbcacq.recording.run_header import RunHeader, read_run_header, write_run_he
 from mbcacq.recording.sink import Sink
 
 START_FREE_BYTES = 256 << 20
+FORECAST_AFTER = 3         # poses whose size says how large the run will become
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
@@ -62,6 +63,7 @@ class Recorder:
         self._cell: Cell | None = None
         self._T_base_scanner = np.eye(4)
         self._balls: dict[str, dict[int, np.ndarray]] = {}
+        self._n_poses, self._done = 0, 0
         self._failed = False
 
     @property
@@ -108,7 +110,7 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.RunStarted) -> None:
-        self._cell = parse_cell(event.cell_yaml)
+        self._cell, self._n_poses = parse_cell(event.cell_yaml), event.n_poses
         if self._first_start is not None:
             self._offset = (datetime.fromisoformat(event.started) - self._first_start).total_seconds()
         else:
@@ -199,6 +201,9 @@ class Recorder:
             self._rec.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
             self._draw_balls(event)
         self._sink.flush()
+        self._done += 1
+        if self._done == FORECAST_AFTER:
+            self._sink.foresee(self._done, self._n_poses)
 
     def _draw_balls(self, event: events.PoseDone) -> None:
         if self._cell is None:

@@ -232,14 +232,16 @@ def test_the_result_stands_beside_the_run(a_run):
     from mbcacq.recording import log_result
 
     obs = load(a_run)
-    state = CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, np.tile(np.eye(4), (2, 1, 1)), obs.cell.ball_centres)
+    place = np.eye(4)
+    place[:3, 3] = [300.0, 0.0, 100.0]
+    state = CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, np.stack([place, np.eye(4)]), obs.cell.ball_centres)
     path = log_result(a_run, obs, state)
     result = Recording(path)
     assert result.recording_id == Recording(a_run / "run.rrd").recording_id
     rows = list(result.rows(layout.RESIDUAL_BALL))
-    assert [int(row["pose"][0]) for row in rows] == [0, 1, 2, 3]
+    assert [int(row["pose"][0]) for row in rows] == [0, 2]      # station 'far' was not determined
     T = obs.cell.robot.chain.flange(obs.q[:1])[0] @ obs.cell.T_flange_scanner
-    expected = obs.xyz[0] - T[:3, :3].T @ (obs.cell.ball_centres[0] - T[:3, 3])     # measured minus where the cell says it is
+    expected = obs.xyz[0] - T[:3, :3].T @ (place[:3, 3] + obs.cell.ball_centres[0] - T[:3, 3])     # measured minus where the cell says it is
     np.testing.assert_allclose(rows[0]["after_mm"].reshape(-1, 3)[0], expected, atol=1e-9)
     assert load(a_run).n_poses == 4
 

@@ -1,0 +1,61 @@
+"""The recording in the viewer, where there is a Vulkan driver (a software one will do)."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.recording import layout, rerun_program, viewer
+
+
+@pytest.fixture(scope="module")
+def vulkan():
+    if not any(Path(folder).glob("*.json") for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d") if Path(folder).is_dir()):
+        pytest.skip("no Vulkan driver is installed (apt-get install mesa-vulkan-drivers)")
+
+
+def headless() -> set[str]:
+    listing = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True).stdout
+    return {line for line in listing.splitlines() if "--headless" in line}
+
+
+def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, vulkan, monkeypatch):
+    monkeypatch.setattr(viewer, "SETTLE_S", 0.5)
+    picture = tmp_path / "run.png"
+    before = headless()
+    viewer.screenshot(viewer.files(a_run), picture, (800, 600), pose=1)
+    assert headless() <= before
+    data = picture.read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", data[16:24])
+    assert width * 600 == height * 800
+    assert len(data) > 20_000                                   # more than an empty window
+
+
+def test_files_of_a_run(a_run, tmp_path):
+    assert viewer.files(a_run) == [a_run / "run.rrd"]
+    shutil.copy(a_run / "run.rrd", a_run / layout.RESULT_FILE)
+    assert viewer.files(a_run) == [a_run / "run.rrd", a_run / layout.RESULT_FILE]
+    with pytest.raises(ConfigError, match="holds no recording"):
+        viewer.files(tmp_path)
+    with pytest.raises(ConfigError, match="does not exist"):
+        viewer.files(tmp_path / "absent.rrd")
+
+
+def test_a_pose_that_was_not_taken(a_run, tmp_path):
+    with pytest.raises(ConfigError, match="pose 99 is not in the recording"):
+        viewer.screenshot(viewer.files(a_run), tmp_path / "run.png", pose=99)
+
+
+def test_a_program_that_hangs_is_stopped(tmp_path, monkeypatch):
+    fake = tmp_path / "rerun"
+    fake.write_text("#!/bin/sh\nsleep 60\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("RERUN_CLI_PATH", str(fake))
+    with pytest.raises(RecordingError, match="did not end within 0.5 s"):
+        rerun_program.run(["rrd", "verify"], timeout_s=0.5)
