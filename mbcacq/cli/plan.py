@@ -37,36 +37,103 @@ def show(plan: Path, as_json: bool) -> None:
 
 @command.command("check")
 @click.argument("plan", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+@click.option("--quick", is_flag=True, help="Only what would stop a run; not what the plan can see.")
 @click.option("--all", "every", is_flag=True, help="One line a finding, instead of one a kind and step.")
-def check(plan: Path, as_json: bool, every: bool) -> None:
-    """Find what is wrong with PLAN: reach, joint limits, singularities, view, collisions. Errors end with exit code 2."""
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
+    """Find what is wrong with PLAN (reach, limits, singularities, view, collisions), and what it can and cannot see.
+
+    Errors end with exit code 2.
+    """
     from mbcacq.plan import load
     from mbcacq.plan.checks import check
     from mbcacq.plan.expansion import expand_reachable
     from mbcacq.plan.findings import merged
+    from mbcacq.plan.insight import insight, words
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
     poses, _ = expand_reachable(loaded)
-    findings = check(loaded, poses)
+    findings, content = check(loaded, poses), summary(loaded, poses)
+    more, outlook, sight = ([], None, None) if quick else insight(loaded, poses, content)
+    findings += more
     errors = sum(f.level == "error" for f in findings)
     if as_json:
-        click.echo(json.dumps({**summary(loaded, poses), "findings": [f.to_dict() for f in findings], "errors": errors}))
+        content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
+        content |= {"prospect": outlook and outlook.to_dict(), "visibility": sight and sight.to_dict()}
+        click.echo(json.dumps(content))
     else:
         colour = {"error": "red", "warning": "yellow", "info": "cyan"}
         for f in findings if every else merged(findings):
             click.echo(f"{click.style(f.level, fg=colour[f.level])} {f}", color=_colour())
-        click.echo(_time_sentence(summary(loaded, poses)))
+        for line in words(outlook, sight) if outlook and sight else []:
+            click.echo(line)
+        click.echo(_time_sentence(content))
         click.echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
     if errors:
         sys.exit(ExitCode.USAGE)
+
+
+@command.command("design")
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.option("--poses", "count", type=click.IntRange(6, 400), required=True, help="Number of calibration poses to choose.")
+@click.option("--out", type=click.Path(path_type=Path), help="The new plan [default: NAME_designed.yaml beside PLAN].")
+@click.option("--criterion", type=click.Choice(["A", "D"]), default="A", show_default=True,
+              help="A: mean variance of the certified distances; D: volume of the parameters' confidence region.")
+@click.option("--tilt", type=click.FloatRange(5, 60), default=40.0, show_default=True, help="Steepest view, deg.")
+@click.option("--seed", default=0, show_default=True, help="Of the random views to choose from, and of the simulated cells.")
+@click.option("--force", is_flag=True, help="Replace the file if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float, seed: int, force: bool, as_json: bool) -> None:
+    """Choose better calibration poses for PLAN at its own stations, and write a new plan.
+
+    Views that can be taken are drawn at random; the best of them are chosen by greedy growth and exchange. The poses of the phases
+    'translation', 'orientation' and 'verification' stay. Both plans are then compared, in expectation and by simulated cells.
+    """
+    from mbcacq.errors import ConfigError
+    from mbcacq.plan import expand, load
+    from mbcacq.plan.design import compare, design
+
+    target = out or plan.with_name(f"{plan.stem}_designed.yaml")
+    if target.exists() and not force:
+        raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
+    if target.resolve().parent != plan.resolve().parent:
+        raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {plan}")
+    loaded = load(plan)
+    result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
+    target.write_text(result.text, encoding="utf-8")
+    new = load(target)
+    rows = compare([(loaded, expand(loaded)), (new, expand(new))], seed)
+    if as_json:
+        click.echo(json.dumps({"format": "mbcacq-plan-design/1", "plan": str(target), "tried": result.tried, "criterion": criterion,
+                               "given": rows[0], "designed": rows[1]}))
+        return
+    _print_comparison(rows)
+    click.echo(f"chosen from {result.tried} views that can be taken; written to {target}")
 
 
 def _colour() -> bool | None:
     import os
 
     return False if os.environ.get("NO_COLOR") else None
+
+
+def _print_comparison(rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="expected and simulated accuracy", title_justify="left")
+    for name in ("", "given", "designed"):
+        table.add_column(name, justify="left" if not name else "right")
+    shown = {"poses": "calibration poses", "expected_bar_mean_mm": "error of certified distances, expected mean, mm",
+             "expected_bar_mean_of_calibration_mm": "  of it from the calibration, mm", "simulated_bar_mean_mm": "  simulated mean, mm",
+             "simulated_standard_error_mm": "    its standard error, mm", "simulated_bar_max_mm": "  simulated largest, mm",
+             "expected_workspace_mm": "point anywhere in reach, rms, mm", **{f"O{k}": f"observability O{k}" for k in range(1, 6)}}
+    for key, label in shown.items():
+        values = [row[key] for row in rows]
+        if any(v is not None for v in values):
+            table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else f"{v:.4g}" for v in values))
+    Console().print(table)
 
 
 def _print_steps(content: dict[str, Any]) -> None:

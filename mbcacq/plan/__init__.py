@@ -77,7 +77,7 @@ def expand(loaded: LoadedPlan) -> list[PlannedPose]:
 
 def path(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Transit]:
     """The way to each pose from the one before it (the first: from home), free of collisions as far as the plan knows the cell."""
-    from mbcacq.plan.path import path
+    from mbcacq.plan.route import path
 
     return path(loaded, poses)
 

@@ -11,7 +11,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import Finding, finding
-from mbcacq.plan.path import find_paths, obstructed_sentence
+from mbcacq.plan.route import find_paths, obstructed_sentence
 from mbcacq.plan.sight import check_sight
 
 LIMIT_MARGIN = np.radians(2.0)

@@ -6,11 +6,9 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan.choice import cheapest
+from mbcacq.plan.choice import DEFAULT_SPEED, cheapest
 from mbcacq.plan.kinematics import InverseKinematics
 from mbcacq.plan.targets import Target, targets
-
-DEFAULT_SPEED = np.radians(180.0)
 
 
 def expand(loaded: LoadedPlan) -> list[PlannedPose]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.duration import duration, motion_time
-from mbcacq.plan.path import find_paths
+from mbcacq.plan.route import find_paths
 
 
 def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> dict[str, Any]:

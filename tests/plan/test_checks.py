@@ -14,7 +14,7 @@ from mbcacq.plan.checks import check
 from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.duration import motion_time
 from mbcacq.plan.expansion import expand_reachable
-from mbcacq.plan.path import find_paths, way_home
+from mbcacq.plan.route import find_paths, way_home
 from mbcacq.plan.sight import occluded
 
 

@@ -1,0 +1,125 @@
+"""What a plan will determine, and how well: rank, observability, expected accuracy, before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import Calibration, Options, blocks, rank, variance
+from mbcacq.calibration.blocks import Estimate
+from mbcacq.calibration.estimate import select_phases
+from mbcacq.calibration.linearise import Lineariser
+from mbcacq.calibration.rank import Undetermined
+from mbcacq.calibration.solve import Weights, system
+from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
+from mbcacq.calibration.verification import ball_positions, verification_poses, verify
+from mbcacq.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.observed import planned_observations, planned_state
+
+MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))      # mean of |error| over its standard deviation
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
+    over the whole reach of the arm. bar_mm: expected mean error of a certified distance at the verification poses (None: there are
+    none); bar_cell_mm: the share of it that is the calibration's, without the noise of measuring the distance. places: (station, mm)
+    of each. All these are None, or none, where something that matters stays undetermined: then nothing can be promised. correlated:
+    pairs of parameters that cannot be told apart. weakest: (name, its standard deviation, unit)."""
+
+    parameters: int
+    determined: int
+    undetermined: tuple[Undetermined, ...]
+    indices: dict[str, float]
+    workspace_mm: float | None
+    bar_mm: float | None
+    bar_cell_mm: float | None
+    places: tuple[tuple[str, float], ...]
+    correlated: tuple[tuple[str, str, float], ...]
+    weakest: tuple[tuple[str, float, str], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "parameters": self.parameters, "determined": self.determined,
+            "undetermined": [{"name": u.name, "together": list(u.together), "effect_mm": u.effect_mm, "harmless": u.harmless}
+                             for u in self.undetermined],
+            "observability": self.indices, "expected_workspace_mm": self.workspace_mm, "expected_bar_mean_mm": self.bar_mm,
+            "expected_bar_mean_of_calibration_mm": self.bar_cell_mm,
+            "places": [{"station": s, "expected_mm": e} for s, e in self.places],
+            "correlated": [{"a": a, "b": b, "correlation": c} for a, b, c in self.correlated],
+            "weakest": [{"name": n, "std": s, "unit": u} for n, s, u in self.weakest],
+        }
+
+
+def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
+    """Linearised at the planned cell. Raises CalibrationError where there are no poses to calibrate with."""
+    observations = planned_observations(loaded, poses)
+    calibration = foreseen(loaded, observations)
+    sound = all(u.harmless for u in calibration.undetermined)
+    places = verify(observations, calibration).places if sound else ()
+    used = _arm_parameters(calibration)
+    lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
+    return Prospect(
+        parameters=len(used) + len(lost), determined=len(used), undetermined=calibration.undetermined,
+        indices=observability(calibration), workspace_mm=expected_accuracy(calibration) if sound else None,
+        bar_mm=MEAN_OF_NORMAL * float(np.mean([p.expected_mm for p in places])) if places else None,
+        bar_cell_mm=MEAN_OF_NORMAL * float(np.mean(_cell_share(calibration, observations))) if places else None,
+        places=tuple((p.station, p.expected_mm) for p in places),
+        correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used), weakest=_weakest(calibration),
+    )
+
+
+def foreseen(loaded: LoadedPlan, observations: Observations) -> Calibration:
+    """The calibration that recording of the planned cell would give: no residual, but the true covariance. The noise is the plan's, of
+    single exposures; joint repeatability follows from the arm's data sheet."""
+    options = Options(refuse=False)
+    obs = select_phases(observations, options)
+    state, noise = planned_state(loaded), variance.first_noise(loaded.cell)
+    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    layout, estimate = blocks.build(obs, options), Estimate(state)
+    first = system(Lineariser(obs, layout, options), estimate, noise, weights)
+    layout, found = rank.hold_undetermined(layout, first.normal.information, obs, state)
+    lineariser = Lineariser(obs, layout, options)
+    solution = system(lineariser, estimate, noise, weights)
+    return Calibration.of(obs, options, lineariser, solution, noise, weights, state, found)
+
+
+def observability(calibration: Calibration) -> dict[str, float]:
+    """O1 to O5 of the determined arm and hand-eye parameters, each scaled by its plausible size, rows by their noise.
+
+    With singular values s_1 >= .. >= s_m of the identification Jacobian, stations eliminated: O1 = (s_1 .. s_m)^(1/m) / sqrt(rows)
+    (Borm and Menq 1989), O2 = s_m / s_1 (Driels and Pathre 1990), O3 = s_m, O4 = s_m^2 / s_1 (Nahvi, Hollerbach 1994, 1996),
+    O5 = 1 / (1/s_1 + .. + 1/s_m) (Sun and Hollerbach 2008).
+    """
+    keep = [i for i, name in enumerate(calibration.names) if not name.startswith("ball_")]
+    scale = calibration.layout.gather("scale")[keep]
+    information = np.linalg.inv(calibration.covariance[np.ix_(keep, keep)] / np.outer(scale, scale))
+    s = np.sqrt(np.maximum(np.linalg.eigvalsh(information)[::-1], 0.0))
+    rows = calibration.residual.size
+    with np.errstate(divide="ignore"):
+        return {"O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(rows)), "O2": float(s[-1] / s[0]), "O3": float(s[-1]),
+                "O4": float(s[-1] ** 2 / s[0]), "O5": float(1 / np.sum(1 / s))}
+
+
+def _cell_share(calibration: Calibration, observations: Observations) -> list[float]:
+    """Standard uncertainty (mm) of each certified distance that the calibration alone leaves."""
+    _, ends = ball_positions(verification_poses(observations), calibration.state)
+    pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1:] if k[0] == m[0]]
+    return [float(distance_uncertainty(calibration, a[0], a[1], b[0], b[1])[0]) for a, b in pairs]
+
+
+def _arm_parameters(calibration: Calibration) -> list[str]:
+    return [name for name in calibration.names if not name.startswith("ball_")]
+
+
+def _weakest(calibration: Calibration, count: int = 3) -> tuple[tuple[str, float, str], ...]:
+    """By standard deviation in plausible sizes."""
+    std = np.sqrt(np.diag(calibration.covariance))
+    share = std / calibration.layout.gather("scale")
+    unit = [u for b in calibration.layout.blocks for u, free in zip(b.units, b.free, strict=True) if free]
+    order = [i for i in np.argsort(-share) if not calibration.names[i].startswith("ball_")]
+    return tuple((calibration.names[i], float(std[i]), unit[i]) for i in order[:count])

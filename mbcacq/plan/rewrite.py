@@ -1,0 +1,97 @@
+"""A plan's YAML with other views in it, everything else left as its author wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from mbcacq.plan import LoadedPlan
+from mbcacq.plan.schema import View
+
+NAME = "designed"
+
+
+def with_views(loaded: LoadedPlan, chosen: Mapping[str, list[View]]) -> str:
+    """The text of the plan with its 'position' steps replaced by one step a station, at the place of the first of them (or first)."""
+    steps = [_step(station, views) for station, views in chosen.items()]
+    text = _spliced(loaded, steps)
+    expected = _replaced(loaded, steps)
+    if text is not None and yaml.safe_load(text) == expected:
+        return text
+    # Steps not written one below the other: the meaning is kept, the comments are not.
+    return yaml.safe_dump(expected, sort_keys=False, allow_unicode=True, width=140)
+
+
+def _step(station: str, views: list[View]) -> dict[str, Any]:
+    return {"name": f"{NAME} {station}", "phase": "position", "do": "look", "stations": [_id(station)], "views": [_view(v) for v in views]}
+
+
+def _id(station: str) -> str | int:
+    return int(station) if station.isdecimal() and str(int(station)) == station else station
+
+
+def _view(view: View) -> dict[str, Any]:
+    content = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
+    content = {k: int(v) if float(v).is_integer() else v for k, v in content.items()}
+    if any(view.shift_mm):
+        content["shift_mm"] = [int(x) if float(x).is_integer() else x for x in view.shift_mm]
+    if view.wrist != "any":
+        content["wrist"] = view.wrist
+    return content
+
+
+def _replaced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> dict[str, Any]:
+    data = yaml.safe_load(loaded.text)
+    old = [i for i, s in enumerate(data["steps"]) if s["phase"] == "position"]
+    at = old[0] if old else 0
+    left = [s for i, s in enumerate(data["steps"]) if i not in old]
+    data["steps"] = left[:at] + steps + left[at:]
+    return data
+
+
+def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
+    """By lines, or None where steps share lines."""
+    lines, plan = loaded.text.splitlines(), loaded.plan
+    starts = [loaded.lines["steps", i] - 1 for i in range(len(plan.steps))]
+    if len(set(starts)) < len(starts) or not all(lines[s].lstrip().startswith("- ") for s in starts):
+        return None
+    indent = lines[starts[0]][: len(lines[starts[0]]) - len(lines[starts[0]].lstrip())]
+    after = [i for i in range(starts[-1] + 1, len(lines)) if lines[i] and not lines[i].startswith((indent + " ", indent + "#"))]
+    bounds = [*starts, after[0] if after else len(lines)]
+    old = [i for i, s in enumerate(plan.steps) if s.phase == "position"]
+    new = [f"{indent}# Chosen by `mbcacq plan design`, of many views that can be taken, for what they tell about the arm."]
+    new += [indent + line if line else line for step in steps for line in [*_lines(step), ""]]
+    out = lines[: starts[0]]
+    for i in range(len(plan.steps)):
+        if i in old:
+            # What is written right above a step is about that step, and goes with it.
+            while out and out[-1].lstrip().startswith("#"):
+                out.pop()
+        if i == (old[0] if old else 0):
+            out += new
+        if i not in old:
+            out += lines[bounds[i]:bounds[i + 1]]
+        else:
+            kept = lines[bounds[i]:bounds[i + 1]]
+            out += kept[len(kept) - _trailing_comment(kept):]
+    return "\n".join([*out, *lines[bounds[-1]:]]) + "\n"
+
+
+def _trailing_comment(lines: list[str]) -> int:
+    """How many lines at the end of a step are the comment of the next one."""
+    count = 0
+    while count < len(lines) and lines[-1 - count].lstrip().startswith("#"):
+        count += 1
+    return count
+
+
+def _lines(step: dict[str, Any]) -> list[str]:
+    head = [f"- name: {_flow(step['name'])}", f"  phase: {step['phase']}", f"  do: {step['do']}"]
+    return [*head, f"  stations: {_flow(step['stations'])}", "  views:", *(f"    - {_flow(view)}" for view in step["views"])]
+
+
+def _flow(value: Any) -> str:
+    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000, allow_unicode=True)
+    return text.strip().removesuffix("...").strip()

@@ -1,0 +1,231 @@
+"""What a plan can see, foretold and found true; poses chosen for it."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from conftest import PLANS
+
+from mbcacq.calibration import Options, calibrate, verify
+from mbcacq.calibration.variance import first_noise
+from mbcacq.cli.plan import command
+from mbcacq.errors import ConfigError
+from mbcacq.plan import expand, load, path
+from mbcacq.plan.candidates import candidates
+from mbcacq.plan.checks import check
+from mbcacq.plan.design import Problem, design
+from mbcacq.plan.exchange import Criterion, choose, updated
+from mbcacq.plan.insight import insight
+from mbcacq.plan.observed import planned_observations, planned_state, trial
+from mbcacq.plan.prospect import foreseen, observability, prospect
+from mbcacq.plan.rewrite import with_views
+from mbcacq.plan.schema import View
+from mbcacq.plan.summary import summary
+from mbcacq.plan.visibility import visibility
+
+
+@pytest.fixture(scope="module")
+def published():
+    loaded = load(PLANS / "kuka.yaml")
+    return loaded, expand(loaded)
+
+
+def test_the_published_plan_promises_what_its_authors_hoped_for(published):
+    """All 24 parameters of arm and hand-eye; a linearised analysis of such a plan expects 0.012 to 0.020 mm at the bar."""
+    outlook = prospect(*published)
+    assert (outlook.determined, outlook.parameters) == (24, 24)
+    assert 0.010 < outlook.bar_mm < 0.020
+    assert outlook.bar_cell_mm < outlook.bar_mm
+    assert len(outlook.places) == 10
+
+
+def test_what_is_foretold_is_what_calibrated_cells_show(published):
+    """Twelve random true cells, recorded with noise and calibrated: bar errors have the foretold spread."""
+    loaded, poses = published
+    observations, noise = planned_observations(loaded, poses), first_noise(loaded.cell)
+    foretold = foreseen(loaded, observations)
+    expected = np.array([e for _, e in prospect(loaded, poses).places])
+    rng, bars = np.random.default_rng(12), []
+    for _ in range(12):
+        recorded = trial(loaded, observations, noise, rng)
+        found = calibrate(recorded, Options(noise="given"))
+        bars.append(verify(recorded, found).errors("after") / expected)
+        assert found.names == foretold.names
+    # 120 errors, those of one cell correlated: the mean square of a unit normal within four of its standard errors
+    assert np.mean(np.square(bars)) == pytest.approx(1.0, abs=0.75)
+
+
+def test_one_place_leaves_much_undetermined_and_says_so(folder):
+    """All views from one side at one place."""
+    text = folder.plan().read_text().split("steps:")[0]
+    steps = "steps:\n  - name: v\n    phase: position\n    do: look\n    stations: [1]\n    views:\n" + "".join(
+        f"      - {{tilt_deg: {t}, azimuth_deg: 180, wrist: positive}}\n" for t in (8, 10, 12, 14))
+    loaded = load(folder.write("plan.yaml", text + steps))
+    poses = expand(loaded)
+    found, outlook, _ = insight(loaded, poses, summary(loaded, poses))
+    assert outlook.determined < outlook.parameters or outlook.workspace_mm > 0.1
+    assert {"undetermined", "weak"} & {f.code for f in found if f.level == "warning"}
+
+
+def test_without_calibration_poses_nothing_is_promised(folder):
+    loaded = load(folder.plan(("phase: position", "phase: verification")))
+    poses = expand(loaded)
+    found, outlook, _ = insight(loaded, poses, summary(loaded, poses))
+    assert outlook is None
+    assert "no pose to calibrate with" in found[0].sentence
+
+
+def test_observability_indices_by_their_definition(published):
+    loaded, poses = published
+    calibration = foreseen(loaded, planned_observations(loaded, poses))
+    o = observability(calibration)
+    assert o["O4"] == pytest.approx(o["O2"] * o["O3"])
+    assert o["O5"] < o["O3"]
+    twice = foreseen(loaded, planned_observations(loaded, [*poses, *poses]))
+    assert observability(twice)["O3"] == pytest.approx(np.sqrt(2) * o["O3"], rel=0.02)  # every pose twice: sigma falls by the square root of two
+    assert observability(twice)["O2"] == pytest.approx(o["O2"], rel=0.02)
+
+
+def test_small_artefact_alone_hides_gravity_and_a_long_bar_shows_it(published):
+    """Compliance, pedestal tilt and link growth are absorbed by free stations; the bar seen end by end brings them out."""
+    loaded, poses = published
+    transits = path(loaded, poses)
+    starts = 30.0 * np.arange(len(poses))
+    few = [k for k, p in enumerate(poses) if p.phase != "verification"]
+    whole = {(e.name, e.where): e for e in visibility(loaded, poses, transits, starts).effects}
+    alone = {(e.name, e.where): e for e in visibility(loaded, [poses[k] for k in few], [transits[k] for k in few], starts[few]).effects}
+    for key in [("joint_compliance", "A2"), ("joint_compliance", "A3"), ("base_compliance", "base")]:
+        assert alone[key].absorbed > 0.98
+        assert alone[key].sigmas < whole[key].sigmas
+    assert not alone["joint_compliance", "A2"].seen
+    assert whole["gear_transmission_error", "A1"].seen  # fast in its own angle: nothing else looks like it
+    assert whole["gear_transmission_error", "A1"].absorbed < 0.5
+
+
+def test_visibility_grows_with_the_square_root_of_the_poses(published):
+    loaded, poses = published
+    once = {(e.name, e.where): e.sigmas for e in visibility(loaded, poses).effects}
+    twice = {(e.name, e.where): e.sigmas for e in visibility(loaded, [p for p in poses for _ in range(2)]).effects}
+    for key in [("joint_scale", "A4"), ("wrist_coupling", "A4+A5")]:
+        assert twice[key] == pytest.approx(np.sqrt(2) * once[key], rel=0.02)
+
+
+def test_update_of_a_covariance_and_its_gain():
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(9, 9))
+    base = A @ A.T + np.eye(9)
+    C, B, target = np.linalg.inv(base), rng.normal(size=(5, 6, 9)), np.diag([1.0, 2, 3, 0, 0, 0, 0, 0, 0])
+    for criterion in (Criterion(4, target), Criterion(4)):
+        gains = criterion.gains(C, B, 1.0)
+        for block, gain in zip(B, gains, strict=True):
+            grown = np.linalg.inv(base + block.T @ block)
+            assert updated(C, block, 1.0) == pytest.approx(grown, abs=1e-12)
+            assert gain == pytest.approx(criterion.value(C) - criterion.value(grown), abs=1e-9)
+            assert updated(grown, block, -1.0) == pytest.approx(C, abs=1e-9)
+            assert criterion.gains(grown, block[None], -1.0)[0] == pytest.approx(-gain, abs=1e-9)
+
+
+def test_exchange_finds_the_best_of_all_choices_of_a_small_problem():
+    """Eight blocks, three to be chosen, two stations: against all 56 choices."""
+    from itertools import combinations
+
+    rng = np.random.default_rng(5)
+    blocks, groups, base = rng.normal(size=(8, 6, 10)), np.array([0, 0, 0, 0, 1, 1, 1, 1]), np.eye(10) * 0.1
+    criterion = Criterion(4, np.diag([1.0, 1, 1, 1, 0, 0, 0, 0, 0, 0]))
+
+    def value(which):
+        return criterion.value(np.linalg.inv(base + sum(blocks[k].T @ blocks[k] for k in which)))
+
+    every = sorted(value(c) for c in combinations(range(8), 3))
+    assert value(choose(base, blocks, groups, 3, criterion)) <= every[2]
+
+
+def test_candidates_can_be_taken(published):
+    loaded, _ = published
+    found = candidates(loaded, ["p2"], 60, 40.0, 1)
+    assert len(found) > 20
+    text = with_views(loaded, {"p2": [c.view for c in found]})
+    path_ = loaded.path.with_name("_candidates.yaml")
+    try:
+        path_.write_text(text)
+        taken = load(path_)
+        poses = [p for p in expand(taken) if p.phase == "position"]
+        findings = [f for f in check(taken, expand(taken)) if f.level == "error" and f.step.startswith("designed")]
+    finally:
+        path_.unlink()
+    assert len(poses) == len(found)
+    assert findings == []
+    assert {np.sign(p.q[4]) for p in poses} == {1.0, -1.0}
+
+
+def test_the_small_matrices_say_what_the_full_calibration_says(published):
+    """Information blocks of six rows a pose against the complete problem, balls held."""
+    loaded, poses = published
+    kept = [p for p in poses if p.phase != "verification"]
+    problem = Problem(loaded, kept, [], poses)
+    C = np.linalg.inv(problem.base)[:problem.layout.size, :problem.layout.size]
+    full = foreseen(loaded, planned_observations(loaded, poses))
+    arm = [i for i, name in enumerate(full.names) if not name.startswith("ball_")]
+    # the certificate's 1 um makes the full problem a little less certain
+    ratio = np.sqrt(np.diag(full.covariance)[arm] / np.diag(C))
+    assert (ratio > 0.999).all()
+    assert ratio.max() < 1.25
+
+
+def test_design_is_better_than_the_given_plan_and_keeps_the_rest(published, folder):
+    loaded, poses = published
+    result = design(loaded, 64)
+    for name in ("kuka.yaml", "robots/kr10_r1100_2.yaml", "artefacts/mbc-8.yaml", "artefacts/bar-735.yaml"):
+        (folder.path / name).parent.mkdir(exist_ok=True)
+        (folder.path / name).write_text((PLANS / name).read_text())
+    (folder.path / "kuka.yaml").write_text(result.text)
+    new = load(folder.path / "kuka.yaml")
+    better = expand(new)
+    count = {phase: sum(p.phase == phase for p in better) for phase in ("translation", "orientation", "position", "verification")}
+    assert count == {"translation": 6, "orientation": 6, "position": 64, "verification": 20}
+    assert prospect(new, better).bar_cell_mm < 0.9 * prospect(loaded, poses).bar_cell_mm
+    assert [str(f) for f in check(new, better) if f.level == "error"] == []
+    assert "# Lengths mm, angles deg." in result.text
+    assert "Eight places of the tripod" not in result.text
+    assert "# The scale bar, longer than the view" in result.text
+    assert "robot" in yaml.safe_load(result.text)
+
+
+def test_a_plan_written_on_one_line_is_rewritten_too(folder):
+    text = folder.plan().read_text().split("steps:")[0]
+    flow = "steps: [{name: a, phase: position, do: look, stations: [1], views: [{}]}, {name: b, phase: verification, do: look, stations: [2], balls: each, views: [{}]}]\n"
+    loaded = load(folder.write("plan.yaml", text + flow))
+    new = yaml.safe_load(with_views(loaded, {"1": [View(tilt_deg=12, shift_mm=(1, 2, 3.5), wrist="positive")]}))
+    assert [s["name"] for s in new["steps"]] == ["designed 1", "b"]
+    assert new["steps"][0]["views"] == [{"tilt_deg": 12, "azimuth_deg": 0, "roll_deg": 0, "shift_mm": [1, 2, 3.5], "wrist": "positive"}]
+    assert new["steps"][0]["stations"] == [1]
+
+
+def test_more_poses_than_can_be_taken_are_refused(folder):
+    loaded = load(folder.plan(("[600, 0, 150]", "[1000, 0, -100]"), ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 0}"), ("      - {tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}\n", "")))
+    with pytest.raises(ConfigError, match=r"of 220 random views at 1 stations only \d+ can be taken, fewer than the 300 asked for"):
+        design(loaded, 300)
+
+
+def test_design_on_the_command_line(folder):
+    plan = folder.plan()
+    done = CliRunner().invoke(command, ["design", str(plan), "--poses", "16", "--json"], catch_exceptions=False)
+    content = json.loads(done.output)
+    assert content["designed"]["poses"] == 16
+    assert content["given"]["expected_bar_mean_mm"] is None  # two poses determine nothing, so nothing is promised
+    assert 0 < content["designed"]["expected_bar_mean_mm"] < 0.1
+    again = CliRunner().invoke(command, ["design", str(plan), "--poses", "16"])
+    assert isinstance(again.exception, ConfigError)
+    assert "exists already" in str(again.exception)
+
+
+def test_planned_observations_are_what_the_nominal_cell_shows(published):
+    loaded, poses = published
+    observations = planned_observations(loaded, poses)
+    assert observations.n_poses == 96
+    assert np.abs(observations.xyz[:, 2]).max() < 55
+    state = planned_state(loaded)
+    assert state.T_base_station.shape == (18, 4, 4)
+    assert all(s.T_base_station is None for s in observations.cell.stations)
