@@ -6,20 +6,26 @@ from pathlib import Path
 
 import click
 
+from mbcacq.report.export.cli_options import export_results, result_options
+
 
 @click.command("export")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--observations", type=click.Path(path_type=Path, file_okay=False), help="Write an observation set (YAML, CSV) there.")
 @click.option("--scans", is_flag=True, help="With --observations: the raw clouds as well (scans/POSE.ply, first exposure of each pose).")
 @click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")
-@click.option("--force", is_flag=True, help="Replace a set that is already in the folder.")
-def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool) -> None:
+@click.option("--force", is_flag=True, help="Replace what is already there.")
+@result_options
+def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, **results) -> None:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
     from mbcacq.errors import ConfigError
     from mbcacq.recording import load
 
-    if observations is None and trajectory is None:
-        raise ConfigError("nothing to export; say what and where, such as --observations DIR")
+    lines = export_results(run, force=force, **results)
+    for line in lines:
+        click.echo(line)
+    if observations is None and trajectory is None and not lines:
+        raise ConfigError("nothing to export; say what and where, such as --observations DIR or --results DIR")
     for folder in (observations, trajectory):
         if folder is not None and (folder / "cell.yaml").exists() and not force:
             raise ConfigError(f"{folder} already holds a set; give another folder, or --force to replace it")
