@@ -50,13 +50,17 @@ def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
 
 
 def _clock_shifts(rows: Sequence[Row]) -> dict[int, float]:
-    """What to add to the controller's clock, by part: nothing where it simply went on, else what the computer's clock says."""
-    first, shifts = rows[0], {int(rows[0]["part"][0]): 0.0}
+    """What to add to the controller's clock, by part: nothing where it went on over the pause, else what the computer's clock says."""
+    before = rows[0]
+    shifts = {int(before["part"][0]): 0.0}
     for row in rows:
-        if (part := int(row["part"][0])) not in shifts:
-            robot = float(row["robot_time_s"][0] - first["robot_time_s"][0])
-            drift = float(row["time_s"][0] - first["time_s"][0]) - robot
-            shifts[part] = drift if robot < 0 or abs(drift) > RESTART_S else 0.0
+        part = int(row["part"][0])
+        if part not in shifts:
+            robot = float(row["robot_time_s"][0] - before["robot_time_s"][0])
+            host = float(row["time_s"][0] - before["time_s"][0])
+            earlier = shifts[int(before["part"][0])]
+            shifts[part] = earlier + host - robot if robot < 0 or abs(host - robot) > RESTART_S else earlier
+        before = row
     return shifts
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +32,8 @@ def files(path: Path | str) -> list[Path]:
 
 def view(sources: Sequence[Path | str]) -> None:
     """Open files or addresses in the viewer and wait until it is closed. Raises RecordingError if it cannot start."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise RecordingError("there is no screen to open the viewer on; make a picture with --screenshot FILE")
     child = subprocess.Popen([rerun_program.program(), "--hide-welcome-screen", *map(str, sources)], stdin=subprocess.DEVNULL,
                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True)
     try:

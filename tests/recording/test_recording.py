@@ -169,6 +169,22 @@ def test_a_resumed_run_is_one_run(tmp_path):
     assert obs.time_s[1] - obs.time_s[0] == pytest.approx(3600.0, abs=5.0)
 
 
+def test_a_controller_that_starts_anew_at_once_does_not_turn_time_back(tmp_path):
+    """In a dry run the controller's clock runs ahead of the computer's, and starts again when the run is resumed."""
+    rng = np.random.default_rng(0)
+    with Recorder(tmp_path) as first:
+        first(synthetic.start())
+        for number in range(2):
+            for event in synthetic.pose(rng, number, 1.0 + number):
+                first(dataclasses.replace(event, robot_time_s=1000.0 + 50 * number) if isinstance(event, events.PoseDone) else event)
+    with Recorder(tmp_path, part=1) as second:
+        second(dataclasses.replace(synthetic.start(), started="2026-01-02T03:04:25+00:00"))     # 20 s after the start of the first
+        for number in (2, 3):
+            for event in synthetic.pose(rng, number, 1.0 + number - 2):
+                second(dataclasses.replace(event, robot_time_s=1000.0 + 50 * (number - 2)) if isinstance(event, events.PoseDone) else event)
+    assert load(tmp_path).time_s.tolist() == pytest.approx([1000.0, 1050.0, 1069.0, 1119.0])
+
+
 def test_a_recording_is_never_overwritten(a_run):
     before = (a_run / "run.rrd").read_bytes()
     with pytest.raises(RecordingError, match=r"run\.rrd exists already"):
