@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbcacq.calibration.blocks import Layout
 from mbcacq.calibration.options import Options
 from mbcacq.calibration.rank import Undetermined
 from mbcacq.cell import TARGET_IN_BASE
@@ -13,6 +14,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 
+POOR_MM, POOR_ALONE_MM = 1.0, 0.1   # of a point in the workspace; an arm of this class is as good as the first without calibration
 LEAST_TURN = np.radians(4.0)
 
 
@@ -23,8 +25,8 @@ def refuse_degenerate(obs: Observations, options: Options) -> None:
         _refuse_few_balls(obs)
     turn = orientation_range(obs)
     if turn < LEAST_TURN:
-        raise CalibrationError(f"all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves the hand-eye "
-                               "translation undetermined; add poses that tilt and turn the scanner by 20 deg and more")
+        raise CalibrationError(f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
+                               "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more")
     unknowns = 6 + 6 * len(np.unique(obs.station)) + (4 * obs.cell.robot.n - 6 if options.kinematics else 0)
     rows = obs.n_centres * (3 if obs.rotation is None else 6)
     if rows < unknowns:
@@ -58,6 +60,23 @@ def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, option
     else:
         advice = "add stations at other places and poses with a larger range of joint angles"
     raise CalibrationError(f"the poses do not determine {named}; {advice}, or hold what is not needed")
+
+
+def refuse_poor(layout: Layout, C: np.ndarray, expected_mm: float, obs: Observations, options: Options) -> None:
+    """Raise CalibrationError where everything is determined in principle, but so badly that the result would be worth nothing.
+
+    C: (g, g) covariance of the free parameters; expected_mm: rms uncertainty of a point over the workspace.
+    """
+    alone = len(np.unique(obs.station)) == 1 and obs.cell.measurement != TARGET_IN_BASE
+    limit = POOR_ALONE_MM if alone else POOR_MM
+    if expected_mm < limit or not (options.refuse and options.kinematics):
+        return
+    size = np.where(np.isfinite(layout.gather("sigma")), 0.0, np.sqrt(np.diag(C)) / layout.gather("scale"))
+    named = ", ".join(layout.names[i] for i in np.argsort(-size)[:4])
+    advice = ("all poses are at one station: put the artefact at more places, at different heights and distances" if alone
+              else "add stations at other places and poses with larger tilt")
+    raise CalibrationError(f"these poses would leave a point in the workspace uncertain by {expected_mm:.2f} mm (1 sigma), worst "
+                           f"determined are {named}; {advice}, or identify the hand-eye transform alone")
 
 
 def orientation_range(obs: Observations) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.calibration import blocks, variance
 from mbcacq.calibration import start as starting
-from mbcacq.calibration.adequacy import refuse_degenerate, refuse_undetermined
+from mbcacq.calibration.adequacy import refuse_degenerate, refuse_poor, refuse_undetermined
 from mbcacq.calibration.blocks import Estimate, Layout
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
@@ -17,12 +17,14 @@ from mbcacq.calibration.rank import Undetermined, hold_undetermined
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.screen import distances, screen
 from mbcacq.calibration.solve import Solution, Weights, solve, system
+from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.errors import CalibrationError
 from mbcacq.observations import Observations
 
 COARSE, FINE = 1e-2, 1e-7
 SCREEN_ROUNDS, NOISE_ROUNDS = 8, 12
 REJECTED_SHARE = 0.4
+CONTRADICTION_MM = 25.0   # median misfit of the nominal arm beyond which the data cannot be of this cell
 THIN = 200   # poses that settle geometry and noise before all of a large recording are looked at
 
 
@@ -40,7 +42,10 @@ def calibrate(observations: Observations, options: Options | None = None) -> Cal
     refuse_degenerate(obs, options)
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
     fitted = adjust(obs, options, first)
-    return Calibration.of(obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found)
+    result = Calibration.of(obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary,
+                            fitted.found)
+    refuse_poor(result.layout, result.covariance, expected_accuracy(result), obs, options)
+    return result
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,10 @@ def fit_hand_eye(obs: Observations, options: Options) -> CellState:
     if found:
         lineariser = Lineariser(obs, layout, held)
     solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0)
+    apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
+    if apart > CONTRADICTION_MM:
+        raise CalibrationError(f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
+                               "check the robot model (signs, units), the certificate, and that joint angles and scans belong together")
     return solution.estimate.state
 
 

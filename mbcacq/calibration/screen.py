@@ -58,6 +58,7 @@ def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
     n_poses = len(d.pose)
     count = np.bincount(pose, minlength=n_poses)
     centre = np.ones(len(d.centre))
+    displaced = np.zeros(n_poses, bool)
     companions = count[pose] > 1
     if companions.any():
         inside = companions & (weights.centre > 0) & (weights.pose[pose] > 0)
@@ -67,6 +68,9 @@ def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
         np.maximum.at(worst, pose, d.centre)
         off = companions & (d.centre > max(scale, 0.5) * chi2_quantile(np.array(float(d.centre_dof)), TAIL))
         centre[off & (d.centre > 0.25 * worst[pose])] = 0.0
+        # Where most of a pose is off, it is the pose that stands elsewhere.
+        displaced = np.bincount(pose, centre == 0, minlength=n_poses) > 0.5 * count
+        centre[displaced[pose]] = 1.0
     used = np.bincount(pose, centre, minlength=n_poses)
     judged = d.pose_dof > 0
     per_dof = d.pose / chi2_quantile(np.maximum(d.pose_dof, 1.0), 0.0)
@@ -75,4 +79,4 @@ def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
     out = judged & (d.pose > max(scale, 0.5) * chi2_quantile(np.maximum(d.pose_dof, 1.0), TAIL))
     changed = np.bincount(pose, centre != weights.centre, minlength=n_poses) > 0
     # A pose whose centres were just judged anew gets its own verdict in the next round.
-    return Weights(centre, np.where(out & ~changed & (used > 0), 0.0, 1.0))
+    return Weights(centre, np.where(displaced | (out & ~changed & (used > 0)), 0.0, 1.0))

@@ -28,10 +28,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Verification:
-    """Sphere spacing errors at every place, with the nominal arm and the preliminary hand-eye (before) and calibrated (after)."""
+    """Sphere spacing errors at every place, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
+    independent: none of the poses took part in the calibration."""
 
     places: tuple[Place, ...]
     limit_mm: float | None = None
+    independent: bool = True
 
     def errors(self, which: str) -> np.ndarray:
         """(places,) signed errors in mm, 'before' or 'after'."""
@@ -47,6 +49,7 @@ class Verification:
             # For a normal error the mean of |error| is sqrt(2 / pi) of its standard deviation.
             out["expected_mean_mm"] = float(np.sqrt(2 / np.pi) * np.mean(expected))
         out["limit_mm"] = self.limit_mm
+        out["independent"] = self.independent
         out["places"] = [asdict(p) | {"balls": list(p.balls)} for p in self.places]
         return out
 
@@ -73,7 +76,8 @@ def verify(observations: Observations, calibration: Calibration | CellState, *, 
             (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
             expected = float(distance_uncertainty(calibration, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
         places.append(Place(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
-    return Verification(tuple(places), limit_mm)
+    used = isinstance(calibration, Calibration) and bool(np.isin(obs.pose_id, calibration.observations.pose_id).any())
+    return Verification(tuple(places), limit_mm, not used)
 
 
 def verification_poses(obs: Observations) -> Observations:

@@ -84,6 +84,8 @@ def verification(v: dict[str, Any]) -> Table:
     table.add_section()
     table.add_row("max", "", "", f"{v['before']['max_mm']:.3f}", f"{v['after']['max_mm']:.3f}", "")
     expected = "" if v.get("expected_mean_mm") is None else f"{v['expected_mean_mm']:.3f}"
+    if not v.get("independent", True):
+        table.caption = "these poses took part in the calibration"
     table.add_row("mean", "", "", f"{v['before']['mean_mm']:.3f}", f"{v['after']['mean_mm']:.3f}", expected)
     return table
 

@@ -73,7 +73,7 @@ def scanner_cell(
     for s in range(stations + bars):
         bar = s >= stations
         placed.append(Station(str(s + 1), "bar" if bar else "mbc"))
-        T_stations.append(_place(rng))
+        T_stations.append(_place(rng, 1.0 if chain.n == 6 else 0.75))
         balls = ([[8], [9]] * 2 if bar else [list(range(8))] * per_station)
         for look in balls:
             centre = (BAR[look[0] - 8] if bar else MBC.mean(axis=0))
@@ -117,10 +117,10 @@ def tracker_cell(rng: np.random.Generator, poses: int = 300, *, orientation: boo
     return Simulated(obs, truth, errors)
 
 
-def _place(rng: np.random.Generator) -> np.ndarray:
+def _place(rng: np.random.Generator, reach: float) -> np.ndarray:
     """An artefact in front of the arm, its z axis up."""
     angle = rng.uniform(-1.2, 1.2)
-    radius, height = rng.uniform(650, 950), rng.uniform(0, 500)
+    radius, height = reach * rng.uniform(650, 950), reach * rng.uniform(0, 500)
     turn = se3.exp(np.concatenate([np.zeros(3), rng.normal(size=3) * 0.3]))[:3, :3]
     return se3.transform(turn, np.array([radius * np.cos(angle), radius * np.sin(angle), height]))
 

@@ -1,0 +1,111 @@
+"""The pieces of the estimator against plain linear algebra: columns, whitening, elimination of the stations."""
+
+import numpy as np
+import pytest
+from cells import iiwa, scanner_cell, tracker_cell
+
+from mbcacq.calibration import Noise, Options, blocks
+from mbcacq.calibration.blocks import Estimate
+from mbcacq.calibration.linearise import Lineariser
+from mbcacq.calibration.solve import Weights, damped, system
+from mbcacq.calibration.terms import Part, term
+
+
+def simulated(kind, rng):
+    if kind == "tracker":
+        return tracker_cell(rng, poses=12)
+    if kind == "tracker with orientation":
+        return tracker_cell(rng, poses=12, orientation=True)
+    return scanner_cell(rng, stations=2, per_station=3, chain=iiwa() if kind == "seven axes" else None)
+
+
+KINDS = ["scanner", "seven axes", "tracker", "tracker with orientation"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_columns_of_every_parameter_are_derivatives(kind):
+    rng = np.random.default_rng(1)
+    cell = simulated(kind, rng)
+    obs = cell.observations
+    effect = term("effect", [Part("joint", 1, 0, rng.normal(size=(obs.n_poses, 2)))])
+    options = Options(terms=(effect,))
+    layout = blocks.build(obs, options)
+    lineariser = Lineariser(obs, layout, options)
+    at = Estimate(cell.truth, (np.zeros(2),))
+    linear = lineariser(at)
+    g = layout.size
+    columns = lineariser.rows.unpad(linear.X)
+    stations = len(cell.truth.T_base_station)
+    for j, name in enumerate(layout.names):
+        step = np.zeros(g)
+        step[j] = 1e-4
+        difference = lineariser.residual(at.moved(layout, -step, np.zeros((stations, 6))))[1] \
+            - lineariser.residual(at.moved(layout, step, np.zeros((stations, 6))))[1]
+        np.testing.assert_allclose(columns[..., j], difference / 2e-4, atol=1e-3, rtol=1e-5, err_msg=name)
+    for c in range(6):
+        twist = np.zeros((stations, 6))
+        twist[:, c] = 1e-4
+        difference = lineariser.residual(at.moved(layout, np.zeros(g), -twist))[1] - lineariser.residual(at.moved(layout, np.zeros(g), twist))[1]
+        np.testing.assert_allclose(columns[..., g + c], difference / 2e-4, atol=1e-3, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whitening_is_the_inverse_covariance_of_each_pose(kind):
+    rng = np.random.default_rng(2)
+    cell = simulated(kind, rng)
+    obs = cell.observations
+    options = Options()
+    lineariser = Lineariser(obs, blocks.build(obs, options), options)
+    noise = Noise(np.array([0.01, 0.02, 0.03]), rng.uniform(1e-5, 1e-4, obs.cell.robot.n), 2e-4)
+    weights = Weights(rng.uniform(0.5, 1, obs.n_centres), rng.uniform(0.5, 1, obs.n_poses))
+    solution = system(lineariser, Estimate(cell.truth), noise, weights)
+    rows = lineariser.rows
+    identity = np.tile(np.eye(rows.depth * rows.width), (obs.n_poses, 1, 1))
+    W = solution.whitening(identity)
+    inverse = np.swapaxes(W, 1, 2) @ W
+    np.testing.assert_allclose(solution.whitening.transpose(identity), np.swapaxes(W, 1, 2), rtol=1e-9, atol=1e-9)
+    sigma2 = np.tile(noise.row_sigma(rows.width) ** 2, rows.depth)
+    for p in range(obs.n_poses):
+        J = solution.linear.J[p] * noise.joint
+        weight = np.repeat(weights.centre[obs.pose == rows.order[p]], rows.width)
+        covariance = (np.diag(sigma2 / weight) + J @ J.T) / weights.pose[rows.order[p]]
+        np.testing.assert_allclose(inverse[p] @ covariance, np.eye(len(covariance)), atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_system(kind):
+    rng = np.random.default_rng(3)
+    cell = simulated(kind, rng)
+    obs = cell.observations
+    # Few poses: a handful of parameters, so that the dense system is regular.
+    options = Options(kinematics=False)
+    layout = blocks.build(obs, options)
+    lineariser = Lineariser(obs, layout, options)
+    noise = Noise(np.array([0.01, 0.02, 0.03]), np.full(obs.cell.robot.n, 1e-5), 1e-4)
+    now = system(lineariser, Estimate(cell.truth), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    g, stations = layout.size, len(lineariser.rows.stations)
+    dense = np.zeros((now.X.shape[0], now.X.shape[1], g + 6 * stations))
+    dense[..., :g] = now.X[..., :g]
+    for p in range(obs.n_poses):
+        s = lineariser.rows.run[p]
+        dense[p, :, g + 6 * s:g + 6 * s + 6] = now.X[p, :, g:g + 6]
+    A = dense.reshape(-1, dense.shape[2])
+    r = now.X[..., -1].reshape(-1)
+    H = A.T @ A + np.diag(np.concatenate([1 / now.prior.sigma**2, np.zeros(6 * stations)]))
+    expected = np.linalg.solve(H, A.T @ r - np.concatenate([now.prior.offset / now.prior.sigma**2, np.zeros(6 * stations)]))
+    step = damped(now.normal, layout.gather("scale"), 0.0)
+    np.testing.assert_allclose(step, expected[:g], rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(now.normal.station_step(step).reshape(-1), expected[g:], rtol=1e-5, atol=1e-9)
+    C = np.linalg.inv(H)
+    np.testing.assert_allclose(np.linalg.inv(now.normal.information), C[:g, :g], rtol=1e-5, atol=1e-14)
+    for s, block in enumerate(now.normal.station_covariance(C[:g, :g])):
+        part = slice(g + 6 * s, g + 6 * s + 6)
+        np.testing.assert_allclose(block, C[part, part], rtol=1e-4, atol=1e-12)
+
+
+def test_redundant_parameters_are_held_by_name():
+    rng = np.random.default_rng(4)
+    layout = blocks.build(scanner_cell(rng, stations=1, per_station=2).observations, Options(balls=False))
+    assert layout.names == ("a_1", "alpha_1", "theta_2", "a_2", "alpha_2", "beta_2", "theta_3", "d_3", "a_3", "alpha_3", "theta_4", "d_4", "a_4",
+                            "alpha_4", "theta_5", "d_5", "a_5", "alpha_5", *(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")))
+    assert {"theta_1", "d_1", "d_2", "beta_3", "theta_6", "beta_6"} <= set(layout.held)
