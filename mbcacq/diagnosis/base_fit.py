@@ -76,16 +76,22 @@ def ridge_solve(J: np.ndarray, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 def keep_after(obs: Observations, residual: np.ndarray) -> np.ndarray:
     """Centres not grossly off: within ten robust scales of their robot-wide median distance, and of their pose's own common offset."""
     distance = np.linalg.norm(residual[:, :3], axis=1)
-    keep = distance < 8 * max(np.median(distance), 1e-6)
+    keep = distance < limit(distance)
     if residual.shape[1] == 6:
         turn = np.linalg.norm(residual[:, 3:], axis=1)
-        keep &= turn < 8 * max(np.median(turn), 1e-9)
+        keep &= turn < limit(turn)
     count = np.bincount(obs.pose, minlength=obs.n_poses)
     if np.median(count) >= 3:
         centre = np.stack([_pose_median(obs, residual[:, c]) for c in range(3)], axis=1)
         apart = np.linalg.norm(residual[:, :3] - centre[obs.pose], axis=1)
-        keep &= (apart < 8 * max(np.median(apart[apart > 0]), 1e-6)) | (count[obs.pose] < 3)
+        several = count[obs.pose] >= 3
+        keep &= (apart < limit(apart[several])) | ~several
     return keep
+
+
+def limit(sizes: np.ndarray) -> float:
+    """Beyond this a residual is grossly off: far from the median, and not so common (3 %) that it must be the model that is wrong."""
+    return max(8 * float(np.median(sizes)), 1e-9, 1.5 * float(np.quantile(sizes, 0.97)))
 
 
 def _pose_median(obs: Observations, values: np.ndarray) -> np.ndarray:

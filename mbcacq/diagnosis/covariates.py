@@ -71,8 +71,8 @@ def polynomial(name: str, values: np.ndarray, degree: int) -> Covariate:
     return Covariate(name, np.stack([x ** (d + 1) for d in range(degree)], axis=1), values)
 
 
-def smooth(name: str, values: np.ndarray) -> Covariate:
+def smooth(name: str, values: np.ndarray, bumps: int = BUMPS) -> Covariate:
     """Natural ranks are not used: cosines over the range keep places without data harmless."""
     low, span = float(np.min(values)), max(float(np.ptp(values)), 1e-12)
     phase = np.pi * (np.asarray(values, dtype=float) - low) / span
-    return Covariate(name, np.cos(phase[:, None] * np.arange(1, BUMPS + 1)), values)
+    return Covariate(name, np.cos(phase[:, None] * np.arange(1, bumps + 1)), values)

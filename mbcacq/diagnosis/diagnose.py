@@ -185,9 +185,10 @@ def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[di
 
 def notes(setup: Setup, full: Finding, leftover: residual_test.Leftover | None) -> list[str]:
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
-    dropped = int(np.sum(~setup.linear.keep))
+    keep = full.before.linear.keep
+    dropped = int(np.sum(~keep))
     if dropped:
-        out.append(f"{dropped} of {len(setup.linear.keep)} measured centres are gross outliers and were set aside")
+        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
     if not setup.situation.masses_known:
         out.append("no masses given: elasticity under gravity was tested with one kilogram halfway along each link, its size in rad/Nm is not meaningful")
     return out

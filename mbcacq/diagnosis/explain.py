@@ -18,6 +18,7 @@ from mbcacq.physics.effect import Candidate
 FALSE_ALARM = 0.01
 NEW_FAMILY = 4.0
 FAMILIES = 20
+COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # where one is, others are likely
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Search:
     branches: int = 6
     most: int = 12
     thorough: bool = True
+    protected: frozenset[str] = frozenset()
 
     def run(self, screen: Screen, start: Model = NOTHING) -> Model:
         """The best set of effects under the screen's noise."""
@@ -78,6 +80,8 @@ class Search:
         for _ in range(6 if self.thorough else 1):
             improved = model
             for j in range(len(model.members)):
+                if self.is_protected(model, j):
+                    continue
                 rest = self.solve(screen, model.members[:j] + model.members[j + 1:])
                 if rest is None:
                     continue
@@ -94,6 +98,11 @@ class Search:
                 return model
             model = improved
         return model
+
+    def is_protected(self, model: Model, j: int) -> bool:
+        """Members that stay as long as they are significant: elasticity, which every arm has."""
+        at = model.parts()[j].start
+        return model.members[j][0].key in self.protected and model.coefficients[at] > 3 * np.sqrt(model.covariance[at, at])
 
     def expand(self, screen: Screen, model: Model) -> list[Scored]:
         """Candidates beyond a model at their best hyper-parameter, best first; those that cannot pay are left out."""
@@ -117,7 +126,9 @@ class Search:
         tries = sum(c.name == candidate.name for c in self.candidates)
         if candidate.hyper is not None:
             tries *= 2 * len(candidate.hyper.preferred) if hyper in candidate.hyper.preferred else 2 * candidate.hyper.independent
-        out = threshold(candidate.k, round(np.log(max(tries, 1)), 1), candidate.name in names)
+        out = threshold(candidate.k, round(np.log(max(tries, 1)), 1), candidate.name in names and candidate.name in COMPANIONS)
+        if candidate.name in names and candidate.name not in COMPANIONS:
+            out += NEW_FAMILY
         return out + (NEW_FAMILY if names and candidate.name not in names else 0.0)
 
     def solve(self, screen: Screen, members: tuple[tuple[Candidate, float | None], ...], permit: bool = False) -> Model | None:

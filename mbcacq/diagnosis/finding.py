@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from mbcacq.diagnosis import base_fit, noise, residual_test, smooth
-from mbcacq.diagnosis.explain import NOTHING, Model, Search
+from mbcacq.diagnosis.explain import COMPANIONS, FALSE_ALARM, NOTHING, Model, Search
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.locate import Spot
 from mbcacq.diagnosis.residual_test import Leftover
 from mbcacq.diagnosis.screen import LARGEST, Screen, prior_weight
 from mbcacq.diagnosis.smooth import SmoothModel
@@ -37,7 +39,8 @@ class Setup:
 class Finding:
     """model: named effects; smooth: what has no name, or None. noise: estimated with both in place.
 
-    before, after: screens (geometry only; everything) under that noise. leftover: examination of what named effects leave.
+    before, named: screens (geometry only; named effects too) under that noise. leftover: examination of what named effects leave.
+    rival: a single smooth dependence that explains more, for what it costs, than several named effects together.
     """
 
     model: Model
@@ -46,6 +49,7 @@ class Finding:
     before: Screen
     named: Screen
     leftover: Leftover | None
+    rival: Spot | None = None
 
 
 def prepare(obs: Observations) -> Setup:
@@ -68,6 +72,21 @@ def columns_of(linear: Linear, model: Model, smooth_model: SmoothModel | None) -
         blocks.append(smooth_model.columns)
         widths.append(smooth_model.sigma)
     return np.concatenate(blocks, axis=2), np.concatenate(widths)
+
+
+def outliers(screen: Screen, members: Model) -> np.ndarray:
+    """(M,) bool of the centres worth keeping, judged with the model in place: within seven sigma of instrument and joint noise."""
+    linear = screen.linear
+    columns, sigma = columns_of(linear, members, None)
+    Z = screen.whiten(columns) * sigma
+    normal = Z.T @ Z
+    left = linear.residual - columns @ (sigma * np.linalg.solve(normal + np.eye(len(sigma)), Z.T @ screen.r0))
+    J = linear.joint * screen.noise.joint
+    S = J @ np.swapaxes(J, 1, 2)
+    S[:, np.arange(linear.width), np.arange(linear.width)] += screen.noise.rows(linear.width) ** 2
+    square = np.einsum("mr,mr->m", left, np.linalg.solve(S, left[:, :, None])[:, :, 0])
+    typical = max(float(np.median(square[linear.keep])) / chi2.median(linear.width), 1.0)
+    return square < typical * chi2.isf(1e-7, linear.width)
 
 
 def thin(setup: Setup, keep: np.ndarray, most: int) -> Setup:
@@ -109,6 +128,8 @@ def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search]:
         if large:  # every arm is elastic: what elasticity explains is not given to slow periodic errors
             elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
             start = Search(elastic, beam=1, branches=2, most=6).run(screen) if turn == 0 else model
+            if turn == 0:
+                search = replace(search, protected=frozenset(c.key for c, _ in start.members))
         new = search.run(screen, start=start)
         same = {c.key for c, _ in new.members} == {c.key for c, _ in model.members}
         model = new
@@ -120,8 +141,8 @@ def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search]:
     return model, sigma, search
 
 
-def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, structure: bool | None = None) -> Finding:
-    """The model of the centres in keep. structure: whether to fit smooth groups; None lets the examination decide."""
+def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, structure: bool | None = None, again: bool = True) -> Finding:
+    """The model of the centres in keep; without keep, outliers are reconsidered once with the model in place. structure: whether to fit smooth groups; None lets the examination decide."""
     linear = setup.linear if keep is None else setup.linear.restricted(keep)
     large = linear.obs.n_poses > smooth.MANY_POSES
     small = thin(setup, linear.keep, SEARCHED) if large else setup
@@ -132,6 +153,10 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
         search = Search(setup.candidates, thorough=False)
     before = Screen(linear, sigma)
     model = search.solve(before, model.members, permit=True)
+    if keep is None and again:
+        better = outliers(before, model)
+        if not np.array_equal(better, linear.keep) and np.mean(~better) < 0.05:
+            return find(replace(setup, linear=linear.restricted(better)), None, examine, structure, again=False)
     named = with_members(before, model)
     leftover = None
     if examine and large:
@@ -139,7 +164,12 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
         leftover = residual_test.examine(small_named, small.situation)
     elif examine:
         leftover = residual_test.examine(named, setup.situation)
-    rest = None
+    rest, rival = None, None
+    if examine and not large and len(model.members) > 1:
+        rival = single_cause(before, model, setup.situation)
+    if rival is not None:
+        model, named = NOTHING, before
+        leftover = residual_test.examine(before, setup.situation)
     if structure or (structure is None and leftover is not None and leftover.structure):
         groups = smooth.everything(linear, setup.situation) if large else smooth.located(linear, setup.situation, leftover_spots(named, setup, leftover))
         sizes = None
@@ -154,7 +184,17 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
         if rest is not None:
             rest = smooth.fit(named, groups, sizes) or rest
             model = search.solve(before, model.members, permit=True)
-    return Finding(model, rest, sigma, before, named, leftover)
+    return Finding(model, rest, sigma, before, named, leftover, rival)
+
+
+def single_cause(before: Screen, model: Model, s: Situation) -> Spot | None:
+    """The one place and covariate whose smooth function beats a string of names, or None."""
+    if len(model.names) == 1 and model.names[0] in COMPANIONS:
+        return None
+    spots = residual_test.mismatch(before, s)
+    value = [p.gain - chi2.isf(FALSE_ALARM / len(spots), p.k) for p in spots]
+    best = int(np.argmax(value))
+    return spots[best] if value[best] > model.score else None
 
 
 def leftover_spots(named: Screen, setup: Setup, leftover: Leftover | None):

@@ -16,7 +16,7 @@ from mbcacq.diagnosis import covariates
 from mbcacq.diagnosis.screen import Screen, solve_block
 from mbcacq.physics.situation import Situation
 
-COMPONENT_SCALE = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
+FINE = 16
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ def mismatch(screen: Screen, s: Situation, cells: bool = True) -> list[Spot]:
             F = covariate.functions
             gain = float(screen.gains(place.components, lambda _, F=F: F[None], np.zeros(1))[0])
             spots.append(_spot(place.at, covariate.name, "smooth", gain, len(place.components) * F.shape[1]))
+    spots += _fine(screen, s)
     spots += _spectral(screen, s)
     spots += _balls(screen, s)
     correction = np.log10(max(len(spots), 1))
@@ -88,6 +89,17 @@ def log10_tail(gain: float, k: int) -> float:
     if not np.isfinite(tail):  # first term of the asymptotic series
         tail = (k / 2 - 1) * np.log(gain / 2) - gain / 2 - gammaln(k / 2)
     return float(tail / np.log(10))
+
+
+def _fine(screen: Screen, s: Situation) -> list[Spot]:
+    """A joint's own angle once more, with functions narrow enough for a bump."""
+    out = []
+    for i in range(s.n):
+        if np.ptp(s.obs.q[:, i]) > 0.02:
+            F = covariates.smooth(f"q{i + 1}", s.obs.q[:, i], FINE).functions
+            gain = float(screen.gains((("joint", i, 0),), lambda _, F=F: F[None], np.zeros(1))[0])
+            out.append(_spot(f"A{i + 1}", f"q{i + 1}", "fine", gain, FINE))
+    return out
 
 
 def _spectral(screen: Screen, s: Situation) -> list[Spot]:

@@ -66,7 +66,7 @@ def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
 
 def prove(setup: Setup, full: Finding, folds: int = 4, fitted_smooth: bool = True) -> Proof:
     """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
-    linear = setup.linear
+    linear = full.before.linear
     fold, how = split(linear, folds)
     before, after, picks = EMPTY, EMPTY, []
     for k in range(int(fold.max()) + 1):

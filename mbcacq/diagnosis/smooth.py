@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dtrtri
 
 from mbcacq.diagnosis import covariates
 from mbcacq.diagnosis.linear import Linear
-from mbcacq.diagnosis.locate import Spot, attachments
+from mbcacq.diagnosis.locate import FINE, Spot, attachments
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.physics.situation import Situation
 
@@ -109,6 +109,9 @@ def located(linear: Linear, s: Situation, spots: list[Spot]) -> list[Group]:
             i = int(spot.at[1:]) - 1
             phase = spot.order * obs.q[:, i]
             keys, F = [("joint", i, 0)], np.stack([np.sin(phase), np.cos(phase)], axis=1)[obs.pose]
+        elif spot.kind == "fine":
+            i = int(spot.at[1:]) - 1
+            keys, F = [("joint", i, 0)], covariates.smooth(spot.depends_on, obs.q[:, i], FINE).functions[obs.pose]
         elif spot.at.startswith("station"):
             here = obs.station == places[spot.at].components[0][1]
             x = np.where(here, s.order - s.order[here].mean(), 0.0)

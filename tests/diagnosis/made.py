@@ -1,0 +1,107 @@
+"""Cells made for tests: the poses of a plan, true geometry, noise and an effect that are known, seen through the forward model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.calibration import forward
+from mbcacq.calibration.forward import CellState, Displacements
+from mbcacq.calibration.terms import accumulate, term
+from mbcacq.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.observations import Observations
+from mbcacq.physics import catalogue
+from mbcacq.physics.situation import Situation
+
+JOINT_NOISE = 5e-6
+POINT_NOISE = np.array([0.005, 0.005, 0.009])
+
+
+def robot() -> RobotModel:
+    """A six-axis arm of the ten-kilogram class with masses and gear ratios."""
+    deg = np.pi / 180
+    chain = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.array([0, 0, -90, 0, 0, 180]) * deg, np.array([450.0, 0, 0, 660, 0, 80]),
+                  np.array([150.0, 610, 20, 0, 0, 0]), np.array([-90, 0, -90, 90, -90, 180]) * deg, np.zeros(6))
+    limits = np.array([[-170, 170], [-185, 65], [-137, 163], [-185, 185], [-120, 120], [-350, 350]]) * deg
+    com = np.array([[0.0, 0, 0], [-240, 0, 0], [0, 0, 120], [0, 200, 0], [0, 0, 0], [0, 0, -20]])
+    return RobotModel("made arm", chain, limits, np.array([0, 38, 24, 9, 5, 0.5]), com, gear_ratio=np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),
+                      payload_mass=3.0, payload_com=np.array([-5.0, 3, 110]), repeatability_mm=0.04)
+
+
+def cell(rng: np.random.Generator, stations: int = 9, bars: int = 7) -> Cell:
+    balls = rng.uniform(-38, 38, (8, 3)) * [1, 1, 0.4]
+    mbc = Artefact("mbc", "MBC-8", tuple(range(1, 9)), balls, np.full(8, 12.0))
+    bar = Artefact("bar", "scale bar", (9, 10), np.array([[-500.0, 0, 0], [500.0, 0, 0]]), np.full(2, 25.0))
+    hand_eye = se3.transform(se3.rotation_exp(np.array([np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 260.0]))
+    places = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(Station(str(stations + i + 1), "bar") for i in range(bars))
+    return Cell(robot(), hand_eye, (mbc, bar), places, "made scanner", POINT_NOISE)
+
+
+def reach(arm: RobotModel, T: np.ndarray, rng: np.random.Generator, tries: int = 12) -> np.ndarray | None:
+    """Joint angles within limits that bring the flange to T (4, 4), from random starts; None if none was found."""
+    for _ in range(tries):
+        q = rng.uniform(arm.limits[:, 0], arm.limits[:, 1])
+        for _ in range(60):
+            frames = arm.chain.frames(q[None])
+            error = T @ se3.inverse(frames[0, -1])
+            turn = se3.rotation_log(error[None, :3, :3])[0]
+            twist = np.concatenate([error[:3, 3] + 0 * turn, turn])
+            J = arm.chain.joint_twists(frames)[0].T
+            if np.linalg.norm(twist[:3]) < 1e-6 and np.linalg.norm(turn) < 1e-9:
+                break
+            step = np.linalg.solve(J.T @ J + 1e-6 * np.eye(6) * np.trace(J.T @ J), J.T @ twist)
+            q = q + step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-9))
+        q = (q + np.pi) % (2 * np.pi) - np.pi
+        close = np.abs(arm.chain.flange(q[None])[0] - T).max() < 1e-3 if hasattr(arm.chain, "flange") else True
+        if close and np.all(q > arm.limits[:, 0]) and np.all(q < arm.limits[:, 1]):
+            return q
+    return None
+
+
+def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:
+    """(n, 5) errors of the size a new arm has."""
+    errors = rng.normal(0, [4e-4, 0.15, 0.15, 1e-4, 1e-4], (template.robot.n, 5))
+    errors[:, 4] *= template.robot.chain.parallel_next()
+    return errors
+
+
+def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE) -> Observations:
+    """The poses of a recording measured again in another cell.
+
+    effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the situation that
+    return displacements. outliers: share of centres that are off by millimetres.
+    """
+    from mbcacq.diagnosis import base_fit
+
+    rng = np.random.default_rng(seed)
+    obs = template
+    start = base_fit.start(obs)
+    state = CellState(obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)), obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),
+                      start.T_base_station, obs.cell.ball_centres + rng.normal(0, 0.001, (len(obs.cell.ball_ids), 3)))
+    if obs.cell.measurement == "artefact_in_scanner":
+        state = replace(state, T_base_station=start.T_base_station)
+    situation = Situation(obs, state, forward.predict(obs, state))
+    terms, values, moved = [], [], Displacements()
+    for effect in effects:
+        if callable(effect):
+            moved = add(moved, effect(situation))
+            continue
+        name, where, coefficients, hyper = effect
+        candidate = next(c for c in catalogue.candidates(situation)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients))
+        terms.append(term(name, candidate.build(hyper)))
+        values.append(np.asarray(coefficients, dtype=float))
+    moved = add(moved, accumulate(obs, terms, values))
+    moved = add(moved, Displacements(joint=rng.normal(0, joint_noise, obs.q.shape)))
+    xyz = forward.predict(obs, state, moved).xyz + rng.normal(0, 1, obs.xyz.shape) * (POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm)
+    wrong = rng.random(len(xyz)) < outliers
+    xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
+    return replace(obs, xyz=xyz)
+
+
+def add(a: Displacements, b: Displacements) -> Displacements:
+    def both(x, y):
+        return y if x is None else x if y is None else x + y
+    return Displacements(*(both(getattr(a, k), getattr(b, k)) for k in ("joint", "frame", "point", "ball", "station")))
