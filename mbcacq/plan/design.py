@@ -14,14 +14,13 @@ from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
 from mbcacq.calibration.options import Noise
 from mbcacq.calibration.pose_rows import Whitening
-from mbcacq.calibration.variance import first_noise
 from mbcacq.calibration.verification import ball_positions, verification_poses
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 from mbcacq.plan.candidates import Candidate, candidates
 from mbcacq.plan.exchange import Criterion, choose
-from mbcacq.plan.observed import planned_observations, planned_state, trial
+from mbcacq.plan.observed import planned_noise, planned_observations, planned_state, trial
 from mbcacq.plan.prospect import prospect
 from mbcacq.plan.rewrite import with_views
 from mbcacq.plan.schema import View
@@ -76,14 +75,14 @@ def simulated_error(loaded: LoadedPlan, poses: Sequence[PlannedPose], cells: int
     poses, or does not suffice to calibrate."""
     from mbcacq.calibration import calibrate, verify
 
-    rng, observations, noise = np.random.default_rng(seed), planned_observations(loaded, poses), first_noise(loaded.cell)
+    rng, observations, noise = np.random.default_rng(seed), planned_observations(loaded, poses), planned_noise(loaded, poses)
     if verification_poses(observations).n_poses == 0:
         return None
     errors = []
     for _ in range(cells):
         recorded = trial(loaded, observations, noise, rng)
         try:
-            found = calibrate(recorded, Options(noise="given"))
+            found = calibrate(recorded)
         except CalibrationError:
             return None
         errors.append(np.abs(verify(recorded, found).errors("after")))
@@ -110,7 +109,7 @@ class Problem:
 
     def __init__(self, loaded: LoadedPlan, kept: Sequence[PlannedPose], found: Sequence[Candidate], poses: Sequence[PlannedPose]):
         self._loaded, self._poses = loaded, poses
-        self._state, self._noise = planned_state(loaded), first_noise(loaded.cell)
+        self._state, self._noise = planned_state(loaded), planned_noise(loaded, [*kept, *(c.pose for c in found)])
         everything = planned_observations(loaded, [*kept, *(c.pose for c in found)])
         self._options = Options(balls=False, refuse=False)
         self.layout = blocks.build(everything, self._options)

@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.calibration import forward
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.options import Noise
+from mbcacq.calibration.variance import first_noise
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
@@ -24,6 +25,13 @@ def planned_state(loaded: LoadedPlan) -> CellState:
     """The cell exactly as planned."""
     cell = loaded.cell
     return CellState(cell.robot.chain, cell.T_flange_scanner, np.stack([s.T_base_station for s in cell.stations]), cell.ball_centres)
+
+
+def planned_noise(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Noise:
+    """Of one recorded centre: the plan's scanner noise, averaged over the exposures of a pose; the joints' repeatability from the arm's
+    data sheet, which exposures do not average."""
+    noise = first_noise(loaded.cell)
+    return replace(noise, point=noise.point / np.sqrt(min((p.exposures for p in poses), default=1)))
 
 
 def planned_observations(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import Calibration, Options, blocks, rank, variance
+from mbcacq.calibration import Calibration, Noise, Options, blocks, rank
 from mbcacq.calibration.blocks import Estimate
 from mbcacq.calibration.estimate import select_phases
 from mbcacq.calibration.linearise import Lineariser
@@ -18,7 +18,7 @@ from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accura
 from mbcacq.calibration.verification import ball_positions, verification_poses, verify
 from mbcacq.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan.observed import planned_observations, planned_state
+from mbcacq.plan.observed import planned_noise, planned_observations, planned_state
 
 MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))      # mean of |error| over its standard deviation
 
@@ -58,7 +58,7 @@ class Prospect:
 def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
     """Linearised at the planned cell. Raises CalibrationError where there are no poses to calibrate with."""
     observations = planned_observations(loaded, poses)
-    calibration = foreseen(loaded, observations)
+    calibration = foreseen(loaded, observations, planned_noise(loaded, poses))
     sound = all(u.harmless for u in calibration.undetermined)
     places = verify(observations, calibration).places if sound else ()
     used = _arm_parameters(calibration)
@@ -73,12 +73,11 @@ def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
     )
 
 
-def foreseen(loaded: LoadedPlan, observations: Observations) -> Calibration:
-    """The calibration that recording of the planned cell would give: no residual, but the true covariance. The noise is the plan's, of
-    single exposures; joint repeatability follows from the arm's data sheet."""
+def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Calibration:
+    """The calibration that a recording of the planned cell would give: no residual, but the true covariance."""
     options = Options(refuse=False)
     obs = select_phases(observations, options)
-    state, noise = planned_state(loaded), variance.first_noise(loaded.cell)
+    state = planned_state(loaded)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     layout, estimate = blocks.build(obs, options), Estimate(state)
     first = system(Lineariser(obs, layout, options), estimate, noise, weights)

@@ -1,7 +1,7 @@
 """Which physical effects a plan could show, and which it cannot tell apart: every catalogued effect at its usual size, geometry refitted.
 
 What matters is not how far an effect moves the balls, but what is left of that once geometry, hand-eye and stations have absorbed
-all they can, against the noise of single exposures and of the joints.
+all they can, against the noise of the scanner and of the joints.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
-from mbcacq.plan.observed import planned_observations, planned_state
+from mbcacq.plan.observed import planned_noise, planned_observations, planned_state
 
 SEEN = 6.0              # standard deviations of its own uncertainty at which an effect of usual size is reliably found among many
 ALIKE = 0.95
@@ -54,7 +54,6 @@ class Sight:
 def visibility(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None,
                starts: Sequence[float] | None = None) -> Sight:
     """All poses take part, those of the verification too: a diagnosis uses them all."""
-    from mbcacq.calibration.variance import first_noise
     from mbcacq.diagnosis.linear import Linear
     from mbcacq.diagnosis.screen import Screen
     from mbcacq.diagnosis.whitening import Noise
@@ -63,32 +62,35 @@ def visibility(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Seque
 
     observations = planned_observations(loaded, poses, transits, starts)
     linear = Linear(observations, planned_state(loaded))
-    noise = first_noise(loaded.cell)
+    noise = planned_noise(loaded, poses)
     screen = Screen(linear, Noise(noise.point, noise.joint, noise.turn))
     found, missing = candidates(Situation(observations, planned_state(loaded), linear.prediction))
     effects, left = [], {}
     for candidate in found:
         tried = [_trace(screen, candidate, h) for h in _hyper(candidate)]
-        size, absorbed, direction = sorted(tried, key=lambda t: t[0])[len(tried) // 2]
+        size, absorbed, row = sorted(tried, key=lambda t: t[0])[len(tried) // 2]
         where = "+".join(candidate.where)
         effects.append(Visibility(candidate.name, where, size, absorbed))
         if size >= SEEN:
-            left[f"{candidate.name}:{where}"] = direction
-    return Sight(tuple(_best(effects)), _alike(left), missing)
+            left[f"{candidate.name}:{where}"] = row
+    return Sight(tuple(_best(effects)), _alike(left, len(screen.Q)), missing)
 
 
 def _trace(screen, candidate, hyper: float | None) -> tuple[float, float, np.ndarray]:
-    """Length (in standard deviations) of what is left of the effect at usual size, share absorbed, and its direction (rows,).
+    """Length (in standard deviations) of what is left of the effect at usual size, share absorbed, and the effect as one row (rows + z,)
+    under the metric of :func:`_inner`.
 
     Of several coefficients the least visible one counts, the others being free."""
     X = screen.block(candidate, hyper) * candidate.typical
-    Y = X - screen.Q @ (screen.Q.T @ X)
-    information = Y.T @ Y
-    whole = float(np.trace(X.T @ X))
+    row = np.concatenate([X, screen.Q.T @ X]).T
+    information = _inner(row, row, len(X))
     weakest = float(np.sqrt(max(np.linalg.eigvalsh(information)[0], 0.0)))
-    direction = Y.sum(axis=1)
-    length = np.linalg.norm(direction)
-    return weakest, 1.0 - float(np.trace(information)) / max(whole, 1e-300), direction / max(length, 1e-300)
+    return weakest, 1.0 - float(np.trace(information) / max(np.sum(X * X), 1e-300)), row.sum(axis=0)
+
+
+def _inner(a: np.ndarray, b: np.ndarray, rows: int) -> np.ndarray:
+    """x'(I - QQ')y of rows (x, Q'x) and (y, Q'y): what is left once the geometry is refitted, its priors allowing."""
+    return a[:, :rows] @ b[:, :rows].T - a[:, rows:] @ b[:, rows:].T
 
 
 def _hyper(candidate) -> list[float | None]:
@@ -108,11 +110,13 @@ def _best(effects: list[Visibility]) -> list[Visibility]:
     return sorted(best.values(), key=lambda e: e.sigmas)
 
 
-def _alike(left: dict[str, np.ndarray]) -> tuple[tuple[str, str, float], ...]:
+def _alike(left: dict[str, np.ndarray], rows: int) -> tuple[tuple[str, str, float], ...]:
     if len(left) < 2:
         return ()
-    names, directions = list(left), np.stack(list(left.values()))
-    correlation = directions @ directions.T
+    names, stacked = list(left), np.stack(list(left.values()))
+    gram = _inner(stacked, stacked, rows)
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    correlation = gram / np.outer(size, size)
     i, j = np.nonzero(np.triu(np.abs(correlation) > ALIKE, 1))
     order = np.argsort(-np.abs(correlation[i, j]))
-    return tuple((names[i[k]], names[j[k]], float(correlation[i[k], j[k]])) for k in order if names[i[k]] != names[j[k]])
+    return tuple((names[i[k]], names[j[k]], float(correlation[i[k], j[k]])) for k in order)

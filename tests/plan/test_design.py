@@ -8,8 +8,7 @@ import yaml
 from click.testing import CliRunner
 from conftest import PLANS
 
-from mbcacq.calibration import Options, calibrate, verify
-from mbcacq.calibration.variance import first_noise
+from mbcacq.calibration import calibrate, verify
 from mbcacq.cli.plan import command
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load, path
@@ -18,7 +17,7 @@ from mbcacq.plan.checks import check
 from mbcacq.plan.design import Problem, design
 from mbcacq.plan.exchange import Criterion, choose, updated
 from mbcacq.plan.insight import insight
-from mbcacq.plan.observed import planned_observations, planned_state, trial
+from mbcacq.plan.observed import planned_noise, planned_observations, planned_state, trial
 from mbcacq.plan.prospect import foreseen, observability, prospect
 from mbcacq.plan.rewrite import with_views
 from mbcacq.plan.schema import View
@@ -44,13 +43,13 @@ def test_the_published_plan_promises_what_its_authors_hoped_for(published):
 def test_what_is_foretold_is_what_calibrated_cells_show(published):
     """Twelve random true cells, recorded with noise and calibrated: bar errors have the foretold spread."""
     loaded, poses = published
-    observations, noise = planned_observations(loaded, poses), first_noise(loaded.cell)
-    foretold = foreseen(loaded, observations)
+    observations, noise = planned_observations(loaded, poses), planned_noise(loaded, poses)
+    foretold = foreseen(loaded, observations, noise)
     expected = np.array([e for _, e in prospect(loaded, poses).places])
     rng, bars = np.random.default_rng(12), []
     for _ in range(12):
         recorded = trial(loaded, observations, noise, rng)
-        found = calibrate(recorded, Options(noise="given"))
+        found = calibrate(recorded)
         bars.append(verify(recorded, found).errors("after") / expected)
         assert found.names == foretold.names
     # 120 errors, those of one cell correlated: the mean square of a unit normal within four of its standard errors
@@ -79,11 +78,11 @@ def test_without_calibration_poses_nothing_is_promised(folder):
 
 def test_observability_indices_by_their_definition(published):
     loaded, poses = published
-    calibration = foreseen(loaded, planned_observations(loaded, poses))
+    calibration = foreseen(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
     o = observability(calibration)
     assert o["O4"] == pytest.approx(o["O2"] * o["O3"])
     assert o["O5"] < o["O3"]
-    twice = foreseen(loaded, planned_observations(loaded, [*poses, *poses]))
+    twice = foreseen(loaded, planned_observations(loaded, [*poses, *poses]), planned_noise(loaded, poses))
     assert observability(twice)["O3"] == pytest.approx(np.sqrt(2) * o["O3"], rel=0.02)  # every pose twice: sigma falls by the square root of two
     assert observability(twice)["O2"] == pytest.approx(o["O2"], rel=0.02)
 
@@ -166,7 +165,7 @@ def test_the_small_matrices_say_what_the_full_calibration_says(published):
     kept = [p for p in poses if p.phase != "verification"]
     problem = Problem(loaded, kept, [], poses)
     C = np.linalg.inv(problem.base)[:problem.layout.size, :problem.layout.size]
-    full = foreseen(loaded, planned_observations(loaded, poses))
+    full = foreseen(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
     arm = [i for i, name in enumerate(full.names) if not name.startswith("ball_")]
     # the certificate's 1 um makes the full problem a little less certain
     ratio = np.sqrt(np.diag(full.covariance)[arm] / np.diag(C))
