@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 _LAZY = {
     "Journal": "journal", "Recorder": "writer", "Recording": "reader", "Trajectory": "trajectory", "log_result": "result",
     "poses_done": "progress", "read_observation_set": "observation_set", "read_trajectory_set": "trajectory",
-    "recover": "recovery", "write_observation_set": "observation_set",
+    "recover": "recovery", "write_comparison": "comparison", "write_observation_set": "observation_set",
 }
 __all__ = ["ACCEPTED", "load", *_LAZY]
 

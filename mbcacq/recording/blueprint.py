@@ -55,14 +55,18 @@ def blueprint(eye: Point = (1900.0, -1900.0, 1500.0), target: Point = (450.0, 0.
 
 def for_cell(chain: Chain, plan_yaml: str) -> rrb.Blueprint:
     """The blueprint with its camera placed so that the arm and the planned stations fill the view."""
+    return blueprint(*camera(chain, _stations(plan_yaml)))
+
+
+def camera(chain: Chain, places: np.ndarray) -> tuple[Point, Point]:
+    """Where to stand and where to look (mm, base frame) to have the arm and some places (S, 3) in view."""
     reach = float(np.sum(np.hypot(chain.a, chain.d)))
-    stations = _stations(plan_yaml)
-    aim = stations.mean(axis=0) if len(stations) else np.array([0.5 * reach, 0.0, 0.3 * reach])
+    aim = places.mean(axis=0) if len(places) else np.array([0.5 * reach, 0.0, 0.3 * reach])
     target = 0.5 * aim + np.array([0.0, 0.0, 0.22 * reach])
     side = -1.0 if aim[1] <= 0 else 1.0
-    size = max(0.75 * reach, float(np.ptp(stations, axis=0).max()) if len(stations) else 0.0)
+    size = max(0.75 * reach, float(np.ptp(places, axis=0).max()) if len(places) else 0.0)
     eye = target + size * np.array([0.95, side * 1.25, 0.7])
-    return blueprint(tuple(eye.tolist()), tuple(target.tolist()))
+    return tuple(eye.tolist()), tuple(target.tolist())
 
 
 def _stations(plan_yaml: str) -> np.ndarray:

@@ -19,11 +19,12 @@ CURVES = [(86, 180, 233), (230, 159, 0), (0, 190, 140), (213, 94, 0), (204, 121,
 SHAFT = 1e-6  # mm; a shorter offset is no link to draw
 
 
-def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str) -> None:
-    """Everything that does not change: axes, arm, scanner housing and field of view, curve names and colours."""
+def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: bool = True) -> None:
+    """Everything that does not change: axes, arm, scanner housing and field of view (if it has one), curve names and colours."""
     rec.log(layout.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _log_arm(rec, cell.robot.chain)
-    _log_scanner(rec, _field_of_view(plan_yaml))
+    if view:
+        _log_scanner(rec, _field_of_view(plan_yaml))
     axes = [f"A{i + 1}" for i in range(cell.robot.n)]
     for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
         rec.log(entity, rr.SeriesLines(names=axes, colors=(CURVES * 2)[: len(axes)], widths=[1.5]), static=True)

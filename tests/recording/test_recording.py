@@ -262,6 +262,25 @@ def test_the_result_stands_beside_the_run(a_run):
     assert load(a_run).n_poses == 4
 
 
+def test_a_comparison_shows_both_residuals(a_set, tmp_path):
+    from rerun.chunk import RrdReader
+
+    from mbcacq.calibration.forward import CellState
+    from mbcacq.recording import write_comparison
+
+    obs = load(a_set)
+    state = CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, np.tile(np.eye(4), (2, 1, 1)), obs.cell.ball_centres)
+    before = np.array([[0.003, 0, 0], [0, 0.004, 0], [0, 0, 0.005]])
+    path = write_comparison(tmp_path / "errors.rrd", obs, state, before, before / 10, "# Why")
+    curves = {}
+    for chunk in RrdReader(path).stream().filter(content=f"/{layout.RESIDUAL}/**"):
+        batch = chunk.to_record_batch()
+        if "Scalars:scalars" in batch.schema.names:
+            curves[chunk.entity_path.rsplit("/", 1)[1]] = np.concatenate(batch.column("Scalars:scalars").to_pylist())
+    np.testing.assert_allclose(curves["before"], [1e3 * np.sqrt((0.003**2 + 0.004**2) / 2), 5.0])      # um, rms of a pose
+    np.testing.assert_allclose(curves["after"], curves["before"] / 10)
+
+
 def test_subscribers_may_call_from_several_threads(tmp_path):
     import threading
 
