@@ -138,6 +138,19 @@ def test_a_distance_at_which_two_profiles_of_the_planner_meet():
     assert np.abs(np.diff(path, 3, axis=0)).max() <= 3600.0 * T**3 * 1.001 + 1e-9
 
 
+def test_a_discarded_answer_is_given_again_and_a_lost_telegram_costs_one_cycle(bench):
+    one = bench()
+    one.move((20.0, *START[1:]))
+    for _ in range(100):
+        one.cycle()
+    step = one.sent[-1][0] - one.sent[-2][0]
+    assert step == pytest.approx(SPEED * T, abs=2e-6)
+    discarded = one.cycle(accepted=False)
+    assert one.cycle() == discarded
+    one.ipoc, one.delay = one.ipoc + 4, one.delay + 1  # a telegram that never came; the controller missed its answer
+    assert one.cycle()[0] == pytest.approx(discarded[0] + step, abs=2e-6)
+
+
 def test_a_restarted_program_is_never_answered(bench):
     one = bench()
     one.move((20.0, *START[1:]))

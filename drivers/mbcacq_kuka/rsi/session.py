@@ -153,7 +153,7 @@ class Session:
 
     def _begin(self, ipoc: int) -> None:
         limits = [tuple(pair) for pair in self._settings["limits_deg"]]
-        self._ipoc, self._repeats = ipoc, 0
+        self._ipoc, self._repeats, self._unanswered = ipoc, 0, 0
         self._motion = Motion(self._reference, self.cycle_s, limits)
         self._follow = Follow(self._reference, self._settings["follow_tolerance_deg"], self._settings["follow_cycles"])
         self._shared.begin(self._parser.names)
@@ -167,10 +167,12 @@ class Session:
             self._fail("protocol", f"IPOC went from {self._ipoc} to {ipoc}, expected steps of {self._step}; was the RSI program restarted?")
             return False
         self._ipoc, self._repeats = ipoc, 0
+        self._unanswered += steps - 1
         return True
 
     def _cycle(self, digits: bytes, row: list[float], measured: tuple[float, ...], now: float, in_time: bool) -> bytes | None:
         late = self._late(row) or not in_time
+        self._unanswered = 0 if in_time else self._unanswered + 1
         if self._shared.command_seq != self._seq:
             self._poll_command(now)
         motion, time_s = self._motion, self._ipoc * self._tick_s
@@ -193,16 +195,16 @@ class Session:
         return self._composer.compose(correction, digits, stop)
 
     def _late(self, row: list[float]) -> bool:
-        """True if the controller has rejected an answer since the last telegram."""
+        """True if the controller has rejected an answer of ours since the last telegram; those never sent do not count."""
         if self._delay_slot is None:
             return False
         delay = row[self._delay_slot]
-        rose, self._delay = delay > self._delay, delay
+        rise, self._delay = delay - self._delay, delay
         self._delay_base = min(self._delay_base, delay)
         if delay - self._delay_base > self._late_limit:
             self._fail("late", f"the controller discarded {delay - self._delay_base:.0f} answers as late or invalid (Delay; late_limit is "
                                f"{self._late_limit}); check the network, the load of this computer and sen_type")
-        return rose
+        return rise > self._unanswered
 
     def _poll_command(self, now: float) -> None:
         if self._shared.command_seq == self._seq:
