@@ -62,6 +62,17 @@ class FakePositioner:
         return live
 
 
+class _Server(ModbusTcpServer):
+    """Ends without leaving a connection half made: asyncio loses one that is being accepted while its server closes."""
+
+    async def end(self) -> None:
+        await asyncio.sleep(0.02)
+        self.close()
+        await asyncio.sleep(0.02)
+        if not self.serving.done():
+            self.serving.set_result(True)
+
+
 @dataclass
 class FakeModbus:
     """Serves a positioner and any number of live registers on 127.0.0.1. ``address`` is known once started.
@@ -82,7 +93,7 @@ class FakeModbus:
         self.received: list[bytes] = []
         self.sent: list[bytes] = []
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._server: ModbusTcpServer | None = None
+        self._server: _Server | None = None
         self._ready, self._error = threading.Event(), None
 
     @property
@@ -104,7 +115,7 @@ class FakeModbus:
 
     def stop(self) -> None:
         if self._loop is not None and self._thread.is_alive():
-            asyncio.run_coroutine_threadsafe(self._server.shutdown(), self._loop)
+            asyncio.run_coroutine_threadsafe(self._server.end(), self._loop)
             self._thread.join(5)
 
     def __enter__(self) -> FakeModbus:
@@ -120,7 +131,7 @@ class FakeModbus:
         try:
             self._loop = asyncio.get_running_loop()
             framer = FramerType.RTU if self.rtu else FramerType.SOCKET
-            self._server = ModbusTcpServer(device, framer=framer, address=self.address, trace_packet=self._trace)
+            self._server = _Server(device, framer=framer, address=self.address, trace_packet=self._trace)
             await self._server.serve_forever(background=True)
         except Exception as error:
             self._error = error
@@ -129,8 +140,6 @@ class FakeModbus:
             self._ready.set()
         with contextlib.suppress(asyncio.CancelledError):
             await self._server.serving
-        self._server.close()
-        await asyncio.sleep(0.02)  # its connections close in the loop's next turns
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         (self.sent if sending else self.received).append(bytes(data))

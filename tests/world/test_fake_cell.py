@@ -163,15 +163,17 @@ def test_a_killed_parent_leaves_no_orphans():
 
 def test_a_dead_world_is_a_named_error_and_stop_still_works():
     plan, poses = loaded()
-    cell = FakeCell(plan, poses).start()
-    assert cell.alive()
-    os.kill(cell.process_id, signal.SIGKILL)
-    assert gone([cell.process_id])
-    assert not cell.alive()
-    with pytest.raises(ConnectError, match="process has ended"):
-        cell.ask("truth")
-    cell.stop()
-    cell.stop()
+    with FakeCell(plan, poses) as cell:
+        assert cell.alive()
+        os.kill(cell.process_id, signal.SIGKILL)
+        deadline = time.monotonic() + 10
+        while cell.alive() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert not cell.alive()
+        with pytest.raises(ConnectError, match="process has ended"):
+            cell.ask("truth")
+        cell.stop()
+        cell.stop()
 
 
 def test_what_the_fake_cell_cannot_play_is_said_at_once():
