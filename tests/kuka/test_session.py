@@ -140,7 +140,7 @@ def test_a_distance_at_which_two_profiles_of_the_planner_meet():
 
 def test_a_discarded_answer_is_given_again_and_a_lost_telegram_costs_one_cycle(bench):
     one = bench()
-    one.move((20.0, *START[1:]))
+    one.move((100.0, *START[1:]))
     for _ in range(100):
         one.cycle()
     step = one.sent[-1][0] - one.sent[-2][0]
