@@ -23,7 +23,7 @@ SAME = np.radians(0.01)
 def check(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Finding]:
     """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises."""
     return [*check_reach(loaded), *check_joints(loaded, poses), *check_sight(loaded, poses), *check_clearance(loaded, poses),
-            *check_ways(loaded, poses), *check_repetition(loaded, poses)]
+            *check_ways(loaded, poses), *check_repetition(loaded, poses), *check_revisits(loaded, poses)]
 
 
 def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
@@ -107,6 +107,20 @@ def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterat
         if any(s == pose.station and np.abs(q - pose.q).max() < SAME for s, q in seen):
             yield finding(loaded, pose, "warning", "repeated", "this pose was taken already at this station; take another view")
         seen.append((pose.station, pose.q))
+
+
+def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+    """A station stands for one place of the artefact. Put back by hand, it stands elsewhere by more than the arm's repeatability."""
+    if loaded.plan.positioner.driver != "manual":
+        return
+    stands: dict[str, str] = {}
+    visited: set[str] = set()
+    for pose in poses:
+        if pose.station in visited and stands[pose.artefact] != pose.station:
+            yield finding(loaded, pose, "warning", "revisited", "the artefact was taken away meanwhile and will not stand where it stood; "
+                          "give the second visit a station of its own, at the same place")
+        visited.add(pose.station)
+        stands[pose.artefact] = pose.station
 
 
 def _touch(near) -> str:

@@ -36,7 +36,7 @@ def taught(folder, *poses, extra=""):
 GOOD = (0, -66, 122, 0, 24, 90)
 
 
-@pytest.mark.parametrize("name", ["kuka.yaml", "quick.yaml"])
+@pytest.mark.parametrize("name", ["kuka.yaml", "kuka-effects.yaml", "quick.yaml"])
 def test_shipped_plans_have_nothing_to_complain_about(name):
     loaded = load(PLANS / name)
     poses = expand(loaded)
@@ -119,6 +119,19 @@ def test_scanner_against_its_own_forearm(folder):
 
 def test_same_pose_twice(folder):
     assert "repeated" in codes(taught(folder, GOOD, (0, -66, 122, 0, 24.001, 90)), "warning")
+
+
+def test_an_artefact_put_back_by_hand(folder):
+    """Station 1, the bar, station 3 with the same artefact as 1, and back to 1; the untouched bar may be looked at again."""
+    third = ("  - {id: 2,", "  - {id: 3, artefact: mbc, pose_in_base: {translation_mm: [600, 100, 150]}}\n  - {id: 2,")
+    again = ("  - name: ends", "  - {name: again, phase: position, do: look, stations: [3, 1], views: [{tilt_deg: 15}]}\n  - name: ends")
+    found = [f for f in findings(folder.plan(third, again)) if f.code == "revisited"]
+    assert [f.step for f in found] == ["again"]
+    assert "at station '1'" in found[0].sentence
+    motorised = ("hand_eye:", "positioner: {driver: modbus}\nhand_eye:")
+    assert "revisited" not in codes(folder.plan(third, again, motorised), "warning")
+    untouched = ("    stations: [2]", "    stations: [2, 1, 2]")
+    assert "revisited" not in codes(folder.plan(untouched), "warning")
 
 
 SIDES = ("{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
