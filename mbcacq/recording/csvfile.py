@@ -15,6 +15,8 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording import angles
 
 MAX_BYTES = 1 << 30
+XYZ = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass
@@ -136,6 +138,11 @@ def write_text(path: Path, text: str) -> None:
         os.replace(partial, path)
     except OSError as error:
         raise RecordingError(f"{path} cannot be written: {error.strerror}; choose another folder or free the disk") from error
+
+
+def numbered(pattern: str, n: int) -> list[str]:
+    """Column names with the joint's number, 1..n, in place of {}."""
+    return [pattern.format(i + 1) for i in range(n)]
 
 
 def numbers(values: np.ndarray) -> list[str]:

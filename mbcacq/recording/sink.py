@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import shutil
+import socket
 import threading
 from pathlib import Path
 
@@ -32,7 +33,7 @@ class Sink:
         try:
             sinks: list = [rr.FileSink(path)]
             if live:
-                server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=port, server_memory_limit="512MB")
+                server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=_free_port(port), server_memory_limit="512MB")
                 self.live_url = server.uri
                 sinks.append(server)
             self.stream.set_sinks(*sinks, default_blueprint=blueprint)
@@ -115,6 +116,18 @@ class Sink:
         rr.unregister_shutdown()
         for kept in (self.stream, self.stream.to_native()):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+
+
+def _free_port(preferred: int) -> int:
+    """The preferred port of this computer, or any free one if it is taken: rerun would only notice in a thread of its own."""
+    for port in (preferred, 0):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+                return probe.getsockname()[1]
+            except OSError:
+                continue
+    raise OSError("no free port on 127.0.0.1")
 
 
 class _Syncer:

@@ -15,8 +15,9 @@ from mbcacq.cellfile import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
 from mbcacq.errors import ConfigError
 from mbcacq.library import robot_file
 from mbcacq.recording import angles, layout
-from mbcacq.recording.cell_yaml import load_yaml, parse_cell, read_yaml_text, robot_to_yaml, validate
+from mbcacq.recording.cell_yaml import parse_cell, robot_to_yaml
 from mbcacq.recording.csvfile import Table, numbers, read_table, write_table, write_text
+from mbcacq.recording.yaml_text import load_yaml, read_yaml_text, validate
 
 FORMAT = "mbcacq-trajectory-set/1"
 

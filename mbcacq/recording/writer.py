@@ -21,6 +21,7 @@ from mbcacq.recording import layout, rows, scene
 from mbcacq.recording.blueprint import blueprint, for_cell
 from mbcacq.recording.cell_yaml import parse_cell
 from mbcacq.recording.cycles import CycleWriter
+from mbcacq.recording.measured_rows import exposure_row, grey, observation_rows, scan_row
 from mbcacq.recording.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.sink import Sink
 
@@ -168,33 +169,19 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.ScanTaken) -> None:
-        scan = event.scan
-        self._sink.need(scan.points.nbytes + 9 * len(scan.points))
+        self._sink.need(event.scan.points.nbytes + 9 * len(event.scan.points))
         move = scene.transforms(self._T_base_scanner[None])
         self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
-        raw = rows.row(
-            layout.SCAN_ARCHETYPE, pose=event.pose, exposure=event.exposure, intensity=scan.intensity, pixel=scan.pixel, shape=scan.shape,
-            time_s=float(scan.time_s), frame=scan.frame, exposure_us=float(scan.exposure_us),
-            **rows.named("measurements", scan.measurements))
-        self._rec.log(layout.SCAN, rr.Points3D(scan.points, colors=_colours(scan.intensity), radii=rr.Radius.ui_points(1.2)), raw)
+        points = rr.Points3D(event.scan.points, colors=grey(event.scan.intensity), radii=rr.Radius.ui_points(1.2))
+        self._rec.log(layout.SCAN, points, scan_row(event))
 
     @_write.register
     def _(self, event: events.CentresFound) -> None:
-        self._rec.log(layout.EXPOSURE, rows.row(
-            layout.CENTRES_ARCHETYPE, pose=event.pose, exposure=event.exposure, ball=_int(event.ball), xyz=_float(event.xyz),
-            n_points=_float(event.n_points), rms_mm=_float(event.rms_mm)))
+        self._rec.log(layout.EXPOSURE, exposure_row(event))
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:
-        pose = rows.row(
-            layout.POSE_ARCHETYPE, pose=event.pose, part=self._part, station=event.station, phase=event.phase, step=event.step,
-            q=_float(event.q), direction=_int(event.direction), time_s=event.time_s + self._offset,
-            robot_time_s=float(event.robot_time_s), n_exposures=event.n_exposures,
-            current=None if event.current is None else _float(event.current), **rows.named("sensors", event.sensors))
-        centres = rows.row(
-            layout.CENTRES_ARCHETYPE, ball=_int(event.ball), xyz=_float(event.xyz), n_points=_float(event.n_points),
-            rms_mm=_float(event.rms_mm), scatter_mm=_float(event.scatter_mm))
-        self._rec.log(layout.OBSERVATION, pose, centres)
+        self._rec.log(layout.OBSERVATION, *observation_rows(event, self._part, event.time_s + self._offset))
         self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
         if len(event.ball):
             self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
@@ -221,20 +208,3 @@ class Recorder:
         self._rec.log(layout.RUN, rows.row(layout.RUN_ARCHETYPE, exit_status=event.exit_status, reason=event.reason))
         self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: run ended: {event.exit_status}: {event.reason}", level=level))
         self._sink.flush()
-
-
-def _colours(intensity: np.ndarray | None) -> np.ndarray | list:
-    """Grey with a warm tint, as 0xRRGGBBAA."""
-    if intensity is None:
-        return [(170, 190, 210)]
-    grey = intensity.astype(np.uint32)
-    grey = 40 + grey * 215 // 255
-    return grey << 24 | grey << 16 | (grey * 15 // 16) << 8 | 0xFF
-
-
-def _float(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values, dtype=np.float64)
-
-
-def _int(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values, dtype=np.int64)

@@ -234,6 +234,14 @@ def test_live_serves_this_computer_only(tmp_path):
     assert load(tmp_path).n_poses == 4
 
 
+def test_a_taken_port_does_not_end_a_live_run(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as other, Recorder(tmp_path, live=True, port=other.getsockname()[1]) as recorder:
+        assert str(other.getsockname()[1]) not in recorder.live_url
+        for event in synthetic.run():
+            recorder(event)
+    assert load(tmp_path).n_poses == 4
+
+
 def test_without_live_nothing_listens(tmp_path):
     before = {c.laddr for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN}
     with Recorder(tmp_path) as recorder:

@@ -1,0 +1,93 @@
+"""YAML texts as checked data: every fault becomes one sentence with file and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from mbcacq.errors import ConfigError
+
+MAX_BYTES = 16 << 20
+Spec = TypeVar("Spec", bound=BaseModel)
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def read_yaml_text(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; this is no cell description")
+        return path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the path") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not UTF-8 text; save the file as UTF-8") from None
+
+
+def load_yaml(text: str, name: str) -> tuple[dict[str, Any], yaml.Node]:
+    """The mapping in a YAML text, and its node tree for line numbers. Raises ConfigError."""
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        data = loader.construct_document(node) if node is not None else None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = mark.line + 1 if mark else 1
+        raise ConfigError(f"{name}:{line}: not valid YAML ({getattr(error, 'problem', None) or 'unreadable'}); correct the line") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{name}:1: not valid YAML ({error}); correct it") from None
+    finally:
+        loader.dispose()
+    _refuse_repeated_keys(node, name)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{name}:1: a mapping of keys is expected (format, robot, ...), found {type(data).__name__}; correct the file")
+    return data, node
+
+
+def _refuse_repeated_keys(root: yaml.Node | None, name: str) -> None:
+    """YAML itself would silently take the last of two equal keys."""
+    waiting, seen = [root], set()
+    while waiting:
+        node = waiting.pop()
+        if node is None or id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.SequenceNode):
+            waiting += node.value
+        elif isinstance(node, yaml.MappingNode):
+            keys = set()
+            for key, value in node.value:
+                if isinstance(key, yaml.ScalarNode) and key.value in keys and key.value != "<<":
+                    raise ConfigError(f"{name}:{key.start_mark.line + 1}: the key '{key.value}' stands here twice; remove one")
+                keys.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+                waiting.append(value)
+
+
+def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str) -> Spec:
+    """The data checked against a pydantic model; the first fault becomes a ConfigError with its line."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise ConfigError(f"{name}:{line_of(node, first['loc'])}: {place}: {first['msg']}{more}; correct it") from None
+
+
+def line_of(node: yaml.Node, path: tuple[int | str, ...]) -> int:
+    """Line (from 1) of the node at a path of keys and indices, or of its nearest parent that exists."""
+    line = node.start_mark.line + 1
+    for part in path:
+        child = None
+        if isinstance(node, yaml.MappingNode):
+            child = next(((key, value) for key, value in node.value if key.value == str(part)), None)
+            if child is not None:
+                line, node = child[0].start_mark.line + 1, child[1]
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+            child = node = node.value[part]
+            line = node.start_mark.line + 1
+        if child is None:
+            break
+    return line
