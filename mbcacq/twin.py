@@ -1,0 +1,68 @@
+"""The twin: what a calibrated cell would record if it executed a plan, and nothing else were at work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import forward
+from mbcacq.calibration.forward import CellState
+from mbcacq.calibration.options import Noise
+from mbcacq.calibration.result_file import state_from_dict
+from mbcacq.errors import ConfigError
+from mbcacq.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+
+def simulate(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None = None, noise: bool = False,
+             seed: int = 0) -> Observations:
+    """Every planned pose with its expected balls, where the model puts them (mm, scanner frame); times and senses of motion as planned.
+
+    result: the content of a result.json; default the nominal cell. Stations that the result does not know stand where the plan puts
+    them. noise: add the scatter of centres and the repeatability of the joints (the result's, else the plan's and the data sheet's).
+    As in a run, the cell that is written says nothing of where stations stand. Raises ConfigError where result and plan do not match.
+    """
+    from mbcacq.pipeline import solver_cell
+    from mbcacq.plan import path
+    from mbcacq.plan.observed import planned_observations
+    from mbcacq.plan.summary import summary
+
+    starts = {p["pose"]: p["start_s"] for p in summary(loaded, poses)["poses"]}
+    blank = planned_observations(loaded, poses, path(loaded, poses), [starts[p.number] for p in poses])
+    state = cell_state(loaded, result)
+    rng = np.random.default_rng(seed)
+    scatter = _noise(loaded, poses, result) if noise else None
+    stood = blank if scatter is None else replace(blank, q=blank.q + scatter.joint * rng.standard_normal(blank.q.shape))
+    xyz = forward.predict(stood, state).xyz
+    if scatter is not None:
+        xyz = xyz + scatter.point * rng.standard_normal(xyz.shape)
+    return replace(blank, cell=solver_cell(loaded), xyz=xyz)
+
+
+def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:
+    """The calibrated cell with every station of the plan at a place; nominal where there is no result. Raises ConfigError."""
+    from mbcacq.plan.observed import planned_state
+
+    planned = planned_state(loaded)
+    if result is None:
+        return planned
+    state = state_from_dict(result, loaded.cell)
+    name = result["robot"].get("name")
+    if name != loaded.cell.robot.name:
+        raise ConfigError(f"the result is of a '{name}', the plan uses a '{loaded.cell.robot.name}'; give the matching result")
+    known = {str(s["id"]): s.get("artefact") for s in result["stations"]}
+    same = np.array([known.get(s.id) == s.artefact for s in loaded.cell.stations])
+    return replace(state, T_base_station=np.where(same[:, None, None], state.T_base_station, planned.T_base_station))
+
+
+def _noise(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None) -> Noise:
+    from mbcacq.plan.observed import planned_noise
+
+    stated = planned_noise(loaded, poses)
+    found = (result or {}).get("noise")
+    if not found:
+        return stated
+    return replace(stated, point=np.array(found["scanner_mm"], dtype=float), joint=np.array(found["joint_rad"], dtype=float))
