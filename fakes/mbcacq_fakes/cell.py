@@ -16,6 +16,7 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes import options as fake_options
 from mbcacq_fakes.arm_state import ArmState
 from mbcacq_fakes.build import check, make_world
+from mbcacq_fakes.cell_faults import CellFaults
 from mbcacq_fakes.cell_ports import ipv4, scanner_place, udp_port
 from mbcacq_fakes.krc import FakeKrc
 from mbcacq_fakes.world.description import CellFacts, from_cell
@@ -184,29 +185,3 @@ class FakeCell:
         if kind == "error":
             raise value
         return value
-
-
-class CellFaults:
-    """What can be done to the cell while it runs."""
-
-    def __init__(self, cell: FakeCell) -> None:
-        self._cell = cell
-
-    def robot(self, **faults: float) -> None:
-        """See mbcacq_fakes.krc.settings.FAULTS."""
-        self._cell.krc.inject(**faults)
-
-    def scanner(self, fault: str, value: Any = True, times: int | None = None) -> None:
-        """See mbcacq_fakes.gocator.FAULTS."""
-        self._cell.ask("scanner_fault", fault=fault, value=value, times=times)
-
-    def clear_scanner(self, fault: str | None = None) -> None:
-        self._cell.ask("clear_scanner_fault", fault=fault)
-
-    def positioner(self, **values: Any) -> None:
-        """Set ``stuck`` (bool), ``fault`` (code) or ``silent`` (bool) of a Modbus positioner."""
-        self._cell.ask("positioner_fault", **values)
-
-    def mishap(self, kind: str, **details: Any) -> None:
-        """wrong_artefact (station, artefact), hidden_ball (ball), bumped_tripod (station, shift_mm, rotation_deg), empty_scene."""
-        self._cell.ask("mishap", kind=kind, **details)

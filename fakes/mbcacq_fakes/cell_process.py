@@ -123,7 +123,7 @@ class Servers:
         from mbcacq_bus.serial import SerialOptions
 
         from mbcacq_fakes.line_for import fill, template
-        from mbcacq_fakes.modbus import FakeSerialSensor
+        from mbcacq_fakes.serial_sensor import FakeSerialSensor
 
         options = parse(SerialOptions, "the serial sensor", given)
         try:

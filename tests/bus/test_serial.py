@@ -3,7 +3,7 @@ import threading
 
 import pytest
 from mbcacq_bus.serial import SerialSensor
-from mbcacq_fakes.modbus import FakeSerialSensor
+from mbcacq_fakes.serial_sensor import FakeSerialSensor
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, IdentityError, ProtocolError
 

@@ -1,0 +1,34 @@
+"""Hurting a fake cell while it runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mbcacq_fakes.cell import FakeCell
+
+
+class CellFaults:
+    """What can be done to the cell while it runs."""
+
+    def __init__(self, cell: FakeCell) -> None:
+        self._cell = cell
+
+    def robot(self, **faults: float) -> None:
+        """See mbcacq_fakes.krc.settings.FAULTS."""
+        self._cell.krc.inject(**faults)
+
+    def scanner(self, fault: str, value: Any = True, times: int | None = None) -> None:
+        """See mbcacq_fakes.gocator.FAULTS."""
+        self._cell.ask("scanner_fault", fault=fault, value=value, times=times)
+
+    def clear_scanner(self, fault: str | None = None) -> None:
+        self._cell.ask("clear_scanner_fault", fault=fault)
+
+    def positioner(self, **values: Any) -> None:
+        """Set ``stuck`` (bool), ``fault`` (code) or ``silent`` (bool) of a Modbus positioner."""
+        self._cell.ask("positioner_fault", **values)
+
+    def mishap(self, kind: str, **details: Any) -> None:
+        """wrong_artefact (station, artefact), hidden_ball (ball), bumped_tripod (station, shift_mm, rotation_deg), empty_scene."""
+        self._cell.ask("mishap", kind=kind, **details)
