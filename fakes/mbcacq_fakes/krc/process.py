@@ -20,7 +20,7 @@ from mbcacq_fakes.krc.session import OPERATOR, RsiSession
 from mbcacq_fakes.krc.settings import COUNTED, KrcSettings
 from mbcacq_fakes.krc.wire import Answer, RobTemplate, SenReader
 
-_PATIENCE_S = (0.25, 0.01)  # lock-step: how long to wait for an answer, and for the ones after a missing one
+_PATIENCE_S = (0.5, 0.01)  # lock-step: how long to wait for an answer, and when the last cycle had none at all
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = ((2.0, 0.004), (1.0, 0.001))  # lock-step: after standing still so long (robot s), sleep so long a cycle
 
@@ -37,6 +37,7 @@ class Controller:
         self._random = random.Random(settings.seed)
         self._ipoc, self._cycles, self._sessions, self._answers, self._late, self._rejected = settings.ipoc, 0, 0, 0, 0, 0
         self._fault_seq, self._fault_code, self._down_until, self._next, self._missed = -1, 0, 0.0, time.monotonic(), 0
+        self._unheard = False
         self._client = tuple(settings.client)
         self._body: tuple[object, str] = (None, "")
         self._pose: tuple[float, ...] = ()
@@ -97,17 +98,17 @@ class Controller:
         if self._settings.realtime:
             deadline = self._next
         elif self._session.active and not self._faults["silence"]:
-            deadline = sent + _PATIENCE_S[self._missed > 0]
+            deadline = sent + _PATIENCE_S[self._unheard]
         else:
             deadline = sent + self._cycle_s
-        wanted, answer = str(ipoc), None
+        wanted, answer, self._unheard = str(ipoc), None, True
         while (left := deadline - time.monotonic()) > 0:
             self._socket.settimeout(left)
             try:
                 data = self._socket.recv(65536)
             except (TimeoutError, ConnectionError):
                 continue
-            arrived = time.monotonic()
+            arrived, self._unheard = time.monotonic(), False
             answer = self._reader.read(data)
             if answer is not None and answer.ipoc == wanted:
                 return answer, arrived - sent
