@@ -78,14 +78,20 @@ class Acquisition:
     def execute(
         self, overrides: Overrides | None = None, subscribers: Iterable[Subscriber] = (), *, live: bool = False,
         confirm: Callable[[np.ndarray], None] | None = None, done: frozenset[int] = frozenset(),
+        told: Callable[[str], None] = lambda url: None,
     ) -> None:
-        """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder."""
+        """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder.
+
+        live: serve the recording on 127.0.0.1 while it grows; ``told`` gets the address for the viewer.
+        """
         from mbcacq.recording import Journal, Recorder
         from mbcacq.recording.cell_yaml import cell_to_yaml
         from mbcacq.spheres import find_balls
 
         (self.folder / "plan.yaml").write_text(self.loaded.text, encoding="utf-8")
         with closing(Recorder(self.folder, live=live, part=self.parts)) as recorder, closing(Journal(self.folder)) as journal:
+            if recorder.live_url:
+                told(recorder.live_url)
             Runner(
                 self.loaded, self.poses, self.paths, create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]), find_balls, cell_to_yaml(solver_cell(self.loaded)), versions(),

@@ -46,7 +46,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
         if yes and loaded.plan.positioner.driver == "manual":
             overrides = {**overrides, "positioner": {**overrides.get("positioner", {}), "assume_yes": True}}
         confirm = None if dry_run else ask_before_motion(loaded.plan.robot.options, loaded.cell.robot.name, len(poses), arm)
-        acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, confirm=confirm, done=done)
+        acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, confirm=confirm, done=done, told=tell_viewer)
     limit = loaded.plan.accept.sphere_spacing_error_mm
     result = pipeline.evaluate(folder, limit)
     if as_json:
@@ -59,6 +59,10 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
     if limit is not None and worst is not None and worst > limit:
         raise CalibrationError(f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {limit:g} mm; "
                                f"see {result['files']['report']}")
+
+
+def tell_viewer(url: str) -> None:
+    click.echo(f"watch it live: rerun {url}", err=True)
 
 
 def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> Callable[[np.ndarray], None]:
