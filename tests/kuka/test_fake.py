@@ -210,7 +210,7 @@ def test_by_the_clock_a_cycle_is_answered_or_missed(start):
     for _ in range(4):
         client.receive()
     assert client.last[1] - first == 16
-    assert wait(lambda: client.newest()[2]) >= 3
+    wait(lambda: client.newest()[2] >= 3)
 
 
 @pytest.mark.parametrize("wrong", [{"layout": "other"}, {"layout": ("AIPos", "Xyz")}, {"counting": "sum"}, {"cycle_ms": 8}, {"precision": 0},

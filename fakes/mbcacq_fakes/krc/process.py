@@ -75,9 +75,10 @@ class Controller:
             time.sleep(min(faults["delay_ms"] * 1e-3, self._cycle_s))
         ipoc = self._ipoc + (1 if self._counted("wrong_ipoc") else 0)
         sent = time.monotonic()
-        if not faults["silence"] and not self._lost("drop"):
+        on_its_way = not faults["silence"] and not self._lost("drop")
+        if on_its_way:
             self._send(self._telegram(ipoc, moved))
-        answer, latency = self._await(ipoc, sent)
+        answer, latency = self._await(ipoc, sent, on_its_way)
         late = bool(faults["delay_ms"]) and faults["delay_ms"] >= self._settings.cycle_ms
         accepted = not late and not self._lost("drop_answers") and answer is not None and session.accept(answer, ipoc)
         if accepted:
@@ -93,11 +94,11 @@ class Controller:
             self._control.log(ipoc, latency, accepted, *self._arm.q, *correction)
         self._pace()
 
-    def _await(self, ipoc: int, sent: float) -> tuple[Answer | None, float]:
+    def _await(self, ipoc: int, sent: float, on_its_way: bool) -> tuple[Answer | None, float]:
         """The first answer of this cycle that belongs to it, else the last one that came; and how long it took."""
         if self._settings.realtime:
             deadline = self._next
-        elif self._session.active and not self._faults["silence"]:
+        elif self._session.active and on_its_way:
             deadline = sent + _PATIENCE_S[self._unheard]
         else:
             deadline = sent + self._cycle_s
