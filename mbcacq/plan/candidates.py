@@ -13,7 +13,7 @@ from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.kinematics import InverseKinematics
 from mbcacq.plan.schema import View
 from mbcacq.plan.sight import STEEPEST, occluded
-from mbcacq.plan.targets import seen
+from mbcacq.plan.targets import aims, seen
 from mbcacq.plan.view import T_base_scanner
 
 LIMIT_MARGIN = np.radians(4.0)
@@ -27,6 +27,7 @@ class Candidate:
     """A view of a station with the pose it leads to."""
 
     station: str
+    aim: int | None         # the ball looked at by itself, None for all together
     view: View
     pose: PlannedPose
 
@@ -48,15 +49,28 @@ def candidates(loaded: LoadedPlan, stations: list[str], per_station: int, steepe
     solver, clearance = InverseKinematics.of(loaded.cell.robot), Clearance(loaded)
     out: list[Candidate] = []
     for station in stations:
-        out += _at_station(loaded, station, random_views(per_station, min(steepest_deg, np.degrees(STEEPEST)), rng), solver, clearance)
+        single = single_aims(loaded, station)
+        for aim in single:
+            views = random_views(per_station // len(single), min(steepest_deg, np.degrees(STEEPEST)), rng)
+            out += _at_station(loaded, station, aim, views, solver, clearance)
     return out
 
 
-def _at_station(loaded: LoadedPlan, station: str, views: list[View], solver: InverseKinematics, clearance: Clearance) -> list[Candidate]:
+def single_aims(loaded: LoadedPlan, station: str) -> list[int | None]:
+    """The balls to be looked at one by one where the artefact is longer than the view is wide, else None for all together."""
+    artefact = loaded.cell.artefact(next(s for s in loaded.cell.stations if s.id == station).artefact)
+    size = np.linalg.norm(artefact.centres[:, None] - artefact.centres, axis=2).max()
+    return list(artefact.ball_ids) if size > 2 * max(loaded.plan.scanner.field_of_view.far_half_mm) else [None]
+
+
+def _at_station(loaded: LoadedPlan, station: str, aim: int | None, views: list[View], solver: InverseKinematics,
+                clearance: Clearance) -> list[Candidate]:
     cell, robot = loaded.cell, loaded.cell.robot
     place = next(s for s in cell.stations if s.id == station)
     artefact = cell.artefact(place.artefact)
-    T_base_scanners = np.stack([T_base_scanner(place.T_base_station, artefact.centres.mean(axis=0), v) for v in views])
+    point = aims(artefact, "all" if aim is None else (aim,))[0]
+    fewest = min(FEWEST, len(artefact.ball_ids)) if aim is None else 1
+    T_base_scanners = np.stack([T_base_scanner(place.T_base_station, point, v) for v in views])
     flanges = T_base_scanners @ se3.inverse(cell.T_flange_scanner)
     xyz = se3.apply(se3.inverse(T_base_scanners)[:, None] @ place.T_base_station, artefact.centres)
     speed = np.full(robot.n, DEFAULT_SPEED) if robot.speed is None else robot.speed
@@ -65,7 +79,7 @@ def _at_station(loaded: LoadedPlan, station: str, views: list[View], solver: Inv
     for view, flange, centres, found in zip(views, flanges, xyz, solver.solutions(flanges), strict=True):
         balls = seen(loaded, station, flange)
         found = found[(1 if view.wrist == "positive" else -1) * found[:, 4] >= 0]
-        if len(balls) < min(FEWEST, len(artefact.ball_ids)) or not len(found):
+        if len(balls) < fewest or not len(found):
             continue
         hidden = {artefact.ball_ids[b] for _, b in occluded(centres, artefact.diameters / 2, loaded.plan.scanner.field_of_view)}
         if hidden & set(balls):
@@ -76,7 +90,7 @@ def _at_station(loaded: LoadedPlan, station: str, views: list[View], solver: Inv
             continue
         if clearance.at(q, station).distance < loaded.plan.clearance_mm + 5:
             continue
-        out.append(Candidate(station, view, PlannedPose(
+        out.append(Candidate(station, aim, view, PlannedPose(
             number=len(out), step=0, step_name="design", phase="position", station=station, artefact=artefact.id, q=q, balls=balls,
             exposures=loaded.plan.exposures, line=0)))
     return out

@@ -22,8 +22,7 @@ from mbcacq.plan.candidates import Candidate, candidates
 from mbcacq.plan.exchange import Criterion, choose
 from mbcacq.plan.observed import planned_noise, planned_observations, planned_state, trial
 from mbcacq.plan.prospect import prospect
-from mbcacq.plan.rewrite import with_views
-from mbcacq.plan.schema import View
+from mbcacq.plan.rewrite import Chosen, with_views
 
 PER_STATION = 220
 STATION_SIGMA = np.array([50.0, 50.0, 50.0, 0.2, 0.2, 0.2])
@@ -31,10 +30,10 @@ STATION_SIGMA = np.array([50.0, 50.0, 50.0, 0.2, 0.2, 0.2])
 
 @dataclass(frozen=True)
 class Design:
-    """text: YAML of the new plan; chosen: its views by station; tried: how many candidates there were to choose from."""
+    """text: YAML of the new plan; chosen: its views by station and ball (None: all); tried: how many candidates there were."""
 
     text: str
-    chosen: dict[str, list[View]]
+    chosen: Chosen
     tried: int
 
 
@@ -49,14 +48,14 @@ def design(loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg
     stations = _stations(loaded, poses)
     found = candidates(loaded, stations, PER_STATION, steepest_deg, seed)
     if len(found) < count:
-        tried = f"of {PER_STATION * len(stations)} random views at {len(stations)} stations only {len(found)} can be taken"
+        tried = f"of about {PER_STATION * len(stations)} random views at {len(stations)} stations only {len(found)} can be taken"
         raise ConfigError(f"{loaded.path}: {tried}, fewer than the {count} asked for; move the stations, or ask for fewer")
     kept = [p for p in poses if p.phase in ("translation", "orientation")]
     problem = Problem(loaded, kept, found, poses)
     picked = choose(problem.base, problem.blocks, problem.groups, count, problem.criterion(criterion))
-    chosen: dict[str, list[View]] = {}
-    for k in sorted(picked, key=lambda k: (stations.index(found[k].station), found[k].view.wrist, found[k].view.azimuth_deg)):
-        chosen.setdefault(found[k].station, []).append(found[k].view)
+    chosen: Chosen = {}
+    for k in sorted(picked, key=lambda k: _order(stations, found[k])):
+        chosen.setdefault((found[k].station, found[k].aim), []).append(found[k].view)
     return Design(with_views(loaded, chosen), chosen, len(found))
 
 
@@ -123,7 +122,8 @@ class Problem:
         vague = np.concatenate([self.layout.gather("scale"), np.tile(STATION_SIGMA, len(used))])
         known = every[:len(kept)].reshape(-1, every.shape[2])
         self.base = np.diag(1 / vague**2) + known.T @ known
-        self.blocks, self.groups = every[len(kept):], place[len(kept):]
+        self.blocks = every[len(kept):]
+        self.groups = np.unique([f"{c.station} {c.aim}" for c in found], return_inverse=True)[1]
 
     def criterion(self, name: str) -> Criterion:
         if name == "D":
@@ -171,6 +171,11 @@ def distance_rows(loaded: LoadedPlan, poses: Sequence[PlannedPose], layout: Layo
                 A, B = (rank.base_columns(layout, state, q, x[:, None])[0][0] for q, x in ((qa, xa), (qb, xb)))
                 rows.append(u / np.linalg.norm(u) @ (B - A))
     return np.array(rows).reshape(-1, layout.size)
+
+
+def _order(stations: list[str], candidate: Candidate) -> tuple:
+    """Station by station, ball by ball, one wrist branch after the other, around the artefact."""
+    return stations.index(candidate.station), candidate.aim or 0, candidate.view.wrist, candidate.view.azimuth_deg
 
 
 def _stations(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[str]:

@@ -132,13 +132,19 @@ def _check_steps(file: YamlFile, plan: Plan, n: int, artefacts: tuple[cell.Artef
         for place, station in wanted.items():
             if str(station) not in artefact_of:
                 raise file.error((*where, *place), f"step '{step.name}' names a station '{station}' that the plan does not have")
+        if isinstance(step, Look) and isinstance(step.balls, tuple):
+            for station in step.stations:
+                _check_balls(file, where, step.name, step.balls, artefact_of[str(station)], station)
         if isinstance(step, Taught):
             for i, pose in enumerate(step.poses_deg):
                 _check_joints(file, (*where, "poses_deg", i), np.radians(pose), n)
-            missing = set(step.balls or ()) - set(artefact_of[str(step.station)].ball_ids)
-            if missing:
-                sentence = f"step '{step.name}' expects ball {min(missing)}, which the artefact at station '{step.station}' does not have"
-                raise file.error((*where, "balls"), sentence)
+            _check_balls(file, where, step.name, step.balls or (), artefact_of[str(step.station)], step.station)
+
+
+def _check_balls(file: YamlFile, where: Path_, step: str, balls: tuple[int, ...], artefact: cell.Artefact, station: str | int) -> None:
+    if missing := set(balls) - set(artefact.ball_ids):
+        sentence = f"step '{step}' expects ball {min(missing)}, which the artefact at station '{station}' does not have"
+        raise file.error((*where, "balls"), sentence)
 
 
 def _check_joints(file: YamlFile, where: Path_, q: np.ndarray, n: int) -> None:

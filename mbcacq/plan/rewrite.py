@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import yaml
@@ -13,9 +12,13 @@ from mbcacq.plan.schema import View
 NAME = "designed"
 
 
-def with_views(loaded: LoadedPlan, chosen: Mapping[str, list[View]]) -> str:
-    """The text of the plan with its 'position' steps replaced by one step a station, at the place of the first of them (or first)."""
-    steps = [_step(station, views) for station, views in chosen.items()]
+Chosen = dict[tuple[str, int | None], list[View]]
+
+
+def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
+    """The text of the plan with its 'position' steps replaced by one step a station (and
+    ball), at the place of the first of them (or first)."""
+    steps = [_step(station, aim, views) for (station, aim), views in chosen.items()]
     text = _spliced(loaded, steps)
     expected = _replaced(loaded, steps)
     if text is not None and yaml.safe_load(text) == expected:
@@ -24,8 +27,9 @@ def with_views(loaded: LoadedPlan, chosen: Mapping[str, list[View]]) -> str:
     return yaml.safe_dump(expected, sort_keys=False, allow_unicode=True, width=140)
 
 
-def _step(station: str, views: list[View]) -> dict[str, Any]:
-    return {"name": f"{NAME} {station}", "phase": "position", "do": "look", "stations": [_id(station)], "views": [_view(v) for v in views]}
+def _step(station: str, aim: int | None, views: list[View]) -> dict[str, Any]:
+    name, which = (f"{NAME} {station}", {}) if aim is None else (f"{NAME} {station} ball {aim}", {"balls": [aim]})
+    return {"name": name, "phase": "position", "do": "look", "stations": [_id(station)], **which, "views": [_view(v) for v in views]}
 
 
 def _id(station: str) -> str | int:
@@ -89,7 +93,8 @@ def _trailing_comment(lines: list[str]) -> int:
 
 def _lines(step: dict[str, Any]) -> list[str]:
     head = [f"- name: {_flow(step['name'])}", f"  phase: {step['phase']}", f"  do: {step['do']}"]
-    return [*head, f"  stations: {_flow(step['stations'])}", "  views:", *(f"    - {_flow(view)}" for view in step["views"])]
+    head += [f"  {key}: {_flow(step[key])}" for key in ("stations", "balls") if key in step]
+    return [*head, "  views:", *(f"    - {_flow(view)}" for view in step["views"])]
 
 
 def _flow(value: Any) -> str:

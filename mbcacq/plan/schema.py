@@ -86,12 +86,13 @@ class Translate(Step):
 
 
 class Look(Step):
-    """Look at every station from every view; with ``balls: each`` at each ball of the artefact by itself (longer than the view)."""
+    """Look at every station from every view; with ``balls: each``, or certain ids, at each of these balls by itself (an artefact
+    longer than the view)."""
 
     do: Literal["look"]
     stations: tuple[str | int, ...] = Field(min_length=1)
     views: tuple[View, ...] = Field(min_length=1)
-    balls: Literal["all", "each"] = "all"
+    balls: Literal["all", "each"] | tuple[int, ...] = "all"
 
 
 class Taught(Step):

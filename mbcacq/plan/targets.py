@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.cell import Artefact
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.schema import Look, Taught, Translate, View
@@ -62,10 +63,16 @@ def _translate(loaded: LoadedPlan, index: int, step: Translate) -> Iterator[Targ
 
 def _look(loaded: LoadedPlan, index: int, step: Look) -> Iterator[Target]:
     for station in map(str, step.stations):
-        centres = _artefact(loaded, station).centres
-        for centre in centres if step.balls == "each" else centres.mean(axis=0)[None]:
+        for centre in aims(_artefact(loaded, station), step.balls):
             for i, view in enumerate(step.views):
                 yield _aim(loaded, index, station, centre, view, ("steps", index, "views", i))
+
+
+def aims(artefact: Artefact, balls: str | tuple[int, ...]) -> np.ndarray:
+    """(k, 3) mm points to look at: the middle of all balls, each ball, or certain ones."""
+    if balls == "all":
+        return artefact.centres.mean(axis=0)[None]
+    return artefact.centres if balls == "each" else artefact.centres[[artefact.ball_ids.index(b) for b in balls]]
 
 
 def _taught(loaded: LoadedPlan, index: int, step: Taught) -> Iterator[Target]:

@@ -110,6 +110,16 @@ def test_both_wrist_branches_are_taken_where_asked(published):
         assert np.sign(pose.q[4]) == (1 if views[k % 8].wrist == "positive" else -1)
 
 
+def test_single_balls_of_a_long_artefact(folder):
+    one = folder.plan(("balls: each", "balls: [10]"))
+    loaded = load(one)
+    ends = [p for p in expand(loaded) if p.phase == "verification"]
+    assert [p.balls for p in ends] == [(10,)]
+    assert seen(loaded, ends[0])[1] == pytest.approx(np.zeros(3), abs=1e-6)
+    with pytest.raises(ConfigError, match=r"plan\.yaml:30: step 'ends' expects ball 3, which the artefact at station '2' does not have"):
+        load(folder.plan(("balls: each", "balls: [3]")))
+
+
 def test_an_unreachable_pose_names_step_station_and_line(folder):
     path = folder.plan(("[600, 0, 150]", "[1600, 0, 150]"))
     with pytest.raises(ConfigError) as error:
