@@ -75,11 +75,15 @@ def expand(loaded: LoadedPlan) -> list[PlannedPose]:
     return expand(loaded)
 
 
-def path(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Transit]:
-    """The way to each pose from the one before it (the first: from home), free of collisions as far as the plan knows the cell."""
+def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] = frozenset()) -> list[Transit]:
+    """The way to each pose from the one before it (the first: from home), free of collisions as far as the plan knows the cell.
+
+    done: numbers of poses to pass over (a resumed run); their transits are empty, and the ways lead from one of the others to the next.
+    Raises ConfigError naming the step of the first pose to which no free way was found.
+    """
     from mbcacq.plan.route import path
 
-    return path(loaded, poses)
+    return path(loaded, poses, done)
 
 
 def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:

@@ -26,16 +26,15 @@ class Obstructed:
     closest: Closest
 
 
-def path(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Transit]:
-    """One transit a pose; where the station changes, by way of home, so that the artefact can be moved.
-
-    The poses may be any part of a plan's (those left of an interrupted run): the way to the first one starts at home. Raises ConfigError
-    naming the step of the first pose to which no free way was found.
-    """
-    transits, obstructed = find_paths(loaded, poses)
+def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] = frozenset()) -> list[Transit]:
+    """One transit a pose; where the station changes, by way of home, so that the artefact can be moved. The way to the first pose that is
+    not done starts at home. Raises ConfigError naming the step of the first pose to which no free way was found."""
+    left = [p for p in poses if p.number not in done]
+    transits, obstructed = find_paths(loaded, left)
     if obstructed:
-        raise ConfigError(obstructed_sentence(loaded, poses, obstructed[0]))
-    return transits
+        raise ConfigError(obstructed_sentence(loaded, left, obstructed[0]))
+    ways = iter(transits)
+    return [Transit() if p.number in done else next(ways) for p in poses]
 
 
 def way_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:

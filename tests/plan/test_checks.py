@@ -196,6 +196,17 @@ def test_the_artefact_is_moved_while_the_arm_is_at_home():
     assert way_home(loaded, poses[-1])[-1] == pytest.approx(home)
 
 
+def test_a_resumed_run_starts_from_home_and_keeps_to_the_poses_left():
+    loaded = load(PLANS / "kuka.yaml")
+    poses = expand(loaded)
+    done = frozenset(range(15)) | {17}
+    whole, left = path(loaded, poses), path(loaded, poses, done)
+    assert len(left) == len(poses)
+    assert all(len(left[k]) == 0 for k in done)
+    assert left[15].leave == []  # the arm comes from home, not from pose 14
+    assert [len(t) for t in left[19:]] == [len(t) for t in whole[19:]]
+
+
 def test_motion_time_of_a_long_and_a_short_move():
     """Trapezoid with jerk: s/v + v/a + a/j, where the top speed is reached."""
     from mbcacq.devices import MotionLimits
