@@ -50,6 +50,7 @@ def to_dict(c: Calibration) -> dict[str, Any]:
         "fit": {"poses": len(used_poses), "centres": int(c.used.sum()), "rms_mm": c.rms_mm, "chi2": c.chi2, "dof": c.dof,
                 "chi2_dof": c.chi2 / c.dof if c.dof > 0 else None, "rank": c.rank, "iterations": c.iterations,
                 "expected_accuracy_mm": _expected(c)},
+        "observability": _observability(c),
         "held": c.held,
         "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in c.correlated],
         "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in c.rejected],
@@ -85,6 +86,12 @@ def _transform(rows: Any) -> np.ndarray:
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise ValueError("a transform is not 4 x 4")
     return T
+
+
+def _observability(c: Calibration) -> dict[str, float]:
+    from mbcacq.calibration.observability import of_calibration
+
+    return of_calibration(c)
 
 
 def _expected(c: Calibration) -> float:

@@ -59,16 +59,20 @@ def random_errors(chain: Chain, rng: np.random.Generator, scale: float = 1.0) ->
 def scanner_cell(
     rng: np.random.Generator, *, chain: Chain | None = None, stations: int = 8, per_station: int = 8, bars: int = 0, tilt_deg: float = 30.0,
     noise: tuple[float, float, float] = (0.005, 0.005, 0.009), joint_rad: float = 8e-6, errors: np.ndarray | None = None,
-    hand_eye_error: float = 1.0, stated: bool = True,
+    hand_eye_error: float = 1.0, stated: bool = True, preliminary: bool = False, bar_mm: float = 500.0,
 ) -> Simulated:
-    """A scanner on the flange looks at an eight-ball artefact (and at bars, ball by ball) from tilts about each station's normal."""
+    """A scanner on the flange looks at an eight-ball artefact (and at bars, ball by ball) from tilts about each station's normal.
+
+    preliminary: also the phases 'translation' (six moves along the base axes, as the nominal arm does them) and 'orientation' (six), at station 1.
+    """
+    bar_balls = BAR * bar_mm / 500.0
     chain = kr10() if chain is None else chain
     errors = random_errors(chain, rng) if errors is None else errors
     true_chain = chain.with_errors(errors)
     true_hand_eye = HAND_EYE @ se3.exp(hand_eye_error * rng.normal(size=6) * np.array([1, 1, 1, 0.005, 0.005, 0.005]))
     artefacts = [Artefact("mbc", "MBC-8", tuple(range(1, 9)), MBC, np.full(8, 12.0))]
     if bars:
-        artefacts.append(Artefact("bar", "bar", (9, 10), BAR, np.full(2, 25.0)))
+        artefacts.append(Artefact("bar", "bar", (9, 10), bar_balls, np.full(2, 25.0)))
     placed, T_stations, q, station, phase, pose, ball = [], [], [], [], [], [], []
     for s in range(stations + bars):
         bar = s >= stations
@@ -76,13 +80,20 @@ def scanner_cell(
         T_stations.append(_place(rng, 1.0 if chain.n == 6 else 0.75))
         balls = ([[8], [9]] * 2 if bar else [list(range(8))] * per_station)
         for look in balls:
-            centre = (BAR[look[0] - 8] if bar else MBC.mean(axis=0))
+            centre = (bar_balls[look[0] - 8] if bar else MBC.mean(axis=0))
             joints = _look(true_chain, true_hand_eye, T_stations[-1], centre, rng, tilt_deg)
             pose += [len(q)] * len(look)
             ball += look
             q.append(joints)
             station.append(s)
             phase.append("verification" if bar else "position")
+    if preliminary:
+        for name, joints in _preliminary(chain, true_chain, true_hand_eye, T_stations[0], rng):
+            pose += [len(q)] * 8
+            ball += range(8)
+            q.append(joints)
+            station.append(0)
+            phase.append(name)
     cell = Cell(robot(chain), HAND_EYE, tuple(artefacts), tuple(placed), noise_mm=np.array(noise) if stated else None)
     truth = CellState(true_chain, true_hand_eye, np.array(T_stations), cell.ball_centres)
     obs = Observations(cell, np.arange(len(q)), np.array(station), np.array(q), np.array(pose), np.array(ball),
@@ -125,6 +136,19 @@ def _place(rng: np.random.Generator, reach: float) -> np.ndarray:
     return se3.transform(turn, np.array([radius * np.cos(angle), radius * np.sin(angle), height]))
 
 
+def _preliminary(nominal: Chain, true: Chain, hand_eye, T_base_station, rng):
+    """Joint angles of the phases 'translation' and 'orientation' at one station."""
+    centre = MBC.mean(axis=0)
+    for _ in range(50):
+        first = _look(true, hand_eye, T_base_station, centre, rng, 10.0)
+        T = nominal.flange(first[None])[0]
+        moves = [se3.transform(np.eye(3), sign * 30.0 * axis) for axis in np.eye(3) for sign in (1, -1)]
+        out = [("translation", _inverse(nominal, move @ T, rng, first, exact=True)) for move in moves]
+        if all(joints is not None for _, joints in out):
+            return out + [("orientation", _look(true, hand_eye, T_base_station, centre, rng, 25.0)) for _ in range(6)]
+    raise AssertionError("no reachable translations found")
+
+
 def _look(chain: Chain, T_flange_scanner, T_base_station, centre, rng, tilt_deg: float) -> np.ndarray:
     """Joint angles from which the scanner frame stands at ``centre``, z back at the scanner, tilted and rolled at random."""
     for _ in range(200):
@@ -136,19 +160,19 @@ def _look(chain: Chain, T_flange_scanner, T_base_station, centre, rng, tilt_deg:
     raise AssertionError("no reachable pose found")
 
 
-def _inverse(chain: Chain, target: np.ndarray, rng) -> np.ndarray | None:
+def _inverse(chain: Chain, target: np.ndarray, rng, start: np.ndarray | None = None, exact: bool = False) -> np.ndarray | None:
     """Numerical inverse kinematics: damped Gauss-Newton from a random start."""
     n = chain.n
-    q = rng.uniform(-1, 1, n) * 0.8 + (np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0]))
+    q = start.copy() if start is not None else rng.uniform(-1, 1, n) * 0.8 + (np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0]))
     for _ in range(60):
         frames = chain.frames(q[None])
         off = target @ se3.inverse(frames[0, -1])
         xi = np.concatenate([off[:3, 3] + np.cross(target[:3, 3], np.zeros(3)), se3.rotation_log(off[:3, :3])])
         J = chain.joint_twists(frames)[0].T
         scale = np.array([1e-3] * 3 + [1.0] * 3)
-        step = np.linalg.lstsq(np.vstack([scale[:, None] * J, 0.03 * np.eye(n)]), np.concatenate([scale * xi, np.zeros(n)]), rcond=None)[0]
+        step = np.linalg.lstsq(np.vstack([scale[:, None] * J, (1e-6 if exact else 0.03) * np.eye(n)]), np.concatenate([scale * xi, np.zeros(n)]), rcond=None)[0]
         q = q + np.clip(step, -0.3, 0.3)
-        if np.abs(scale * xi).max() < 1e-3:
+        if np.abs(scale * xi).max() < (1e-10 if exact else 1e-3):
             return q if np.abs(q).max() < 3 else None
     return None
 

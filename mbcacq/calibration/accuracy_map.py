@@ -1,0 +1,49 @@
+"""Expected accuracy over the workspace: how uncertain a measured point is, on a grid of places of the base frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.calibration.rank import base_columns, typical_points
+from mbcacq.calibration.result import Calibration
+
+
+@dataclass(frozen=True)
+class AccuracyMap:
+    """centres: (C, 3) mm of the cells that are reached; sigma_mm: (C,) 3D standard uncertainty of a point, rms over the postures that get
+    there, a rigid motion of the whole base aside; postures: (C,) how many were tried there; cell_mm: edge length."""
+
+    centres: np.ndarray
+    sigma_mm: np.ndarray
+    postures: np.ndarray
+    cell_mm: float
+
+    def to_dict(self) -> dict:
+        return {"cell_mm": self.cell_mm, "centres_mm": self.centres.tolist(), "sigma_mm": self.sigma_mm.tolist(),
+                "postures": self.postures.tolist()}
+
+
+def accuracy_map(calibration: Calibration, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:
+    """Sample postures within the joint limits, and collect the uncertainty of the point in the middle of what the scanner sees."""
+    obs = calibration.observations
+    rng = np.random.default_rng(seed)
+    low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
+    q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
+    columns, points = base_columns(calibration.layout, calibration.state, q, typical_points(obs)[:1])
+    columns = columns - _rigid_part(columns, points)
+    variance = np.einsum("pig,gh,pih->p", columns, calibration.covariance, columns, optimize=True)
+    place = np.floor(points / cell_mm).astype(int)
+    cells, group, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
+    sigma = np.sqrt(np.bincount(group.ravel(), variance) / count)
+    return AccuracyMap((cells + 0.5) * cell_mm, sigma, count, cell_mm)
+
+
+def _rigid_part(columns: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The rigid motion of all points together that explains each column best (the base is wherever the stations put it)."""
+    from mbcacq.geometry import se3
+
+    rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points * 1e-3)], axis=2).reshape(-1, 6)
+    flat = columns.reshape(-1, columns.shape[2])
+    return (rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]).reshape(columns.shape)

@@ -1,0 +1,43 @@
+"""Observability of the parameters by a set of poses: the indices O1 to O5, from the scaled information of the arm and the hand-eye.
+
+O1 (Borm, Menq 1991): geometric mean of the singular values over sqrt(m). O2 (Driels, Pathre 1990): inverse condition number. O3 (Nahvi,
+Hollerbach, Hayward 1994): smallest singular value. O4 (Nahvi, Hollerbach 1996): noise amplification, O3 squared over the largest. O5 (Sun,
+Hollerbach 2008): inverse of the sum of inverses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.calibration.result import Calibration
+
+
+def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str, float]:
+    """O1..O5 of a reduced information matrix (g, g) whose parameters have the plausible sizes ``scale`` (g,), from ``count`` poses.
+
+    The larger, the better, for each. A singular matrix has O1 to O5 of zero.
+    """
+    value = np.linalg.eigvalsh(scale[:, None] * information * scale)
+    singular = np.sqrt(np.maximum(value, 0.0))
+    if singular[0] <= 1e-9 * singular[-1]:
+        return {f"O{i}": 0.0 for i in range(1, 6)}
+    return {
+        "O1": float(np.exp(np.mean(np.log(singular))) / np.sqrt(count)),
+        "O2": float(singular[0] / singular[-1]),
+        "O3": float(singular[0]),
+        "O4": float(singular[0] ** 2 / singular[-1]),
+        "O5": float(1.0 / np.sum(1.0 / singular)),
+    }
+
+
+def of_calibration(calibration: Calibration) -> dict[str, float]:
+    """O1..O5 of the kinematic and hand-eye parameters of a calibration, balls, stations and effects being free as they were."""
+    layout = calibration.layout
+    arm = int(layout.blocks[0].free.sum() + layout.blocks[1].free.sum())
+    scale = layout.gather("scale")[:arm]
+    covariance = calibration.covariance[:arm, :arm] / scale / scale[:, None]
+    if np.linalg.matrix_rank(covariance, hermitian=True) < arm:
+        return {f"O{i}": 0.0 for i in range(1, 6)}
+    information = np.linalg.inv(covariance)
+    poses = len(np.unique(calibration.observations.pose[calibration.used]))
+    return indices(information, np.ones(arm), poses)

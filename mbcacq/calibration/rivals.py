@@ -1,0 +1,107 @@
+"""Ways to calibrate that are compared on the same data, each as a function from observations to a :class:`CellState`.
+
+Where a way does not apply to a recording, it raises CalibrationError with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.calibration.estimate import calibrate, with_all_stations
+from mbcacq.calibration.forward import CellState
+from mbcacq.calibration.options import Options
+from mbcacq.cell import TARGET_IN_BASE
+from mbcacq.errors import CalibrationError
+from mbcacq.geometry import se3
+from mbcacq.observations import Observations
+
+OPENCV = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
+
+
+def nominal(obs: Observations) -> CellState:
+    """Nothing identified: nominal arm, hand-eye as first guessed, stations where the points are."""
+    nowhere = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
+    return with_all_stations(obs, CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, nowhere, obs.cell.ball_centres))
+
+
+def hand_eye_only(obs: Observations) -> CellState:
+    """Nominal arm; hand-eye and stations by maximum likelihood."""
+    return calibrate(obs, Options(kinematics=False, refuse=False)).state
+
+
+def opencv(name: str) -> Callable[[Observations], CellState]:
+    """Hand-eye by AX = XB with one of OpenCV's methods, from the artefact's pose in each scan of the station with most poses."""
+
+    def fit(obs: Observations) -> CellState:
+        try:
+            import cv2
+        except ImportError as error:
+            raise CalibrationError("OpenCV is not installed; pip install opencv-python-headless") from error
+        where, T_scanner_artefact = artefact_poses(obs)
+        if len(where) < 3:
+            raise CalibrationError("needs three scans of one station that show three balls each")
+        station = np.bincount(obs.station[where]).argmax()
+        here = obs.station[where] == station
+        T = obs.cell.robot.chain.flange(obs.q[where[here]])
+        seen = T_scanner_artefact[here]
+        R, t = cv2.calibrateHandEye(T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3], method=getattr(cv2, f"CALIB_HAND_EYE_{name}"))
+        X = se3.transform(R, t.ravel())
+        if not np.all(np.isfinite(X)):
+            raise CalibrationError("gave no finite transform")
+        return with_all_stations(obs, replace(nominal(obs), T_flange_scanner=X))
+
+    return fit
+
+
+def published(obs: Observations) -> CellState:
+    """The paper's method."""
+    return calibrate(obs, Options(method="paper")).state
+
+
+def distances_only(obs: Observations) -> CellState:
+    """The distance constraint alone, on the measured centres of all balls, redundant parameters held."""
+    from mbcacq.calibration import blocks
+    from mbcacq.calibration.paper import distance
+
+    _scanner_of_several_balls(obs)
+    free = np.concatenate([b.free for b in blocks.build(obs, Options()).blocks[:2]])
+    first = hand_eye_only(obs)
+    at = distance.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
+    if len(at.a) < 2 * free.sum():
+        raise CalibrationError("too few distances between balls seen from different poses")
+    found = distance.identify(first.chain, first.T_flange_scanner, obs.q, obs.pose, obs.xyz, at, free)
+    return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
+
+
+def ours(obs: Observations) -> CellState:
+    """Everything at once by maximum likelihood."""
+    return calibrate(obs, Options(refuse=False)).state
+
+
+RIVALS: dict[str, Callable[[Observations], CellState]] = {
+    "nominal": nominal,
+    **{f"AX=XB {name.capitalize()} (OpenCV)": opencv(name) for name in OPENCV},
+    "hand-eye only": hand_eye_only,
+    "paper": published,
+    "distances only": distances_only,
+    "maximum likelihood": ours,
+}
+
+
+def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (K,) whose scan shows three balls or more, and T_scanner_artefact (K, 4, 4) of each."""
+    _scanner_of_several_balls(obs)
+    from mbcacq.calibration.start import match
+
+    where = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3)
+    rows = np.isin(obs.pose, where)
+    group = np.searchsorted(where, obs.pose[rows])
+    return where, match(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
+
+
+def _scanner_of_several_balls(obs: Observations) -> None:
+    if obs.cell.measurement == TARGET_IN_BASE or np.bincount(obs.pose).max(initial=0) < 2 or not np.any(np.abs(obs.xyz) > 1e-9):
+        raise CalibrationError("needs a scanner that sees several balls at a pose")

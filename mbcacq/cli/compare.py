@@ -1,0 +1,45 @@
+"""``mbcacq compare``: calibration methods side by side on the same data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command("compare")
+@click.argument("data", type=click.Path(path_type=Path))
+@click.option("--no-held-out", is_flag=True, help="Leave out the refits without some stations.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the split.")
+@click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
+def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
+    """Calibrate the recording DATA in every way and compare: nominal, AX=XB (OpenCV, where installed), hand-eye only, the paper's method,
+    distance constraint only, maximum likelihood.
+
+    \b
+    Example:
+      mbcacq compare runs/today
+    """
+    from mbcacq.calibration.comparison import compare
+    from mbcacq.recording import load
+
+    rows = compare(load(data), held_out=not no_held_out, seed=seed)
+    if as_json:
+        click.echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{data} (mm)", title_justify="left")
+    for name in ("method", "fit rms", "bar mean", "bar max", "held-out rms", "time s"):
+        table.add_column(name, justify="left" if name == "method" else "right", no_wrap=True)
+    for row in rows:
+        values = (row.fit_mm, row.bar_mean_mm, row.bar_max_mm, row.held_out_mm)
+        shown = [f"{v:.4f}" if v is not None else "-" for v in values]
+        table.add_row(row.method, *shown, f"{row.time_s:.2f}" if row.time_s is not None else "-")
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    for why in dict.fromkeys(row.why for row in rows if row.why):
+        names = ", ".join(row.method for row in rows if row.why == why)
+        console.print(f"No result for {names}: {why}")

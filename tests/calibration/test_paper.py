@@ -1,0 +1,139 @@
+"""Each stage of the published method on its own, against a cell of known truth; and all of them together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import HAND_EYE, MBC, scanner_cell, tracker_cell
+
+from mbcacq.calibration import Options, calibrate, verify
+from mbcacq.calibration.paper import angles, distance, hand_eye, method
+from mbcacq.errors import CalibrationError
+from mbcacq.geometry import se3
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return scanner_cell(np.random.default_rng(31), stations=8, per_station=8, bars=4, preliminary=True)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """No noise and a perfect arm."""
+    return scanner_cell(np.random.default_rng(32), stations=2, per_station=4, errors=np.zeros((6, 5)), noise=(0, 0, 0), joint_rad=0, preliminary=True)
+
+
+def test_angles_and_their_derivatives():
+    corners = angles.triples(4)
+    assert len(corners) == 12
+    right = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    value, B = angles.angles(right, corners)
+    assert np.degrees(value[0][(corners == [0, 1, 2]).all(axis=1)]) == pytest.approx(90)
+    assert np.degrees(value[0][(corners == [1, 0, 2]).all(axis=1)]) == pytest.approx(45)
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(1, 4, 3))
+    _, B = angles.angles(points, corners)
+    for j in range(12):
+        step = np.zeros(12)
+        step[j] = 1e-6
+        difference = angles.angles(points + step.reshape(4, 3), corners)[0] - angles.angles(points - step.reshape(4, 3), corners)[0]
+        np.testing.assert_allclose(B[0, :, j], difference[0] / 2e-6, atol=1e-7)
+
+
+def test_angles_leave_seven_directions_undetermined():
+    _, B = angles.angles(MBC[None], angles.triples(8))
+    assert np.linalg.matrix_rank(B[0], tol=1e-9) == 24 - 7
+
+
+def test_adjustment_restores_the_shape_but_not_the_scale():
+    rng = np.random.default_rng(2)
+    T = se3.exp(rng.normal(size=(20, 6)) * np.array([50, 50, 50, 0.5, 0.5, 0.5]))
+    true = 1.002 * se3.apply(T[:, None], MBC[None])
+    measured = true + rng.normal(size=true.shape) * 0.05
+    corrected, curve = angles.adjust(measured, MBC)
+
+    def shape(points):
+        d = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
+        return d, np.linalg.norm(MBC[:, None] - MBC, axis=2)
+
+    before, certified = shape(measured)
+    after, _ = shape(corrected)
+    upper = np.triu_indices(8, 1)
+    scaled = certified[upper] * 1.002
+    assert np.std(after[:, *upper] / scaled - 1) < 0.5 * np.std(before[:, *upper] / scaled - 1)
+    assert np.mean(after[:, *upper] / certified[upper]) == pytest.approx(1.002, abs=3e-4)
+    assert 0 < curve.corner < len(curve.ridge) - 1
+    assert np.all(np.diff(curve.misfit) >= -1e-12)
+    assert np.all(np.diff(curve.size) <= 1e-12)
+
+
+def test_l_curve_can_be_drawn(tmp_path):
+    _, curve = angles.adjust(MBC[None] + np.random.default_rng(3).normal(size=(4, 8, 3)) * 0.01, MBC)
+    curve.plot(tmp_path / "curve.html")
+    assert "ridge parameter" in (tmp_path / "curve.html").read_text()
+
+
+def test_hand_eye_of_a_perfect_arm_is_exact(exact):
+    obs = exact.observations
+    X, stages = method.preliminary(obs)
+    np.testing.assert_allclose(X, exact.truth.T_flange_scanner, atol=1e-7)
+    assert stages[1]["rms_virtual_point_after_mm"] < 1e-6 < stages[1]["rms_virtual_point_before_mm"]
+
+
+def test_hand_eye_with_noise_is_near_the_truth(cell):
+    X, _ = method.preliminary(cell.observations)
+    off = se3.inverse(cell.truth.T_flange_scanner) @ X
+    assert np.linalg.norm(off[:3, 3]) < 3.0
+    assert np.degrees(np.linalg.norm(se3.rotation_log(off[:3, :3]))) < 0.5
+
+
+def test_parallel_translations_and_turns_about_one_axis_are_refused(exact):
+    T = np.tile(np.eye(4), (6, 1, 1))
+    T[:, 0, 3] = np.arange(6) * 30.0
+    with pytest.raises(CalibrationError, match="do not span a plane"):
+        hand_eye.rotation_from_translations(T, -T[:, :3, 3])
+    turns = se3.exp(np.linspace(0, 1, 6)[:, None] * np.array([0, 0, 0, 0, 0, 1.0]))
+    with pytest.raises(CalibrationError, match="one axis only"):
+        hand_eye.translation_from_orientations(turns, np.zeros((6, 3)), np.eye(3))
+
+
+def test_distances_of_one_scan_are_left_out():
+    pose, station, ball = np.repeat([0, 1, 2], 2), np.repeat([0, 0, 1], 2), np.tile([0, 1], 3)
+    found = distance.pairs(pose, station, ball, MBC)
+    assert {(a, b) for a, b in zip(found.a, found.b, strict=True)} == {(0, 3), (1, 2)}
+    np.testing.assert_allclose(found.certified, np.linalg.norm(MBC[0] - MBC[1]))
+
+
+def test_distance_constraint_identifies_arm_and_hand_eye_without_noise():
+    cell = scanner_cell(np.random.default_rng(33), stations=8, per_station=6, noise=(0, 0, 0), joint_rad=0)
+    obs = cell.observations
+    free = np.concatenate([b.free for b in method.published_layout(obs, Options()).blocks[:2]])
+    free &= ~np.isin(np.arange(36), [0, 1, 25, 26, 27, 28, 29])  # theta_1, d_1 and the last link, so that the answer is unique
+    at = distance.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
+    found = distance.identify(obs.cell.robot.chain, HAND_EYE, obs.q, obs.pose, obs.xyz, at, free)
+    assert found.rms_after < 1e-3 < found.rms_before
+    np.testing.assert_allclose(found.chain.rows - obs.cell.robot.chain.rows, cell.errors, atol=0.02)
+
+
+def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(cell):
+    obs = cell.observations
+    published, ours = calibrate(obs, Options(method="paper")), calibrate(obs)
+    theirs = verify(obs, published).to_dict()
+    assert theirs["after"]["mean_mm"] < theirs["before"]["mean_mm"]
+    assert verify(obs, ours).to_dict()["after"]["mean_mm"] < 0.5 * theirs["after"]["mean_mm"]
+    stage = published.to_dict()["stages"][-1]
+    assert stage["rms_distance_after_mm"] < 0.5 * stage["rms_distance_before_mm"]
+    names = [s["stage"] for s in published.to_dict()["stages"]]
+    assert [n.split(" (")[0] for n in names] == ["angle adjustment", "hand-eye rotation from translations",
+                                                 "hand-eye translation from orientations", "distance constraint"]
+    assert "d_2" in published.held
+    assert "theta_1" not in published.held
+
+
+def test_refusals(cell):
+    with pytest.raises(CalibrationError, match="scanner on the flange"):
+        calibrate(tracker_cell(np.random.default_rng(1)).observations, Options(method="paper"))
+    obs = cell.observations
+    two = obs.ball < 2
+    with pytest.raises(CalibrationError, match="same four balls"):
+        calibrate(replace(obs, pose=obs.pose[two], ball=obs.ball[two], xyz=obs.xyz[two]), Options(method="paper"))
