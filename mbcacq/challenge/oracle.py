@@ -1,0 +1,104 @@
+"""What could be achieved: the true effect alone, its place and its order or moment known, fitted as the diagnosis fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbcacq.diagnosis import noise, prove
+from mbcacq.diagnosis.explain import NOTHING, Model, best_hyper
+from mbcacq.diagnosis.finding import Setup, columns_of, outliers, prepare
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.whitening import Noise
+from mbcacq.observations import Observations
+from mbcacq.physics.effect import Candidate
+
+FOLDS = 4
+
+
+@dataclass(frozen=True)
+class Achievable:
+    """Held-out chi2 per degree of freedom without and with the true model. known: whether the catalogue had it for these data."""
+
+    before: float
+    after: float
+    known: bool
+
+    @property
+    def improvement(self) -> float:
+        """Share of the held-out chi2 that goes away."""
+        return 1.0 - self.after / self.before if self.before > 0 else 0.0
+
+
+def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achievable:
+    """truth: the opened envelope's effects, as the fake cell tells them."""
+    setup = prepare(observations)
+    members, known = [], bool(truth)
+    for effect in truth:
+        found = true_members(setup, effect)
+        known &= bool(found)
+        members += found
+    model = Model(tuple(members), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+    linear = setup.linear
+    sigma = noise.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
+    better = outliers(Screen(linear, sigma), model)
+    if np.mean(~better) < 0.05:
+        linear = linear.restricted(better)
+        sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
+    return Achievable(held_out(linear, NOTHING, sigma), held_out(linear, model, sigma), known)
+
+
+def true_members(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
+    """The catalogue's candidates that are the concealed effect; of several variants the one that fits best for its size."""
+    chosen = []
+    screen = Screen(setup.linear, setup.first)
+    for group in wanted(effect):
+        fitting = [c for c in setup.candidates if c.name == effect["name"] and set(c.where) == group]
+        scored = []
+        for candidate in fitting:
+            for hyper in true_hypers(setup, candidate, effect):
+                scored.append((hyper, screen.test(candidate, hyper) if hyper is not None else best_hyper(screen, candidate)))
+        if effect["name"] == "gear_transmission_error":
+            chosen += [(s.candidate, h) for h, s in scored]
+        elif scored:
+            best = max((s for _, s in scored), key=lambda s: s.gain - 3 * s.k)
+            chosen.append((best.candidate, best.hyper))
+    return chosen
+
+
+def wanted(effect: dict[str, Any]) -> list[set[str]]:
+    """Places of the candidates: several joints of one effect are one candidate each, a coupling is one of two joints."""
+    where = effect["where"]
+    return [set(where)] if effect["name"] == "wrist_coupling" else [{w} for w in where]
+
+
+def true_hypers(setup: Setup, candidate: Candidate, effect: dict[str, Any]) -> list[float | None]:
+    if candidate.hyper is None:
+        return [None]
+    value = effect.get(candidate.hyper.name)
+    if value is None:
+        return [None]
+    if candidate.hyper.name == "at_pose":
+        here = np.flatnonzero(setup.linear.obs.pose_id == int(value))
+        return [float(setup.situation.order[here[0]])] if len(here) else [None]
+    return [float(v) for v in np.atleast_1d(value)]
+
+
+def without_effect(with_it: Observations, without_it: Observations) -> Achievable:
+    """For an effect without a name: held-out chi2 of the geometry alone, and in the same cell had nothing been concealed."""
+    clean = prepare(without_it)
+    sigma = noise.estimate(clean.linear, *columns_of(clean.linear, NOTHING, None), clean.first, clean.first)
+    return Achievable(held_out(prepare(with_it).linear, NOTHING, sigma), held_out(clean.linear, NOTHING, sigma), False)
+
+
+def held_out(linear: Linear, model: Model, sigma: Noise) -> float:
+    """chi2 per degree of freedom on stations left out in turn."""
+    fold, _ = prove.split(linear, FOLDS)
+    total = prove.EMPTY
+    for k in range(int(fold.max()) + 1):
+        train, test = linear.keep & (fold != k)[linear.obs.pose], linear.keep & (fold == k)[linear.obs.pose]
+        total += prove.judge(linear, train, test, model, None, sigma)
+    return total.chi2_dof

@@ -1,0 +1,57 @@
+"""How strong a concealed effect must be for a wanted excess over the noise, once geometry and stations have absorbed what they can."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.challenge.envelopes import Envelope
+from mbcacq.challenge.made import Concealed, observe
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.whitening import Noise
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+LARGEST = 30.0      # times its plain size: beyond this an effect that the plan cannot see stays weak
+TRUE_JOINT = 5e-6   # rad, the fake cell's default
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Of one plan; the cell is linearised once, where the plan has it."""
+
+    loaded: LoadedPlan
+    poses: Sequence[PlannedPose]
+
+    @cached_property
+    def screen(self) -> Screen:
+        from mbcacq.plan.observed import planned_state
+
+        quiet = Envelope(0, "none", 1, (), 1, 0.0)
+        observations, _ = observe(self.loaded, self.poses, quiet, [])
+        urad = self.loaded.plan.fake.get("repeatability_urad")
+        joint = TRUE_JOINT if urad is None else 1e-6 * float(urad)
+        point = np.array(self.loaded.plan.scanner.noise_mm or (0.005, 0.005, 0.009)) / np.sqrt(self.poses[0].exposures)
+        return Screen(Linear(observations, planned_state(self.loaded)), Noise(point, np.full(self.loaded.cell.robot.n, joint)))
+
+    def gain(self, envelope: Envelope, concealed: Concealed) -> float:
+        """chi2 that the concealed effects add beyond what geometry absorbs."""
+        plain = replace(envelope, outliers=0.0, missing=())
+        with_it, _ = observe(self.loaded, self.poses, plain, concealed)
+        without_it, _ = observe(self.loaded, self.poses, plain, [])
+        moved = self.screen.whiten(with_it.xyz - without_it.xyz)
+        taken = self.screen.Q.T @ moved
+        return float(moved @ moved - taken @ taken)
+
+    def conceal(self, envelope: Envelope) -> Concealed:
+        """The effects of an envelope, each as strong as is wanted, as a plan's ``fake: hidden`` takes them."""
+        out = []
+        for i, name in enumerate(envelope.names):
+            one = {"name": name, "strength": 1.0, "seed": envelope.effect_seed + i}
+            gain = max(self.gain(envelope, [one]), 1e-9)
+            wanted = envelope.excess * self.screen.dof
+            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), LARGEST))})
+        return out
