@@ -21,7 +21,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand
 from mbcacq.plan.candidates import Candidate, candidates
 from mbcacq.plan.exchange import Criterion, choose
 from mbcacq.plan.observed import planned_noise, planned_observations, planned_state, trial
-from mbcacq.plan.prospect import prospect
+from mbcacq.plan.prospect import Prospect, prospect
 from mbcacq.plan.rewrite import Chosen, with_views
 
 PER_STATION = 220
@@ -93,10 +93,16 @@ def compare(plans: Sequence[tuple[LoadedPlan, Sequence[PlannedPose]]], seed: int
     """Expected and simulated accuracy of each plan, in flat dictionaries."""
     out = []
     for loaded, poses in plans:
-        outlook, found = prospect(loaded, poses), simulated_error(loaded, poses, seed=seed)
+        try:
+            outlook: Prospect | None = prospect(loaded, poses)
+        except CalibrationError:
+            outlook = None
+        found = outlook and simulated_error(loaded, poses, seed=seed)
+        indices = dict.fromkeys(("O1", "O2", "O3", "O4", "O5")) if outlook is None else outlook.indices
         out.append({
-            "poses": sum(p.phase != "verification" for p in poses), "expected_bar_mean_mm": outlook.bar_mm,
-            "expected_bar_mean_of_calibration_mm": outlook.bar_cell_mm, "expected_workspace_mm": outlook.workspace_mm, **outlook.indices,
+            "poses": sum(p.phase != "verification" for p in poses), "expected_bar_mean_mm": outlook and outlook.bar_mm,
+            "expected_bar_mean_of_calibration_mm": outlook and outlook.bar_cell_mm,
+            "expected_workspace_mm": outlook and outlook.workspace_mm, **indices,
             "simulated_bar_mean_mm": found and found.mean_mm, "simulated_standard_error_mm": found and found.standard_error_mm,
             "simulated_bar_max_mm": found and found.max_mm,
         })

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import Calibration, Noise, Options, blocks, rank
+from mbcacq.calibration.adequacy import refuse_degenerate
 from mbcacq.calibration.blocks import Estimate
 from mbcacq.calibration.estimate import select_phases
 from mbcacq.calibration.linearise import Lineariser
@@ -56,8 +57,10 @@ class Prospect:
 
 
 def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
-    """Linearised at the planned cell. Raises CalibrationError where there are no poses to calibrate with."""
+    """Linearised at the planned cell. Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where
+    the poses can determine nothing."""
     observations = planned_observations(loaded, poses)
+    refuse_degenerate(select_phases(observations, Options()), Options())
     calibration = foreseen(loaded, observations, planned_noise(loaded, poses))
     sound = all(u.harmless for u in calibration.undetermined)
     places = verify(observations, calibration).places if sound else ()

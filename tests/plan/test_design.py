@@ -68,6 +68,16 @@ def test_one_place_leaves_much_undetermined_and_says_so(folder):
     assert {"undetermined", "weak"} & {f.code for f in found if f.level == "warning"}
 
 
+def test_one_orientation_is_refused_in_the_words_of_the_calibration(folder):
+    text = folder.plan().read_text().split("steps:")[0]
+    step = "steps:\n  - {name: t, phase: translation, do: translate, station: 1, offsets_mm: [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]]}\n"
+    loaded = load(folder.write("plan.yaml", text + step))
+    poses = expand(loaded)
+    found, outlook, sight = insight(loaded, poses, summary(loaded, poses))
+    assert (outlook, sight) == (None, None)
+    assert "all poses have the same orientation" in found[0].sentence
+
+
 def test_without_calibration_poses_nothing_is_promised(folder):
     loaded = load(folder.plan(("phase: position", "phase: verification")))
     poses = expand(loaded)

@@ -1,6 +1,10 @@
 """Every fault of a file becomes one sentence with the right file and line."""
 
+import numpy as np
 import pytest
+from conftest import PLANS
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from mbcacq.errors import ConfigError
 from mbcacq.plan import load
@@ -64,6 +68,32 @@ def test_fault_of_another_file_is_named_in_that_file(folder, fault):
     with pytest.raises(ConfigError) as error:
         load(folder.plan())
     assert str(error.value) == f"{folder.path}/{message}"
+
+
+SPOILS = ["", "-", "[", "]", "{", "}", ":", "0", "-1", ".nan", "null", "true", '"', "\n", "  ", "&a ", "*a", "!!float x", "\t", "#", "1:30", "[]", "é", "1" * 30]
+
+
+@given(file=st.sampled_from(["quick.yaml", "robots/kr10_r1100_2.yaml", "artefacts/mbc-8.yaml"]), data=st.data())
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_spoiled_file_is_read_or_refused_in_one_sentence(tmp_path, file, data):
+    for name in ("quick.yaml", "robots/kr10_r1100_2.yaml", "artefacts/mbc-8.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        text = (PLANS / name).read_text()
+        if name == file:
+            at, cut = data.draw(st.integers(0, len(text) - 1)), data.draw(st.integers(0, 20))
+            text = text[:at] + data.draw(st.sampled_from(SPOILS)) + text[at + cut:]
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    loaded, message = None, ""
+    try:
+        loaded = load(tmp_path / "quick.yaml")
+    except ConfigError as error:
+        message = str(error)
+    if loaded is None:
+        assert message.startswith(str(tmp_path))
+        assert "\n" not in message
+    else:
+        assert np.isfinite(loaded.cell.ball_centres).all()
+        assert np.isfinite(loaded.cell.robot.chain.rows).all()
 
 
 def test_no_plan_no_directory_no_text(tmp_path):
