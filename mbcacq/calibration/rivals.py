@@ -39,7 +39,9 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
         try:
             import cv2
         except ImportError as error:
-            raise CalibrationError("OpenCV is not installed; pip install opencv-python-headless") from error
+            raise CalibrationError("OpenCV is not installed; pip install 'opencv-python-headless<5'") from error
+        if not hasattr(cv2, "calibrateHandEye"):
+            raise CalibrationError(f"OpenCV {cv2.__version__} has no calibrateHandEye in Python; pip install 'opencv-python-headless<5'")
         where, T_scanner_artefact = artefact_poses(obs)
         if len(where) < 3:
             raise CalibrationError("needs three scans of one station that show three balls each")
@@ -47,7 +49,11 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
         here = obs.station[where] == station
         T = obs.cell.robot.chain.flange(obs.q[where[here]])
         seen = T_scanner_artefact[here]
-        R, t = cv2.calibrateHandEye(T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3], method=getattr(cv2, f"CALIB_HAND_EYE_{name}"))
+        method = getattr(cv2, f"CALIB_HAND_EYE_{name}")
+        try:
+            R, t = cv2.calibrateHandEye(T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3], method=method)
+        except cv2.error as error:
+            raise CalibrationError(f"OpenCV refused the poses: {str(error).splitlines()[-1].strip()}") from error
         X = se3.transform(R, t.ravel())
         if not np.all(np.isfinite(X)):
             raise CalibrationError("gave no finite transform")

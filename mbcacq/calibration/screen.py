@@ -61,9 +61,8 @@ def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
     displaced = np.zeros(n_poses, bool)
     companions = count[pose] > 1
     if companions.any():
-        inside = companions & (weights.centre > 0) & (weights.pose[pose] > 0)
-        base = d.centre[inside if inside.any() else companions]
-        scale = max(np.median(base) / chi2_quantile(np.array(float(d.centre_dof)), 0.0), 1e-300)
+        # The scale is that of all, left out or not: a median of the survivors would shrink from round to round.
+        scale = max(np.median(d.centre[companions]) / chi2_quantile(np.array(float(d.centre_dof)), 0.0), 1e-300)
         worst = np.zeros(n_poses)
         np.maximum.at(worst, pose, d.centre)
         off = companions & (d.centre > max(scale, 0.5) * chi2_quantile(np.array(float(d.centre_dof)), TAIL))
@@ -74,8 +73,7 @@ def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
     used = np.bincount(pose, centre, minlength=n_poses)
     judged = d.pose_dof > 0
     per_dof = d.pose / chi2_quantile(np.maximum(d.pose_dof, 1.0), 0.0)
-    trusted = judged & (weights.pose > 0)
-    scale = np.median(per_dof[trusted if trusted.any() else judged]) if judged.any() else 1.0
+    scale = np.median(per_dof[judged]) if judged.any() else 1.0
     out = judged & (d.pose > max(scale, 0.5) * chi2_quantile(np.maximum(d.pose_dof, 1.0), TAIL))
     changed = np.bincount(pose, centre != weights.centre, minlength=n_poses) > 0
     # A pose whose centres were just judged anew gets its own verdict in the next round.

