@@ -50,12 +50,14 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
     from mbcacq.plan.expansion import expand_reachable
     from mbcacq.plan.findings import merged
     from mbcacq.plan.insight import insight, words
+    from mbcacq.plan.route import find_paths
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
     poses, _ = expand_reachable(loaded)
-    findings, content = check(loaded, poses), summary(loaded, poses)
-    more, outlook, sight = ([], None, None) if quick else insight(loaded, poses, content)
+    routes = find_paths(loaded, poses)
+    findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
+    more, outlook, sight = ([], None, None) if quick else insight(loaded, poses, content, routes)
     findings += more
     errors = sum(f.level == "error" for f in findings)
     if as_json:

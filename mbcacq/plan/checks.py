@@ -11,7 +11,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import Finding, finding
-from mbcacq.plan.route import find_paths, obstructed_sentence
+from mbcacq.plan.route import Routes, find_paths, obstructed_sentence
 from mbcacq.plan.sight import check_sight
 
 LIMIT_MARGIN = np.radians(2.0)
@@ -20,10 +20,12 @@ NEAR_AXIS_MM = 30.0
 SAME = np.radians(0.01)
 
 
-def check(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Finding]:
-    """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises."""
+def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[Finding]:
+    """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises.
+
+    routes: of ``find_paths``, where they are known already."""
     return [*check_reach(loaded), *check_joints(loaded, poses), *check_sight(loaded, poses), *check_clearance(loaded, poses),
-            *check_ways(loaded, poses), *check_repetition(loaded, poses), *check_revisits(loaded, poses)]
+            *check_ways(loaded, poses, routes), *check_repetition(loaded, poses), *check_revisits(loaded, poses)]
 
 
 def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
@@ -87,12 +89,15 @@ def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterato
             yield finding(loaded, pose, "error", "collision", f"at pose {pose.number} {_touch(near)}; change the view, or move the station")
 
 
-def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[Finding]:
     """Poses to which no free way was found; those that collide by themselves are said elsewhere."""
+    _, obstructed = find_paths(loaded, poses) if routes is None else routes
+    if not obstructed:
+        return
     clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
     spoiled = {p.number for p in poses if clearance.at(p.q, p.station).distance < needed}
     by_number = {p.number: (before, p) for before, p in zip([None, *poses[:-1]], poses, strict=True)}
-    for blocked in find_paths(loaded, poses)[1]:
+    for blocked in obstructed:
         before, pose = by_number[blocked.number]
         if pose.number in spoiled or (before is not None and before.number in spoiled):
             continue

@@ -45,9 +45,9 @@ class Clearance:
 
     def at(self, q: np.ndarray, station: str | None) -> Closest:
         """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away)."""
-        frames = self._chain.frames(q[None])[0]
+        posture = Posture(self._chain.frames(q[None])[0])
         pairs = self.pairs(station)
-        distances = [_distance(p, frames) for p in pairs]
+        distances = [posture.distance(p) for p in pairs]
         k = int(np.argmin(distances)) if distances else -1
         return Closest(distances[k], pairs[k].a.name, pairs[k].b.name) if distances else Closest(np.inf, "", "")
 
@@ -62,10 +62,10 @@ class Clearance:
         stack = [(0.0, 1.0, pairs)]
         while stack:
             low, high, suspects = stack.pop()
-            frames = self._chain.frames((start + (low + high) / 2 * (end - start))[None])[0]
+            posture = Posture(self._chain.frames((start + (low + high) / 2 * (end - start))[None])[0])
             share, close = high - low, []
             for pair, sweep in suspects:
-                distance = _distance(pair, frames)
+                distance = posture.distance(pair)
                 if distance < needed:
                     return Closest(distance, pair.a.name, pair.b.name)
                 if distance - share * sweep < needed and share * sweep > FINEST_MM / 2:
@@ -94,8 +94,8 @@ class Clearance:
         robot = self._loaded.cell.robot
         q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (POSTURES, robot.n))
         pairs = [self._pair(a, b) for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1)]
-        frames = robot.chain.frames(q)
-        return [p for p in pairs if any(_distance(p, f) > 0 for f in frames)]
+        postures = [Posture(frames) for frames in robot.chain.frames(q)]
+        return [p for p in pairs if any(posture.distance(p) > 0 for posture in postures)]
 
     def _against(self, body: Body) -> list[Pair]:
         """What stands still, against all that moves; link 1 turns on the spot, where the arm is bolted down."""
@@ -115,15 +115,23 @@ class Clearance:
         return lever
 
 
-def _distance(pair: Pair, frames: np.ndarray) -> float:
-    import coal
+class Posture:
+    """Bodies placed for one posture, each only once. frames: (n + 1, 4, 4)."""
 
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    return pair.distance(_placed(pair.a, frames), _placed(pair.b, frames), request, result)
+    def __init__(self, frames: np.ndarray) -> None:
+        self._frames, self._placed = frames, {}
 
+    def distance(self, pair: Pair) -> float:
+        """mm, negative: overlap."""
+        import coal
 
-def _placed(body: Body, frames: np.ndarray) -> Any:
-    import coal
+        return pair.distance(self._place(pair.a), self._place(pair.b), coal.DistanceRequest(), coal.DistanceResult())
 
-    T = frames[body.link] @ body.pose
-    return coal.Transform3s(T[:3, :3], T[:3, 3])
+    def _place(self, body: Body) -> Any:
+        import coal
+
+        placed = self._placed.get(id(body))
+        if placed is None:
+            T = self._frames[body.link] @ body.pose
+            placed = self._placed[id(body)] = coal.Transform3s(T[:3, :3], T[:3, 3])
+        return placed

@@ -9,16 +9,15 @@ from mbcacq.errors import CalibrationError
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.findings import Finding
 from mbcacq.plan.prospect import Prospect, prospect
+from mbcacq.plan.route import Routes, find_paths
 from mbcacq.plan.visibility import Sight, visibility
 
 WEAK_MM = 0.1           # uncertainty of a point somewhere in reach that deserves a warning
 Figures = tuple[list[Finding], Prospect | None, Sight | None]
 
 
-def insight(loaded: LoadedPlan, poses: Sequence[PlannedPose], summary: dict[str, Any]) -> Figures:
+def insight(loaded: LoadedPlan, poses: Sequence[PlannedPose], summary: dict[str, Any], routes: Routes | None = None) -> Figures:
     """Findings about identifiability; the figures behind them, or None where the poses do not suffice to compute them."""
-    from mbcacq.plan.route import find_paths
-
     place = f"{loaded.path}:{loaded.lines.get(('steps',), 1)}"
     seeing = [p for p in poses if p.balls]
     if not any(p.phase != "verification" for p in seeing):
@@ -28,7 +27,8 @@ def insight(loaded: LoadedPlan, poses: Sequence[PlannedPose], summary: dict[str,
     except CalibrationError as error:
         return [Finding("warning", "undetermined", "", place, str(error))], None, None
     starts = {p["pose"]: p["start_s"] for p in summary["poses"]}
-    sight = visibility(loaded, seeing, find_paths(loaded, seeing)[0], [starts[p.number] for p in seeing])
+    transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
+    sight = visibility(loaded, seeing, [transits[p.number] for p in seeing], [starts[p.number] for p in seeing])
     return [*_of_prospect(outlook, place), *_of_sight(sight, place)], outlook, sight
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -43,7 +43,10 @@ def way_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:
     return router.leave(pose) or [router.home]
 
 
-def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> tuple[list[Transit], list[Obstructed]]:
+Routes = tuple[list[Transit], list[Obstructed]]
+
+
+def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
     """Transits to all poses, straight where no free way was found, and which those are."""
     router = Router(loaded)
     transits, obstructed = [], []
@@ -83,33 +86,38 @@ class Router:
 
     def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a to b, both looking at the artefact of one station; None: no free way."""
-        ways = [[]]
-        back_a, back_b = list(self._retracted(a.q)), list(self._retracted(b.q))
-        ways += [[x, y] for x, y in zip(back_a, back_b, strict=False)]
-        ways += [[self.home]] + [[x, self.home, y] for x, y in zip(back_a, back_b, strict=False)]
-        return self._first_free(a.q, b.q, ways, a.station)
+        def ways() -> Iterator[list[np.ndarray]]:
+            yield []
+            back = list(zip(self._retracted(a.q), self._retracted(b.q), strict=False))
+            yield from ([x, y] for x, y in back)
+            yield [self.home]
+            yield from ([x, self.home, y] for x, y in back)
+
+        return self._first_free(a.q, b.q, ways(), a.station)
 
     def leave(self, pose: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a pose to home, home included."""
-        ways = [[], *([x] for x in self._retracted(pose.q))]
-        way = self._first_free(pose.q, self.home, ways, pose.station)
+        way = self._first_free(pose.q, self.home, self._straight_or_back(pose), pose.station)
         return None if way is None else [*way, self.home]
 
     def approach(self, pose: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from home to a pose, home left out."""
-        ways = [[], *([x] for x in self._retracted(pose.q))]
-        return self._first_free(self.home, pose.q, ways, pose.station)
+        return self._first_free(self.home, pose.q, self._straight_or_back(pose), pose.station)
 
     def blocked(self, start: np.ndarray, end: np.ndarray, station: str) -> Closest:
         return self.clearance.on_way(start, end, station, self._needed) or self.clearance.at(end, station)
 
-    def _first_free(self, start: np.ndarray, end: np.ndarray, ways: list[list[np.ndarray]], station: str) -> list[np.ndarray] | None:
+    def _first_free(self, start: np.ndarray, end: np.ndarray, ways: Iterable[list[np.ndarray]], station: str) -> list[np.ndarray] | None:
         # A pose that itself is too close spoils every way to it: that is said once, by the check of the poses.
         for way in ways:
             stops = [start, *way, end]
             if all(self.clearance.on_way(x, y, station, self._needed) is None for x, y in pairwise(stops)):
                 return way
         return None
+
+    def _straight_or_back(self, pose: PlannedPose) -> Iterator[list[np.ndarray]]:
+        yield []
+        yield from ([x] for x in self._retracted(pose.q))
 
     def _retracted(self, q: np.ndarray) -> Iterator[np.ndarray]:
         if self._solver is None:

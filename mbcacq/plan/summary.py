@@ -10,12 +10,12 @@ import numpy as np
 
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.duration import duration, motion_time
-from mbcacq.plan.route import find_paths
+from mbcacq.plan.route import Routes, find_paths
 
 
-def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> dict[str, Any]:
-    """Steps, poses (joint angles in deg, start of each in s) and duration; format mbcacq-plan-summary/1."""
-    transits, _ = find_paths(loaded, poses)
+def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> dict[str, Any]:
+    """Steps, poses (joint angles in deg, start of each in s) and duration; format mbcacq-plan-summary/1. routes: where known already."""
+    transits, _ = find_paths(loaded, poses) if routes is None else routes
     total = duration(loaded, poses, transits)
     starts = _starts(loaded, poses, transits)
     return {
