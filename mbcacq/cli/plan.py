@@ -19,14 +19,22 @@ def command() -> None:
 
 @command.command("show")
 @click.argument("plan", type=click.Path(path_type=Path))
+@click.option("--rrd", type=click.Path(path_type=Path), help="Also draw it: the arm on its way, as a recording for rerun.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def show(plan: Path, as_json: bool) -> None:
+def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     """Walk through PLAN: every pose with its joint angles, and the time it all takes."""
     from mbcacq.plan import expand, load
+    from mbcacq.plan.route import find_paths
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
-    content = summary(loaded, expand(loaded))
+    poses = expand(loaded)
+    routes = find_paths(loaded, poses)
+    content = summary(loaded, poses, routes)
+    if rrd is not None:
+        from mbcacq.plan.drawing import draw
+
+        draw(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     if as_json:
         click.echo(json.dumps(content))
         return

@@ -216,6 +216,22 @@ def test_motion_time_of_a_long_and_a_short_move():
     assert motion_time(np.zeros(2), np.zeros(2), limits) == 0
 
 
+def test_a_drawn_plan_holds_the_arm_at_its_poses(folder):
+    """Read back from the file: the scanner's last place is that of the last pose, each station stands where it was planned."""
+    from rerun.chunk import RrdReader
+
+    plan, file = folder.plan(), folder.path / "plan.rrd"
+    assert CliRunner().invoke(command, ["show", str(plan), "--rrd", str(file)]).exit_code == 0
+    loaded = load(plan)
+    entities = {str(chunk.entity_path) for chunk in RrdReader(str(file)).stream().to_chunks()}
+    assert {"/world/robot/link1", "/world/robot/scanner", "/world/stations/1", "/world/stations/2", "/log"} <= entities
+    places = [chunk.to_record_batch() for chunk in RrdReader(str(file)).stream().filter(content="/world/robot/scanner").to_chunks()]
+    moved = [b for b in places if "Transform3D:translation" in b.schema.names]
+    last = max(moved, key=lambda b: np.array(b.column("time").cast("int64")).max()).column("Transform3D:translation").to_pylist()[-1][0]
+    expected = (loaded.cell.robot.chain.flange(expand(loaded)[-1].q[None])[0] @ loaded.cell.T_flange_scanner)[:3, 3]
+    assert last == pytest.approx(expected, abs=0.01)
+
+
 def test_command_line(folder):
     good = folder.plan()
     shown = CliRunner().invoke(command, ["show", str(good), "--json"])
