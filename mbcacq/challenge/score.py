@@ -16,7 +16,8 @@ class Score:
     """One challenge. achievable: share of the held-out chi2 that the true model takes away; counts: whether that is worth naming.
 
     named, placed: every concealed effect is told, before any other, by its name and at its place. located: the first entry of ``mismatch``
-    is a place of a concealed effect. extra: named effects that were not concealed. share: of the achievable improvement. sigmas: errors
+    is a place of a concealed effect. extra: named effects that were not concealed. share: of the achievable improvement
+    (None for an effect of one station, of which held-out stations know nothing). sigmas: errors
     of the parameters in units of their stated sigma. confident: a wrong name with the verdict 'explained'.
     """
 
@@ -54,6 +55,7 @@ def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], ach
     wrong = [e["name"] for e in claimed if e["name"] not in names]
     fit = diagnosis["fit"]["held_out"]
     improvement = 1.0 - fit["after_chi2_dof"] / fit["before_chi2_dof"] if fit["before_chi2_dof"] else 0.0
+    alone = any(w.startswith("station") for w in where)  # on other stations than its own such an effect improves nothing
     sigmas = {}
     for t in truth:
         mine = next((e for e in claimed if e["name"] == t["name"] and at_place(e, t)), None)
@@ -64,7 +66,7 @@ def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], ach
         achievable=achievable, counts=bool(truth) and achievable >= worth, detected=diagnosis["verdict"] != "none",
         named=named and catalogued, placed=placed and catalogued, located=located,
         confident=diagnosis["verdict"] == "explained" and bool(wrong), extra=wrong,
-        share=None if not truth or achievable <= 0 else improvement / achievable, sigmas=sigmas, improvement=improvement,
+        share=None if not truth or achievable <= 0 or alone else improvement / achievable, sigmas=sigmas, improvement=improvement,
     )
 
 

@@ -65,4 +65,4 @@ def print_table(rows: list[dict]) -> None:
     for entry in rows:
         table.add_row(*cells(entry))
     console = Console()
-    console.print(table, width=max(console.width, 150))
+    (console if console.is_terminal else Console(width=160)).print(table)

@@ -1,0 +1,161 @@
+"""Score table of the diagnosis: effects concealed in made cells, told blind. Writes benchmarks/challenge.md.
+
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py                   everything, in two processes (hours)
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py --share 0.3       a third of it
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py --only clean      one part
+
+Every outcome is added to challenge.jsonl at once (kept beside the table only if wanted); what is there is not repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.challenge.envelopes import draw, kinds
+from mbcacq.challenge.power import needed
+from mbcacq.challenge.run import _begin, _take
+from mbcacq.challenge.score import Score
+from mbcacq.challenge.table import markdown, row, summary
+
+HERE = Path(__file__).resolve().parent
+PLAN = HERE.parent / "plans" / "seeing.yaml"
+
+# part: title, seed, effects, how many, share of outliers, missing columns
+PARTS = {
+    "catalogue": ("Effects of the catalogue", 100, "catalogue", 304, 0.0, ()),
+    "outside": ("Effects outside the catalogue", 200, "outside", 64, 0.0, ()),
+    "clean": ("Cells with nothing concealed", 300, "none", 200, 0.0, ()),
+    "outliers": ("1 % gross outliers", 400, "catalogue,none", 51, 0.01, ()),
+    "missing": ("No times, temperatures, senses of motion", 500, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
+    "two": ("Two effects at once", 600, "two", 32, 0.0, ()),
+}
+POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error", "mount_shift", "ball_shift")
+MULTIPLES = (0.8, 1.0, 1.15, 1.3, 1.5, 1.8)
+CELLS = 20
+INTRODUCTION = """# Challenges
+
+Made by `python benchmarks/challenge.py` on the poses of `plans/seeing.yaml` (128 poses, 605 centres, the fast path of
+`mbcacq challenge`), in two processes. A challenge counts where the true model, fitted alone, lowers the held-out chi2 per
+degree of freedom by at least 10 %; strengths are drawn so that an effect raises chi2 by 5 % to 1000 % of the noise. Held out:
+whole stations (poses for `station_drift`, of which other stations know nothing). *Named*: the right name first in the list; *and
+placed*: at no wrong place; *located*: the first entry of `mismatch` is its place; *confidently wrong*: verdict `explained` with a
+wrong name among the effects.""".splitlines()
+
+
+def measure(part: str, share: float, jobs: int, kept: list[dict], file: Path) -> None:
+    _, seed, effects, count, outliers, missing = PARTS[part]
+    done = {r["number"] for r in kept if r["part"] == part}
+    names = kinds(effects, missing)
+    wanted = max(int(round(share * count)), 1)
+    todo = [e for e in draw(seed, wanted, names, outliers, missing) if e.number not in done]
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
+        for outcome in pool.map(_take, todo):
+            add(kept, file, {"part": part, "number": outcome.envelope.number, "seconds": outcome.seconds, "score": outcome.score.to_dict()})
+
+
+def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None:
+    done = {(r["effect"], r["cell"]) for r in kept if r["part"] == "power"}
+    cells = [7000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
+    todo = [(name, cell) for cell in cells for name in POWER if (name, cell) not in done]
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
+        for (name, cell), hits in zip(todo, pool.map(_power, todo), strict=True):
+            add(kept, file, {"part": "power", "effect": name, "cell": cell, "found": hits})
+
+
+def _power(job: tuple[str, int]) -> list[bool]:
+    from mbcacq.challenge import run
+    from mbcacq.challenge.power import found
+
+    return found(run._challenger, *job, MULTIPLES)
+
+
+def add(kept: list[dict], file: Path, record: dict) -> None:
+    kept.append(record)
+    with file.open("a", encoding="utf-8") as out:
+        out.write(json.dumps(record) + "\n")
+
+
+def report(kept: list[dict]) -> str:
+    lines = [*INTRODUCTION, ""]
+    for part, (title, seed, effects, *_rest) in PARTS.items():
+        mine = [r for r in kept if r["part"] == part]
+        if not mine:
+            continue
+        scores = [Score(**r["score"]) for r in mine]
+        rows = summary(scores)
+        seconds = np.array([r["seconds"] for r in mine])
+        took = f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.1f} s at most, beside other work"
+        lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, effects {effects}; {took}.", "", markdown(rows), ""]
+        lines += interval(part, scores)
+        lines += failures(mine, scores)
+    return "\n".join(lines + power_lines(kept))
+
+
+def interval(part: str, scores: list[Score]) -> list[str]:
+    """95 % bounds (Wilson) of the rate that matters in this part."""
+    count = [s for s in scores if s.counts]
+    clean = [s.detected for s in scores if not s.truth]
+    right = ("named and placed", [s.placed for s in count])
+    name, yes = {"clean": ("false alarms", clean), "outside": ("located", [s.located for s in count])}.get(part, right)
+    if not yes:
+        return []
+    n, p = len(yes), float(np.mean(yes))
+    middle, half = (p + 1.92 / n) / (1 + 3.84 / n), 1.96 * np.sqrt(p * (1 - p) / n + 0.96 / n**2) / (1 + 3.84 / n)
+    low, high = max(100 * (middle - half), 0), min(100 * (middle + half), 100)
+    return [f"{name.capitalize()}: {sum(yes)} of {n} ({100 * p:.1f} %, 95 % interval {low:.1f} to {high:.1f} %).", ""]
+
+
+def failures(records: list[dict], scores: list[Score]) -> list[str]:
+    bad = [(r, s) for r, s in zip(records, scores, strict=True)
+           if (s.counts and not (s.placed or s.located and s.kind in kinds("outside") and not s.confident)) or (not s.truth and s.detected)]
+    if not bad:
+        return []
+    told = [f"- number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was told as "
+            f"{', '.join(s.told) or 'nothing'}, {s.verdict}" for r, s in bad]
+    return ["Not right:", "", *told, ""]
+
+
+def power_lines(kept: list[dict]) -> list[str]:
+    mine = [r for r in kept if r["part"] == "power"]
+    if not mine:
+        return []
+    lines = ["## Power", "", "Share of cells in which the diagnosis names the effect at its place, at multiples of the strength at which",
+             "the likelihood-ratio test (level 1 %) that knows effect, place, order and moment finds it nine times in ten; and the",
+             "multiple at which that is 90 %.", "", "| effect | cells | " + " | ".join(f"{m:g}" for m in MULTIPLES) + " | 90 % at |",
+             "|---|--:|" + "--:|" * (len(MULTIPLES) + 1)]
+    for name in POWER:
+        hits = np.array([r["found"] for r in mine if r["effect"] == name], dtype=float)
+        if not len(hits):
+            continue
+        rates = hits.mean(axis=0)
+        at = needed(MULTIPLES, rates)
+        shown = " | ".join(f"{100 * r:.0f} %" for r in rates)
+        lines.append(f"| {name} | {len(hits)} | {shown} | {'beyond' if at is None else f'{at:.2f}'} |")
+    return [*lines, ""]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--share", type=float, default=1.0, help="of the full number of challenges")
+    parser.add_argument("--only", nargs="*", choices=[*PARTS, "power"], default=[*PARTS, "power"])
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--keep", type=Path, default=Path("challenge.jsonl"), help="outcomes so far; go on with them")
+    parser.add_argument("--out", type=Path, default=HERE / "challenge.md")
+    options = parser.parse_args()
+    kept = [json.loads(line) for line in options.keep.read_text(encoding="utf-8").splitlines()] if options.keep.exists() else []
+    for part in options.only:
+        if part == "power":
+            measure_power(options.share, options.jobs, kept, options.keep)
+        else:
+            measure(part, options.share, options.jobs, kept, options.keep)
+        options.out.write_text(report(kept), encoding="utf-8")
+    print(row("all", [Score(**r["score"]) for r in kept if "score" in r]))
+
+
+if __name__ == "__main__":
+    main()
