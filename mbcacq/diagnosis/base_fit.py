@@ -45,10 +45,11 @@ def first_noise(obs: Observations) -> Noise:
     return Noise(point, np.full(robot.n, repeatability / 4 / reach), 1e-4)
 
 
-def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds: int = 8) -> tuple[CellState, np.ndarray]:
+def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds: int = 20) -> tuple[CellState, np.ndarray]:
     """Fitted state and (M,) bool of the centres kept."""
     keep = np.ones(obs.n_centres, bool)
     state = start(obs) if state is None else state
+    before = np.inf
     for _ in range(rounds):
         linear = Linear(obs, state, keep)
         whiten = linear.whitener(noise)
@@ -58,8 +59,9 @@ def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds:
         state = linear.moved(step, layout)
         left = forward.residual(obs, forward.predict(obs, state))
         new = keep_after(obs, left)
-        settled = np.linalg.norm(r) ** 2 - np.linalg.norm(r - J @ step) ** 2 < 0.05 and np.array_equal(new, keep)
-        keep = new
+        now = float(np.sum(whiten(left) ** 2))
+        settled = abs(before - now) < 1e-4 * now + 0.1 and np.array_equal(new, keep)
+        keep, before = new, now
         if settled:
             break
     return state, keep

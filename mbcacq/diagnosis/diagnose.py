@@ -38,7 +38,7 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     before, _ = prove.on_train(full.before, NOTHING, None)
     after, _ = prove.on_train(full.before, model, full.smooth)
     effects = named_effects(setup, full, before)
-    verdict = verdict_of(full, before)
+    verdict = verdict_of(full)
     if full.smooth is not None:
         effects += unknown_effects(full, proof)
     alternatives, inseparable = rivals(setup, full)
@@ -63,7 +63,7 @@ def expected_rms(full: Finding, fallback: float) -> float:
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
-def verdict_of(full: Finding, before: prove.Quality) -> str:
+def verdict_of(full: Finding) -> str:
     structure = full.leftover is not None and full.leftover.structure
     if not full.model.members:
         return "unexplained" if structure else "none"

@@ -13,7 +13,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.screen import Scored, Screen, prior_weight
+from mbcacq.physics import payload
 from mbcacq.physics.effect import Candidate
+from mbcacq.physics.situation import Situation
 
 FALSE_ALARM = 0.01
 NEW_FAMILY = 4.0
@@ -53,6 +55,7 @@ class Search:
     most: int = 12
     thorough: bool = True
     protected: frozenset[str] = frozenset()
+    situation: Situation | None = None
 
     def run(self, screen: Screen, start: Model = NOTHING) -> Model:
         """The best set of effects under the screen's noise."""
@@ -108,13 +111,21 @@ class Search:
         """Candidates beyond a model at their best hyper-parameter, best first; those that cannot pay are left out."""
         here = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in model.members])
         out = []
-        for candidate in self.candidates:
+        for candidate in [*self.candidates, *self.beside(model)]:
             if not self.allowed(candidate, model):
                 continue
             scored = best_hyper(here, candidate)
             if scored.gain > 0.7 * self.cost(candidate, scored.hyper, model):
                 out.append(scored)
         return sorted(out, key=lambda s: self.cost(s.candidate, s.hyper, model) - s.gain)
+
+    def beside(self, model: Model) -> list[Candidate]:
+        """Candidates that exist only next to what the model has: a wrong payload next to elastic joints."""
+        if self.situation is None:
+            return []
+        elastic = {int(c.where[0][1:]) - 1: model.coefficients[p.start] for (c, _), p in zip(model.members, model.parts(), strict=True)
+                   if c.name == "joint_compliance"}
+        return payload.beside(self.situation, {i: float(f"{c:.2g}") for i, c in elastic.items()})
 
     def allowed(self, candidate: Candidate, model: Model) -> bool:
         same = [c for c, _ in model.members if c.name == candidate.name and c.where == candidate.where]

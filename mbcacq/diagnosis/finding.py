@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from mbcacq.calibration.terms import accumulate, term
 from mbcacq.diagnosis import base_fit, noise, residual_test, smooth
 from mbcacq.diagnosis.explain import COMPANIONS, FALSE_ALARM, NOTHING, Model, Search
 from mbcacq.diagnosis.linear import Linear
@@ -116,10 +117,30 @@ def back(setup: Setup, small: Setup, model: Model) -> Model:
     return Model(tuple(members), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
 
 
-def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search]:
-    """Named effects and noise in turns, until the set of effects stands still."""
+def settle(linear: Linear, model: Model, sigma: Noise) -> Linear:
+    """Linearised anew with the model in place: what a fit without it bent out of shape no longer bends its derivatives."""
+    if not model.members:
+        return linear
+    columns, width = columns_of(linear, model, None)
+    Z = linear.whitener(sigma)
+    scaled = Z(columns) * width
+    normal = scaled.T @ scaled
+    solution = width * np.linalg.solve(normal + np.eye(len(width)), scaled.T @ Z(linear.residual))
+    _, _, layout = linear.nuisance()
+    terms = [term(c.name, c.build(h)) for c, h in model.members]
+    ends = layout.size + np.cumsum([0] + [c.k for c, _ in model.members])
+    values = [solution[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    new = Linear(linear.obs, linear.moved(solution[: layout.size], layout), linear.keep, accumulate(linear.obs, terms, values))
+    for one, value in zip(terms, values, strict=True):
+        new.residual = new.residual + new.columns(list(one.parts)) @ value
+    return new
+
+
+def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search, Linear]:
+    """Named effects, noise and linearisation in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > smooth.MANY_POSES
-    search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=10, thorough=not large)
+    search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=10, thorough=not large,
+                    situation=None if large else setup.situation)
     sigma = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
     model = NOTHING
     for turn in range(2 if large else PASSES):
@@ -136,9 +157,11 @@ def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search]:
         if not model.members:
             break
         sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
+        for _ in range(2):
+            linear = settle(linear, model, sigma)
         if same:
             break
-    return model, sigma, search
+    return model, sigma, search, linear
 
 
 def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, structure: bool | None = None, again: bool = True) -> Finding:
@@ -146,9 +169,12 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
     linear = setup.linear if keep is None else setup.linear.restricted(keep)
     large = linear.obs.n_poses > smooth.MANY_POSES
     small = thin(setup, linear.keep, SEARCHED) if large else setup
-    model, sigma, search = search_named(small, small.linear if large else linear)
+    model, sigma, search, settled = search_named(small, small.linear if large else linear)
+    if not large:
+        linear = settled
     if large:
         model = back(setup, small, model)
+        linear = settle(linear, model, sigma)
         sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
         search = Search(setup.candidates, thorough=False)
     before = Screen(linear, sigma)
@@ -178,7 +204,7 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
             if new is None:
                 break
             rest, groups, sizes = new, new.groups, new.sizes
-            sigma = noise.estimate(linear, *columns_of(linear, model, rest), sigma, setup.first)
+            sigma = noise_beside(linear, model, rest, sigma, setup.first)
             before = Screen(linear, sigma)
             named = with_members(before, model)
         if rest is not None:
@@ -195,6 +221,16 @@ def single_cause(before: Screen, model: Model, s: Situation) -> Spot | None:
     value = [p.gain - chi2.isf(FALSE_ALARM / len(spots), p.k) for p in spots]
     best = int(np.argmax(value))
     return spots[best] if value[best] > model.score else None
+
+
+def noise_beside(linear: Linear, model: Model, rest: SmoothModel, start: Noise, prior: Noise) -> Noise:
+    """Noise of what smooth groups leave, counting the coefficients they used."""
+    less = linear.restricted(linear.keep)
+    less.residual = linear.residual - rest.columns @ rest.coefficients
+    sigma = noise.estimate(less, *columns_of(less, model, None), start, prior)
+    rows = float(linear.keep.sum() * linear.width)
+    grow = np.sqrt(rows / max(rows - rest.used, 0.3 * rows))
+    return Noise(sigma.point * grow, sigma.joint * grow, sigma.turn * grow)
 
 
 def leftover_spots(named: Screen, setup: Setup, leftover: Leftover | None):

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.whitening import Noise, Whitener, joint_columns
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 
-GEOMETRY_PRIOR = np.array([0.03, 5.0, 5.0, 0.03, 0.03])  # theta rad, d mm, a mm, alpha rad, beta rad: wider than any real arm
+GEOMETRY_PRIOR = np.array([0.02, 3.0, 3.0, 0.02, 0.02])  # theta rad, d mm, a mm, alpha rad, beta rad: wider than any real arm
 MOUNT_PRIOR = np.array([500.0, 500.0, 500.0, 2.0, 2.0, 2.0])
 STATION_PRIOR = np.array([1e4, 1e4, 1e4, 3.0, 3.0, 3.0])
 
@@ -42,6 +42,10 @@ class Linear:
         self.prediction = forward.predict(obs, state, displacements)
         self.residual = forward.residual(obs, self.prediction)
         self.width = self.residual.shape[1]
+        # The prior of the arm's parameters stays at the nominal arm, so that directions the data do not see cannot drift: the
+        # linear problem is for the whole deviation from nominal, and what the state holds of it already is added back.
+        deviation = (state.chain.rows - obs.cell.robot.chain.rows).reshape(-1)
+        self.residual = self.residual + self._geometry_columns() @ deviation
         self.joint = joint_columns(obs, self.prediction)
         self._unit: dict[tuple[str, int, int], np.ndarray] = {}
 
@@ -83,11 +87,16 @@ class Linear:
 
     # Nuisance -----------------------------------------------------------------------------------------------------
 
+    def _geometry_columns(self) -> np.ndarray:
+        """(M, R, 5 n): by the MD-H parameters, link by link."""
+        obs, n = self.obs, self.obs.cell.robot.n
+        twists = self.state.chain.parameter_twists(self.prediction.frames, obs.q).reshape(obs.n_poses, 5 * n, 6)
+        return forward.arm_jacobian(obs, self.prediction, twists)
+
     def nuisance(self) -> tuple[np.ndarray, np.ndarray, Layout]:
         """Columns (M, R, z) of the free geometry, prior sigma (z,), and what is where."""
         obs, prediction, n = self.obs, self.prediction, self.obs.cell.robot.n
-        twists = self.state.chain.parameter_twists(prediction.frames, obs.q).reshape(obs.n_poses, 5 * n, 6)
-        blocks = [forward.arm_jacobian(obs, prediction, twists)]
+        blocks = [self._geometry_columns()]
         sigma = [np.tile(GEOMETRY_PRIOR, n)]
         mount = forward.mount_jacobian(obs, prediction)
         components = 6 if (obs.cell.measurement != TARGET_IN_BASE or self.width == 6) else 3
@@ -118,7 +127,10 @@ class Linear:
         return np.concatenate(blocks, axis=2), sigma, Layout(slice(0, 5 * n), slice(5 * n, z), stations, slice(stations.stop, len(sigma)), len(sigma))
 
     def moved(self, step: np.ndarray, layout: Layout) -> CellState:
-        """The state after a step (z,) of the nuisance parameters; what has a certificate stays at it, the linear problem moves it."""
+        """The state of a solution (z,) of the nuisance parameters: the arm's as deviation from nominal, mount and stations as a step.
+
+        What has a certificate stays at it, the linear problem moves it.
+        """
         n = self.obs.cell.robot.n
         mount = np.zeros(6)
         free = step[layout.mount]
@@ -128,7 +140,7 @@ class Linear:
             if self.obs.cell.stations[s].T_base_station is not None and self.obs.cell.stations[s].sigma_mm is not None:
                 continue
             T[s] = T[s] @ se3.exp(step[layout.stations][6 * j:6 * j + 6])
-        return replace(self.state, chain=self.state.chain.with_errors(step[layout.geometry].reshape(n, 5)),
+        return replace(self.state, chain=self.obs.cell.robot.chain.with_errors(step[layout.geometry].reshape(n, 5)),
                        T_flange_scanner=self.state.T_flange_scanner @ se3.exp(mount), T_base_station=T)
 
     def restricted(self, keep: np.ndarray) -> Linear:

@@ -29,7 +29,7 @@ def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Nois
         score, information = _score(linear, columns, sigma, noise, turn)
         score = score - precision @ (theta - centre)
         step = np.linalg.solve(information + precision, score)
-        theta = theta + np.clip(step, -1.0, 1.0)
+        theta = np.clip(theta + np.clip(step, -1.0, 1.0), centre - 4.0, centre + 6.0)
         if np.abs(step).max() < 0.02:
             break
     return unpack(theta, n, turn)

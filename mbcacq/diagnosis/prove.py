@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def prove(setup: Setup, full: Finding, folds: int = 4, fitted_smooth: bool = Tru
     for k in range(int(fold.max()) + 1):
         train = linear.keep & (fold != k)[linear.obs.pose]
         test = linear.keep & (fold == k)[linear.obs.pose]
-        part = find(setup, train, examine=False, structure=full.smooth is not None and fitted_smooth)
+        part = find(replace(setup, linear=linear), train, examine=False, structure=full.smooth is not None and fitted_smooth)
         picks.append(part.model.names)
         before += judge(linear, train, test, NOTHING, None, full.noise)
         after += judge(linear, train, test, part.model, part.smooth, full.noise)

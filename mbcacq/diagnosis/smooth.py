@@ -36,12 +36,13 @@ class Group:
 
 @dataclass(frozen=True)
 class SmoothModel:
-    """Groups with their coefficients and prior sigmas (all concatenated), and the size of each group."""
+    """Groups with their coefficients and prior sigmas (all concatenated), the size of each group, and how many coefficients the data determine."""
 
     groups: tuple[Group, ...]
     coefficients: np.ndarray
     sigma: np.ndarray
     sizes: np.ndarray
+    used: float
 
     @property
     def columns(self) -> np.ndarray:
@@ -148,12 +149,13 @@ def fit(screen: Screen, groups: tuple[Group, ...] | list[Group], start: np.ndarr
         if len(index) == 0:
             return None
         prior = np.concatenate([np.full(p.stop - p.start, v) for p, v, a in zip(parts, size2, alive, strict=True) if a])
-        normal = S[np.ix_(index, index)]
-        normal[np.diag_indices_from(normal)] += 1.0 / prior
+        root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
+        normal = S[np.ix_(index, index)] * np.outer(root, root)
+        normal[np.diag_indices_from(normal)] += 1.0
         factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
-        u = cho_solve((factor, True), b[index], check_finite=False)
+        u = root * cho_solve((factor, True), root * b[index], check_finite=False)
         half, _ = dtrtri(factor, lower=1)
-        variance = np.einsum("ij,ij->j", half, half)
+        variance = prior * np.einsum("ij,ij->j", half, half)
         before, at = size2.copy(), 0
         for g in np.flatnonzero(alive):
             k = parts[g].stop - parts[g].start
@@ -169,5 +171,9 @@ def fit(screen: Screen, groups: tuple[Group, ...] | list[Group], start: np.ndarr
     if len(index) == 0:
         return None
     prior = np.concatenate([np.full(parts[g].stop - parts[g].start, size2[g]) for g in chosen])
-    u = np.linalg.solve(S[np.ix_(index, index)] + np.diag(1.0 / prior), b[index])
-    return SmoothModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]))
+    root = np.sqrt(prior)
+    mine = S[np.ix_(index, index)] * np.outer(root, root)
+    normal = mine + np.eye(len(index))
+    u = root * np.linalg.solve(normal, root * b[index])
+    used = float(np.trace(np.linalg.solve(normal, mine)))
+    return SmoothModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]), used)

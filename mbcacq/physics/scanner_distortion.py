@@ -7,6 +7,15 @@ from mbcacq.physics.situation import Situation
 
 NAME = "scanner_distortion"
 TYPICAL = 0.02  # mm at the edge of the field
+LINEAR = ("magnification", "depth_gain")
+# A ball of known radius is fitted to the cap that is seen: its surface is bent too, which moves the centre by the next lower shape.
+TOGETHER = (
+    ("field_curvature_per_mm", "radial_per_mm2"),
+    ("field_curvature_per_mm", "magnification"),
+    ("depth_scale_per_mm", "magnification", "depth_gain"),
+    ("radial_per_mm2", "field_curvature_per_mm", "magnification"),
+    ("field_curvature_per_mm", "depth_scale_per_mm", "magnification", "depth_gain"),
+)
 
 
 def shapes(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
@@ -20,6 +29,8 @@ def shapes(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
         "depth_quadratic_per_mm": ("z", np.stack([zero, zero, z * z], 1)),
         "astigmatism_per_mm": ("x", np.stack([zero, zero, x * x - y * y], 1)),
         "saddle_per_mm": ("x", np.stack([zero, zero, x * y], 1)),
+        "magnification": ("x", np.stack([x, y, zero], 1)),
+        "depth_gain": ("z", np.stack([zero, zero, z], 1)),
     }
 
 
@@ -38,5 +49,5 @@ def candidates(s: Situation) -> list[Candidate]:
 
         return Candidate(NAME, ("scanner",), every[names[0]][0], lambda _: parts, report, typical, variant="+".join(names))
 
-    main = ["field_curvature_per_mm", "radial_per_mm2", "depth_scale_per_mm"]
-    return [make([k]) for k in every] + [make(main[:2]), make([main[0], main[2]]), make(main)]
+    alone = [k for k in every if k not in LINEAR]
+    return [make([k]) for k in alone] + [make(list(names)) for names in TOGETHER]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -31,34 +32,71 @@ def robot() -> RobotModel:
                       payload_mass=3.0, payload_com=np.array([-5.0, 3, 110]), repeatability_mm=0.04)
 
 
-def cell(rng: np.random.Generator, stations: int = 9, bars: int = 7) -> Cell:
+def cell(stations: int, bars: int, rng: np.random.Generator) -> Cell:
     balls = rng.uniform(-38, 38, (8, 3)) * [1, 1, 0.4]
     mbc = Artefact("mbc", "MBC-8", tuple(range(1, 9)), balls, np.full(8, 12.0))
-    bar = Artefact("bar", "scale bar", (9, 10), np.array([[-500.0, 0, 0], [500.0, 0, 0]]), np.full(2, 25.0))
+    bar = Artefact("bar", "scale bar", (9, 10), np.array([[-400.0, 0, 0], [400.0, 0, 0]]), np.full(2, 25.0))
     hand_eye = se3.transform(se3.rotation_exp(np.array([np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 260.0]))
     places = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(Station(str(stations + i + 1), "bar") for i in range(bars))
     return Cell(robot(), hand_eye, (mbc, bar), places, "made scanner", POINT_NOISE)
 
 
-def reach(arm: RobotModel, T: np.ndarray, rng: np.random.Generator, tries: int = 12) -> np.ndarray | None:
-    """Joint angles within limits that bring the flange to T (4, 4), from random starts; None if none was found."""
-    for _ in range(tries):
-        q = rng.uniform(arm.limits[:, 0], arm.limits[:, 1])
-        for _ in range(60):
-            frames = arm.chain.frames(q[None])
-            error = T @ se3.inverse(frames[0, -1])
-            turn = se3.rotation_log(error[None, :3, :3])[0]
-            twist = np.concatenate([error[:3, 3] + 0 * turn, turn])
-            J = arm.chain.joint_twists(frames)[0].T
-            if np.linalg.norm(twist[:3]) < 1e-6 and np.linalg.norm(turn) < 1e-9:
+def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Newton from q (P, n) to flange poses T (P, 4, 4): angles, and (P,) bool of those reached within limits."""
+    for _ in range(40):
+        frames = arm.chain.frames(q)
+        error = T @ se3.inverse(frames[:, -1])
+        twist = np.concatenate([error[:, :3, 3], se3.rotation_log(error[:, :3, :3])], axis=1)
+        J = np.swapaxes(arm.chain.joint_twists(frames), 1, 2)
+        scale = np.array([1e-3, 1e-3, 1e-3, 1, 1, 1])
+        J, twist = J * scale[:, None], twist * scale
+        step = np.linalg.solve(np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(arm.n), (np.swapaxes(J, 1, 2) @ twist[:, :, None]))[:, :, 0]
+        q = q + step * np.minimum(1.0, 0.4 / np.maximum(np.abs(step).max(axis=1), 1e-9))[:, None]
+    there = np.abs(arm.chain.frames(q)[:, -1] - T).max(axis=(1, 2)) < 1e-6
+    return q, there & np.all((q > arm.limits[:, 0]) & (q < arm.limits[:, 1]), axis=1)
+
+
+@lru_cache(maxsize=4)
+def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Observations:
+    """A plan that can see: stations over a wide range of postures, several tilts and rolls each, and a long bar seen end by end.
+
+    The measured centres are those of the nominal cell; ``observe`` replaces them.
+    """
+    rng = np.random.default_rng(seed)
+    here = cell(stations, bars, rng)
+    arm, q, station, pose, ball, xyz = here.robot, [], [], [], [], []
+    for s, place in enumerate(here.stations):
+        targets = [np.arange(8)] if place.artefact == "mbc" else [np.array([8]), np.array([9])]
+        while True:
+            start = rng.uniform(0.6 * arm.limits[:, 0], 0.6 * arm.limits[:, 1])
+            T_base_scanner = arm.chain.frames(start[None])[0, -1] @ here.T_flange_scanner
+            facing = se3.transform(se3.rotation_exp(rng.normal(0, 0.2, 3)), -here.ball_centres[targets[0]].mean(axis=0) * (len(targets) > 1))
+            T_base_station = T_base_scanner @ facing
+            reached = []
+            for seen in targets:
+                centre = here.ball_centres[seen].mean(axis=0) * (len(targets) > 1)
+                turn = se3.rotation_exp(rng.uniform(-1, 1, (40, 3)) * [0.7, 0.7, 3.0])
+                T = T_base_station @ se3.transform(np.eye(3), centre) @ se3.inverse(facing @ se3.transform(np.eye(3), centre))[None] @ se3.transform(turn, np.zeros(3))
+                found, good = joints(arm, T @ se3.inverse(here.T_flange_scanner), np.tile(start, (40, 1)) + rng.normal(0, 0.1, (40, 6)))
+                reached.append(found[good])
+            need = each // len(targets)
+            if all(len(r) >= need for r in reached):
                 break
-            step = np.linalg.solve(J.T @ J + 1e-6 * np.eye(6) * np.trace(J.T @ J), J.T @ twist)
-            q = q + step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-9))
-        q = (q + np.pi) % (2 * np.pi) - np.pi
-        close = np.abs(arm.chain.flange(q[None])[0] - T).max() < 1e-3 if hasattr(arm.chain, "flange") else True
-        if close and np.all(q > arm.limits[:, 0]) and np.all(q < arm.limits[:, 1]):
-            return q
-    return None
+        for seen, found in zip(targets, reached, strict=True):
+            for one in found[:need]:
+                T_scanner_base = se3.inverse(arm.chain.frames(one[None])[0, -1] @ here.T_flange_scanner)
+                points = se3.apply(T_scanner_base @ T_base_station, here.ball_centres[seen])
+                pose += [len(q)] * len(seen)
+                ball += list(seen)
+                xyz.append(points)
+                q.append(one)
+                station.append(s)
+    count = len(q)
+    time = np.cumsum(rng.uniform(12, 28, count))
+    sense = np.sign(np.diff(np.array(q), axis=0, prepend=np.array(q)[:1] - 1))
+    warm = 24 + 6 * (1 - np.exp(-time / 1200)) + rng.normal(0, 0.02, count)
+    return Observations(here, np.arange(count), np.array(station), np.array(q), np.array(pose), np.array(ball), np.concatenate(xyz), time_s=time,
+                        direction=sense, temperatures={"robot_C": warm})
 
 
 def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:

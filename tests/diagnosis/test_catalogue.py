@@ -1,0 +1,43 @@
+"""The catalogue is the contract's, found as files, each candidate consistent with its own description."""
+
+import made
+import numpy as np
+
+from mbcacq.calibration import forward
+from mbcacq.diagnosis import base_fit
+from mbcacq.physics import catalogue
+from mbcacq.physics.situation import Situation
+
+CONTRACT = {
+    "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling", "joint_step",
+    "thermal_growth", "mount_shift", "scanner_scale", "scanner_distortion", "scanner_warmup", "ball_shift", "artefact_expansion", "station_drift",
+    "payload", "exposure_latency",
+}
+
+
+def test_every_effect_of_the_contract_has_a_file():
+    assert set(catalogue.effects()) == CONTRACT
+
+
+def test_scans_multiply_the_same_functions_as_built_columns(plan):
+    obs = made.observe(plan, 31)
+    state = base_fit.start(obs)
+    situation = Situation(obs, state, forward.predict(obs, state))
+    scanned = [c for c in catalogue.candidates(situation)[0] if c.separable]
+    assert scanned
+    for candidate in scanned:
+        value = float(candidate.hyper.values[len(candidate.hyper.values) // 2])
+        functions = candidate.functions(np.array([value]))[0]
+        parts = candidate.build(value)
+        total = sum(np.abs(p.basis).sum() for p in parts if p.place != "point")
+        expected = np.abs(functions).sum() * len(candidate.separable)
+        if total:
+            assert np.isclose(total, expected)
+
+
+def test_what_the_gravity_moment_says_about_a_joint_is_its_torque(plan):
+    state = base_fit.start(plan)
+    s = Situation(plan, state, forward.predict(plan, state))
+    for i in range(s.n):
+        about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]
+        np.testing.assert_allclose(about_axis, s.gravity_torque[:, i], atol=1e-9)

@@ -1,0 +1,71 @@
+"""Nothing is claimed on clean data, what is missing is said, what has no name is located and not given one."""
+
+from dataclasses import replace
+
+import made
+import numpy as np
+import pytest
+
+from mbcacq.calibration.forward import Displacements
+from mbcacq.diagnosis import finding
+from mbcacq.diagnosis.diagnose import verdict_of
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_cells_are_clean(plan, seed):
+    found = finding.find(finding.prepare(made.observe(plan, 100 + seed)))
+
+    assert verdict_of(found) == "none"
+    assert found.model.members == ()
+
+
+def test_clean_cells_with_outliers_are_clean(plan):
+    found = finding.find(finding.prepare(made.observe(plan, 105, outliers=0.01)))
+
+    assert verdict_of(found) == "none"
+
+
+def test_noise_is_estimated_whatever_the_cell_file_says(plan):
+    told = replace(plan, cell=replace(plan.cell, noise_mm=None))
+
+    found = finding.find(finding.prepare(made.observe(told, 106)), structure=False)
+
+    np.testing.assert_allclose(found.noise.point, made.POINT_NOISE, rtol=0.15)
+    np.testing.assert_allclose(np.exp(np.mean(np.log(found.noise.joint))), made.JOINT_NOISE, rtol=0.25)
+
+
+def test_effects_without_their_columns_are_dropped_and_said_to_be(plan):
+    bare = replace(made.observe(plan, 107), time_s=None, direction=None, temperatures={})
+
+    dropped = finding.prepare(bare).dropped
+
+    assert {"scanner_warmup", "thermal_growth", "exposure_latency"} <= set(dropped)
+    assert "temperatures" in dropped["thermal_growth"]
+
+
+def bending_of_link_two(situation):
+    """Rotation behind link 2 about its own x, by the product of two joint angles: in no catalogue."""
+    frame = np.zeros((situation.obs.n_poses, situation.n + 1, 6))
+    frame[:, 2, 3] = 3e-4 * np.sin(2 * situation.obs.q[:, 2])
+    return Displacements(frame=frame)
+
+
+def test_an_effect_without_a_name_is_not_given_one(plan):
+    found = finding.find(finding.prepare(made.observe(plan, 108, [bending_of_link_two])))
+
+    assert verdict_of(found) in ("unexplained", "partly_explained")
+    assert found.smooth is not None
+
+
+def cubic_lens(situation):
+    point = np.zeros((situation.obs.n_centres, 3))
+    point[:, 2] = 0.03 * (situation.obs.xyz[:, 0] / 30) ** 3
+    return Displacements(point=point)
+
+
+def test_an_unnamed_scanner_error_is_located_in_the_scanner(plan):
+    found = finding.find(finding.prepare(made.observe(plan, 109, [cubic_lens])))
+
+    assert verdict_of(found) == "unexplained"
+    assert found.leftover.spots[0].at == "scanner"
+    assert found.leftover.spots[0].depends_on == "x"
