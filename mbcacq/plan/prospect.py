@@ -13,6 +13,7 @@ from mbcacq.calibration.adequacy import refuse_degenerate
 from mbcacq.calibration.blocks import Estimate
 from mbcacq.calibration.estimate import select_phases
 from mbcacq.calibration.linearise import Lineariser
+from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.rank import Undetermined
 from mbcacq.calibration.solve import Weights, system
 from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
@@ -68,7 +69,7 @@ def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
     lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
     return Prospect(
         parameters=len(used) + len(lost), determined=len(used), undetermined=calibration.undetermined,
-        indices=observability(calibration), workspace_mm=expected_accuracy(calibration) if sound else None,
+        indices=of_calibration(calibration), workspace_mm=expected_accuracy(calibration) if sound else None,
         bar_mm=MEAN_OF_NORMAL * float(np.mean([p.expected_mm for p in places])) if places else None,
         bar_cell_mm=MEAN_OF_NORMAL * float(np.mean(_cell_share(calibration, observations))) if places else None,
         places=tuple((p.station, p.expected_mm) for p in places),
@@ -88,23 +89,6 @@ def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Ca
     lineariser = Lineariser(obs, layout, options)
     solution = system(lineariser, estimate, noise, weights)
     return Calibration.of(obs, options, lineariser, solution, noise, weights, state, found)
-
-
-def observability(calibration: Calibration) -> dict[str, float]:
-    """O1 to O5 of the determined arm and hand-eye parameters, each scaled by its plausible size, rows by their noise.
-
-    With singular values s_1 >= .. >= s_m of the identification Jacobian, stations eliminated: O1 = (s_1 .. s_m)^(1/m) / sqrt(rows)
-    (Borm and Menq 1989), O2 = s_m / s_1 (Driels and Pathre 1990), O3 = s_m, O4 = s_m^2 / s_1 (Nahvi, Hollerbach 1994, 1996),
-    O5 = 1 / (1/s_1 + .. + 1/s_m) (Sun and Hollerbach 2008).
-    """
-    keep = [i for i, name in enumerate(calibration.names) if not name.startswith("ball_")]
-    scale = calibration.layout.gather("scale")[keep]
-    information = np.linalg.inv(calibration.covariance[np.ix_(keep, keep)] / np.outer(scale, scale))
-    s = np.sqrt(np.maximum(np.linalg.eigvalsh(information)[::-1], 0.0))
-    rows = calibration.residual.size
-    with np.errstate(divide="ignore"):
-        return {"O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(rows)), "O2": float(s[-1] / s[0]), "O3": float(s[-1]),
-                "O4": float(s[-1] ** 2 / s[0]), "O5": float(1 / np.sum(1 / s))}
 
 
 def _cell_share(calibration: Calibration, observations: Observations) -> list[float]:

@@ -18,7 +18,7 @@ from mbcacq.plan.design import Problem, design
 from mbcacq.plan.exchange import Criterion, choose, updated
 from mbcacq.plan.insight import insight
 from mbcacq.plan.observed import planned_noise, planned_observations, planned_state, trial
-from mbcacq.plan.prospect import foreseen, observability, prospect
+from mbcacq.plan.prospect import foreseen, prospect
 from mbcacq.plan.rewrite import with_views
 from mbcacq.plan.schema import View
 from mbcacq.plan.summary import summary
@@ -86,15 +86,12 @@ def test_without_calibration_poses_nothing_is_promised(folder):
     assert "no pose to calibrate with" in found[0].sentence
 
 
-def test_observability_indices_by_their_definition(published):
+def test_every_pose_twice_halves_the_variance(published):
     loaded, poses = published
-    calibration = foreseen(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
-    o = observability(calibration)
-    assert o["O4"] == pytest.approx(o["O2"] * o["O3"])
-    assert o["O5"] < o["O3"]
-    twice = foreseen(loaded, planned_observations(loaded, [*poses, *poses]), planned_noise(loaded, poses))
-    assert observability(twice)["O3"] == pytest.approx(np.sqrt(2) * o["O3"], rel=0.02)  # every pose twice: sigma falls by the square root of two
-    assert observability(twice)["O2"] == pytest.approx(o["O2"], rel=0.02)
+    once, twice = prospect(loaded, poses), prospect(loaded, [*poses, *poses])
+    assert twice.indices["O3"] == pytest.approx(np.sqrt(2) * once.indices["O3"], rel=0.02)
+    assert twice.indices["O2"] == pytest.approx(once.indices["O2"], rel=0.02)
+    assert twice.bar_cell_mm == pytest.approx(once.bar_cell_mm / np.sqrt(2), rel=0.03)
 
 
 def test_small_artefact_alone_hides_gravity_and_a_long_bar_shows_it(published):
