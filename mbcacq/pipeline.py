@@ -102,7 +102,8 @@ class Acquisition:
 def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     """Calibrate what a run recorded, verify it on the poses kept apart, write result.json, report.html and the residuals into its folder.
 
-    Without poses of phase 'position' (the artefact at several places) only the hand-eye transform is identified, the arm taken as nominal.
+    A plan without phase 'position' (the artefact at several places) cannot determine the whole cell and is not blamed for that: what
+    its poses leave open is held, and the standard deviations tell the rest.
     Returns the result as written, with 'files' naming all of them. limit_mm: the plan's limit of the sphere spacing error.
     """
     from mbcacq.calibration import Options, calibrate, verify
@@ -110,7 +111,7 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     from mbcacq.report import write_report
 
     observations = load(run)
-    calibration = calibrate(observations, Options(kinematics="position" in observations.phase))
+    calibration = calibrate(observations, Options(refuse="position" in observations.phase))
     verification = verify(observations, calibration, limit_mm=limit_mm)
     result = calibration.to_dict() | {"verification": verification.to_dict()}
     (run / "result.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
