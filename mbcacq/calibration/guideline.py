@@ -2,7 +2,7 @@
 
 "After the manner of", because that guideline speaks of optical measuring systems by themselves and excludes sensors that are
 positioned by axes; the quantities are formed as it forms them, on places and balls of the verification poses. A limit is held against
-each figure with the uncertainty of measuring it in mind: pass only where it keeps clear of the limit, fail only where it clearly exceeds it.
+each figure with the uncertainty of measuring it in mind: pass only where it keeps clear of it, fail only where it clearly exceeds it.
 """
 
 from __future__ import annotations

@@ -80,7 +80,10 @@ def print_result(result: dict[str, Any]) -> None:
     if noise:
         sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
         joints = " ".join(f"{1e6 * s:.1f}" for s in noise["joint_rad"])
-        console.print(f"Noise: scanner {sigmas} um along x y z; joints repeat within {joints} urad")
+        repeat = f"; joints repeat within {joints} urad" if any(noise["joint_rad"]) else ""
+        console.print(f"Noise: scanner {sigmas} um along x y z{repeat}")
+        if result["method"] == "paper":
+            console.print("The paper's method has no noise model: noise is what was left over, and standard deviations are optimistic")
     for line in tables.remarks(result):
         console.print(line)
     if result.get("verification"):

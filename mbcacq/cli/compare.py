@@ -38,8 +38,8 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
         values = (row.fit_mm, row.bar_mean_mm, row.bar_max_mm, row.held_out_mm)
         shown = [f"{v:.4f}" if v is not None else "-" for v in values]
         table.add_row(row.method, *shown, f"{row.time_s:.2f}" if row.time_s is not None else "-")
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, width=max(Console().width, 96))
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)
-        console.print(f"No result for {names}: {why}")
+        console.print(f"No result for {names}: {why}", soft_wrap=True)

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration import blocks, variance
+from mbcacq.calibration import blocks
 from mbcacq.calibration.blocks import Block, Estimate, Layout
 from mbcacq.calibration.estimate import select_phases, with_all_stations
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
-from mbcacq.calibration.options import Options
+from mbcacq.calibration.options import Noise, Options
 from mbcacq.calibration.paper import angles, distance, hand_eye
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.solve import Weights
@@ -172,10 +172,12 @@ def published_layout(obs: Observations, options: Options) -> Layout:
 
 def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibration:
     lineariser = Lineariser(obs, layout, replace(options, terms=()))
-    noise = variance.first_noise(obs.cell)
     _, residual = lineariser.residual(Estimate(state))
-    whitened = residual / noise.row_sigma(3)
     rank = int(np.linalg.matrix_rank(found.covariance, hermitian=True)) + 6 * len(lineariser.rows.stations)
+    # The method has no noise model: what is left over is its noise, all of it ascribed to the scanner.
+    share = max(residual.size - rank, 1) / residual.size
+    noise = Noise(np.sqrt(np.mean(residual**2, axis=0) / share), np.zeros(obs.cell.robot.n))
+    whitened = residual / noise.row_sigma(3)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     return Calibration(obs, options, layout, state, first, (), found.covariance, np.zeros((len(obs.cell.stations), 6, 6)), noise, weights,
                        residual, whitened, float(np.sum(whitened**2)), whitened.size - rank, rank, found.iterations,
