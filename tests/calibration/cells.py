@@ -160,6 +160,11 @@ def _look(chain: Chain, T_flange_scanner, T_base_station, centre, rng, tilt_deg:
     raise AssertionError("no reachable pose found")
 
 
+def inverse_kinematics(chain: Chain, target: np.ndarray, start: np.ndarray) -> np.ndarray | None:
+    """Joint angles (n,) near ``start`` that bring the flange to ``target`` (4, 4); None where that fails."""
+    return _inverse(chain, target, np.random.default_rng(0), start, exact=True)
+
+
 def _inverse(chain: Chain, target: np.ndarray, rng, start: np.ndarray | None = None, exact: bool = False) -> np.ndarray | None:
     """Numerical inverse kinematics: damped Gauss-Newton from a random start."""
     n = chain.n
@@ -173,8 +178,8 @@ def _inverse(chain: Chain, target: np.ndarray, rng, start: np.ndarray | None = N
         step = np.linalg.lstsq(np.vstack([scale[:, None] * J, (1e-6 if exact else 0.03) * np.eye(n)]), np.concatenate([scale * xi, np.zeros(n)]), rcond=None)[0]
         q = q + np.clip(step, -0.3, 0.3)
         if np.abs(scale * xi).max() < (1e-10 if exact else 1e-3):
-            return q if np.abs(q).max() < 3 else None
+            return q if exact or np.abs(q).max() < 3 else None
     return None
 
 
-__all__ = ["ARTEFACT_IN_SCANNER", "Simulated", "iiwa", "kr10", "measure", "random_errors", "robot", "scanner_cell", "tracker_cell"]
+__all__ = ["ARTEFACT_IN_SCANNER", "Simulated", "iiwa", "inverse_kinematics", "kr10", "measure", "random_errors", "robot", "scanner_cell", "tracker_cell"]
