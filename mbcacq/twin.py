@@ -23,7 +23,8 @@ def simulate(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str,
 
     result: the content of a result.json; default the nominal cell. Stations that the result does not know stand where the plan puts
     them. noise: add the scatter of centres and the repeatability of the joints (the result's, else the plan's and the data sheet's).
-    As in a run, the cell that is written says nothing of where stations stand. Raises ConfigError where result and plan do not match.
+    As in a run, the cell that is written says nothing of where stations stand; it states the scatter of a centre, for a solver that
+    has none to estimate it from. Raises ConfigError where result and plan do not match.
     """
     from mbcacq.pipeline import solver_cell
     from mbcacq.plan import path
@@ -39,7 +40,7 @@ def simulate(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str,
     xyz = forward.predict(stood, state).xyz
     if scatter is not None:
         xyz = xyz + scatter.point * rng.standard_normal(xyz.shape)
-    return replace(blank, cell=solver_cell(loaded), xyz=xyz)
+    return replace(blank, cell=replace(solver_cell(loaded), noise_mm=_noise(loaded, poses, result).point), xyz=xyz)
 
 
 def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:
