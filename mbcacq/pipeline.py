@@ -72,6 +72,7 @@ class Acquisition:
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
     paths: Sequence[Transit]
+    way_home: Sequence[np.ndarray]
     folder: Path
     parts: int = 0
 
@@ -84,18 +85,24 @@ class Acquisition:
 
         live: serve the recording on 127.0.0.1 while it grows; ``told`` gets the address for the viewer.
         """
+        from mbcacq.plan.route import check_start
         from mbcacq.recording import Journal, Recorder
         from mbcacq.recording.cell_yaml import cell_to_yaml
         from mbcacq.spheres import find_balls
+
+        def gate(q: np.ndarray) -> None:
+            check_start(self.loaded, q)
+            if confirm is not None:
+                confirm(q)
 
         (self.folder / "plan.yaml").write_text(self.loaded.text, encoding="utf-8")
         with closing(Recorder(self.folder, live=live, part=self.parts)) as recorder, closing(Journal(self.folder)) as journal:
             if recorder.live_url:
                 told(recorder.live_url)
             Runner(
-                self.loaded, self.poses, self.paths, create_devices(self.loaded, overrides),
+                self.loaded, self.poses, self.paths, self.way_home, create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]), find_balls, cell_to_yaml(solver_cell(self.loaded)), versions(),
-                confirm or (lambda q: None), done,
+                gate, done,
             ).run()
 
 

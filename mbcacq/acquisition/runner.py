@@ -22,7 +22,8 @@ MISSED_SHARE = 0.2  # of the poses; more than that seen without enough balls end
 
 @dataclass
 class Runner:
-    """One run. ``paths[k]`` is the way to ``poses[k]`` from the pose before it; ``done``: numbers of poses to skip (resume).
+    """One run. ``paths[k]`` is the way to ``poses[k]`` from the pose before it (the first: from home), ``way_home`` joint waypoints (n,)
+    rad from the last pose to home, home included; ``done``: numbers of poses to skip (resume).
 
     ``find_balls(scan points (N, 3), artefact, expected=, predicted=)`` extracts the centres. ``confirm`` is asked once, with
     the measured joints, before anything moves; it raises to refuse.
@@ -31,6 +32,7 @@ class Runner:
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
     paths: Sequence[Transit]
+    way_home: Sequence[np.ndarray]
     devices: CellDevices
     bus: EventBus
     find_balls: Callable
@@ -66,6 +68,7 @@ class Runner:
         with CyclePump(robot, self.bus) as pump:
             self.confirm(robot.state().q)
             mover = Mover(robot, self.loaded.cell.robot.limits, motion_limits(self.loaded), pump)
+            self._pass([self.way_home[-1]], mover)
             station = step = None
             missed = 0
             for pose, path in zip(self.poses, self.paths, strict=True):
@@ -83,7 +86,7 @@ class Runner:
                     missed += 1
                     if missed > max(1, MISSED_SHARE * len(self.poses)):
                         raise DeviceFault(f"{missed} poses showed too few balls; look at the scans, the exposure and the artefact's place")
-            self._pass([np.radians(self.loaded.plan.robot.home_deg)], mover)
+            self._pass(self.way_home, mover)
         late = "" if pump.late is None else f", {pump.late} of them answered late"
         return f"all poses measured, {missed} of them without enough balls; {pump.count} robot cycles{late}"
 

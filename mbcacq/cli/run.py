@@ -32,6 +32,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
     from mbcacq.cli.progress import RunProgress
     from mbcacq.devices import load_driver
     from mbcacq.plan import expand, load, path, refuse_errors
+    from mbcacq.plan.route import way_home
 
     loaded = load(plan)
     poses = expand(loaded)
@@ -39,7 +40,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
     if resume and out:
         raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
     folder, done, parts = pipeline.resume_folder(resume, loaded) if resume else (pipeline.new_run_folder(out, plan.stem), frozenset(), 0)
-    acquisition = pipeline.Acquisition(loaded, poses, path(loaded, poses), folder, parts)
+    acquisition = pipeline.Acquisition(loaded, poses, path(loaded, poses, done), way_home(loaded, poses[-1]), folder, parts)
     fake = load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed) if dry_run else nullcontext()
     with fake:
         overrides = fake.overrides() if dry_run else {}

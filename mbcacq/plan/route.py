@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.clearance import Clearance, Closest
@@ -41,6 +41,16 @@ def way_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:
     """Joint waypoints from a pose to home, home included; the straight way where no free one was found."""
     router = Router(loaded)
     return router.leave(pose) or [router.home]
+
+
+def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
+    """The first motion of a run goes straight from where the arm stands, q (n,) rad, to home. Raises SafetyStop if that is not free."""
+    router = Router(loaded)
+    near = router.clearance.on_way(q, router.home, None, min(loaded.plan.clearance_mm, router.clearance.at(q, None).distance - 1.0))
+    if near is not None:
+        angles = ", ".join(f"{a:.1f}" for a in np.degrees(q))
+        raise SafetyStop(f"the arm stands at {angles} deg; on its straight way to home {near.a} would come within {near.distance:.0f} mm "
+                         f"of {near.b}; bring it near home by hand, then start again")
 
 
 Routes = tuple[list[Transit], list[Obstructed]]

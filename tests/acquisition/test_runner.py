@@ -40,6 +40,9 @@ def world():
     return LoadedPlan(Path("plan.yaml"), plan, cell, "text", {}), poses
 
 
+HOME = np.radians([0.0, -90, 90, 0, 0, 0])
+
+
 class Recorded:
     def __init__(self):
         self.events = []
@@ -55,7 +58,7 @@ def make(world, **changes):
     loaded, poses = world
     parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()} | changes
     seen = Recorded()
-    runner = Runner(loaded, poses, [Transit()] * len(poses), CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
+    runner = Runner(loaded, poses, [Transit()] * len(poses), [HOME], CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
                     EventBus([seen]), parts["finder"], "cell", done=parts["done"])
     return runner, seen, parts
 
@@ -96,6 +99,12 @@ def test_direction_is_the_sense_of_the_last_motion(world):
     runner.run()
     last = seen.of(events.PoseDone)[-1]
     assert last.direction.tolist() == [1, -1, 1, 1, 1, 1]
+
+
+def test_the_run_starts_and_ends_at_home(world):
+    runner, _, parts = make(world)
+    runner.run()
+    assert parts["robot"].targets[0].tolist() == parts["robot"].targets[-1].tolist() == HOME.tolist()
 
 
 def test_a_device_fault_stops_the_robot_and_ends_the_run(world):
