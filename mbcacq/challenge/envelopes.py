@@ -13,10 +13,12 @@ from mbcacq.errors import ConfigError
 CATALOGUED = (
     "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling",
     "joint_step", "thermal_growth", "mount_shift", "scanner_scale", "scanner_distortion", "scanner_warmup", "ball_shift",
-    "artefact_expansion", "station_drift",
+    "artefact_expansion", "station_drift", "payload",
 )
 OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
 NONE, TWO = "none", "two"
+# What goes with an effect and is no false name: a wrong tool shows only through elastic joints.
+COMPANIONS: Mapping[str, tuple[str, ...]] = {"payload": ("joint_compliance",)}
 WEAKEST, STRONGEST = 0.05, 10.0     # by how much of the noise the effect raises chi2 per degree of freedom
 
 # Columns that a recording may lack, and the effects that need them.
@@ -56,7 +58,7 @@ def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, mis
     for number, kind in enumerate(order):
         cell, effect = (int(v) for v in rng.integers(1, 2**31 - 1, 2))
         excess = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
-        pair = tuple(str(v) for v in rng.choice(CATALOGUED, 2, replace=False))
+        pair = tuple(str(v) for v in rng.choice(CATALOGUED[:-1], 2, replace=False))
         names = {NONE: (), TWO: pair}.get(kind, (kind,))
         out.append(Envelope(number, kind, cell, names, effect, excess, outliers, tuple(missing)))
     return out

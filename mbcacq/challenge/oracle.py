@@ -14,6 +14,7 @@ from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.observations import Observations
+from mbcacq.physics import payload
 from mbcacq.physics.effect import Candidate
 
 FOLDS = 4
@@ -36,12 +37,13 @@ class Achievable:
 def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achievable:
     """truth: the opened envelope's effects, as the fake cell tells them."""
     setup = prepare(observations)
-    members, known = [], bool(truth)
+    members, beside, known = [], [], bool(truth)
     for effect in truth:
         found = true_members(setup, effect)
         known &= bool(found)
         members += found
-    model = Model(tuple(members), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+        beside += elastic(setup, effect)
+    model, rest = (Model(tuple(m), 0.0, 0.0, np.zeros(0), np.zeros((0, 0))) for m in ([*beside, *members], beside))
     linear = setup.linear
     sigma = noise.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
     better = outliers(Screen(linear, sigma), model)
@@ -49,11 +51,14 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
         linear = linear.restricted(better)
         sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
-    return Achievable(held_out(linear, NOTHING, sigma, at_station), held_out(linear, model, sigma, at_station), known)
+    return Achievable(held_out(linear, rest, sigma, at_station), held_out(linear, model, sigma, at_station), known)
 
 
 def true_members(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
     """The catalogue's candidates that are the concealed effect; of several variants the one that fits best for its size."""
+    if effect["name"] == "payload":
+        stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
+        return [(c, None) for c in payload.beside(setup.situation, stiffness)]
     chosen = []
     screen = Screen(setup.linear, setup.first)
     for group in wanted(effect):
@@ -68,6 +73,14 @@ def true_members(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, 
             best = max((s for _, s in scored), key=lambda s: s.gain - 3 * s.k)
             chosen.append((best.candidate, best.hyper))
     return chosen
+
+
+def elastic(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
+    """The elastic joints through which alone a wrong tool shows: they are no part of what it adds."""
+    if effect["name"] != "payload":
+        return []
+    joints = {f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
+    return [(c, None) for c in setup.candidates if c.name == "joint_compliance" and c.where[0] in joints]
 
 
 def wanted(effect: dict[str, Any]) -> list[set[str]]:

@@ -59,7 +59,7 @@ class Challenger:
         start = perf_counter()
         diagnosis = diagnose(observations).as_json()
         seconds = perf_counter() - start
-        truth = [plain(effect) for effect in told["effects"]]
+        truth = [with_places(plain(effect)) for effect in told["effects"]]
         outside = any(name in OUTSIDE for name in envelope.names)
         if outside:
             clean, _ = made.observe(self.loaded, self.poses, envelope, [])
@@ -91,6 +91,13 @@ class Challenger:
             write_observation_set(observations, place / "observations")
         (place / "diagnosis.json").write_text(json.dumps(outcome.diagnosis, indent=1), encoding="utf-8")
         (place / "envelope.json").write_text(json.dumps(outcome.to_dict(full=True), indent=1), encoding="utf-8")
+
+
+def with_places(effect: dict[str, Any]) -> dict[str, Any]:
+    """A wrong tool moves the elastic joints: that is where it is first seen."""
+    if effect["name"] != "payload":
+        return effect
+    return {**effect, "seen_at": [f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0]}
 
 
 def plain(value: Any) -> Any:

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.challenge.envelopes import COMPANIONS
+
 WITHIN = 3.0
 ORDER_TOLERANCE = 0.1
 
@@ -17,7 +19,7 @@ class Score:
 
     named, placed: every concealed effect is told, before any other, by its name and at its place. located: the first entry of ``mismatch``
     is a place of a concealed effect. extra: named effects that were not concealed. share: of the achievable improvement
-    (None for an effect of one station, of which held-out stations know nothing). sigmas: errors
+    (None for an effect of one station, of which others know nothing, and where another effect goes with it). sigmas: errors
     of the parameters in units of their stated sigma. confident: a wrong name with the verdict 'explained'.
     """
 
@@ -45,12 +47,13 @@ def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], ach
           catalogued: bool = True) -> Score:
     """truth: the concealed effects with name, where and parameters. achievable, worth: shares of the held-out chi2."""
     effects, mismatch = diagnosis["effects"], diagnosis["mismatch"]
-    claimed = [e for e in effects if e["name"] != "unknown"]
     names = {t["name"] for t in truth}
-    first = effects[:len(truth)]
+    beside = {c for name in names for c in COMPANIONS.get(name, ())} - names
+    claimed = [e for e in effects if e["name"] not in ("unknown", *beside)]
+    first = [e for e in effects if e["name"] not in beside][:len(truth)]
     named = bool(truth) and {e["name"] for e in first} == names
     placed = named and all(at_place(e, next(t for t in truth if t["name"] == e["name"])) for e in first)
-    where = {w for t in truth for w in t["where"]}
+    where = {w for t in truth for w in (*t["where"], *t.get("seen_at", ()))}
     located = bool(mismatch) and mismatch[0]["at"] in where
     wrong = [e["name"] for e in claimed if e["name"] not in names]
     fit = diagnosis["fit"]["held_out"]
@@ -66,7 +69,7 @@ def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], ach
         achievable=achievable, counts=bool(truth) and achievable >= worth, detected=diagnosis["verdict"] != "none",
         named=named and catalogued, placed=placed and catalogued, located=located,
         confident=diagnosis["verdict"] == "explained" and bool(wrong), extra=wrong,
-        share=None if not truth or achievable <= 0 or alone else improvement / achievable, sigmas=sigmas, improvement=improvement,
+        share=None if not truth or achievable <= 0 or alone or beside else improvement / achievable, sigmas=sigmas, improvement=improvement,
     )
 
 

@@ -16,6 +16,9 @@ from mbcacq.diagnosis.whitening import Noise
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 LARGEST = 30.0      # times its plain size: beyond this an effect that the plan cannot see stays weak
+# A tool cannot be any weight, and shows only on a soft arm.
+LIMITS = {"payload": 1.5}
+GIVEN: dict[str, dict[str, float]] = {"payload": {"compliance_rad_per_Nm": 6e-6}}
 TRUE_JOINT = 5e-6   # rad, the fake cell's default
 
 
@@ -38,10 +41,10 @@ class Gauge:
         return Screen(Linear(observations, planned_state(self.loaded)), Noise(point, np.full(self.loaded.cell.robot.n, joint)))
 
     def gain(self, envelope: Envelope, concealed: Concealed) -> float:
-        """chi2 that the concealed effects add beyond what geometry absorbs."""
+        """chi2 that the concealed effects add beyond what geometry absorbs, against the same effects at strength nought."""
         plain = replace(envelope, outliers=0.0, missing=())
         with_it, _ = observe(self.loaded, self.poses, plain, concealed)
-        without_it, _ = observe(self.loaded, self.poses, plain, [])
+        without_it, _ = observe(self.loaded, self.poses, plain, [{**one, "strength": 0.0} for one in concealed])
         moved = self.screen.whiten(with_it.xyz - without_it.xyz)
         taken = self.screen.Q.T @ moved
         return float(moved @ moved - taken @ taken)
@@ -50,8 +53,8 @@ class Gauge:
         """The effects of an envelope, each as strong as is wanted, as a plan's ``fake: hidden`` takes them."""
         out = []
         for i, name in enumerate(envelope.names):
-            one = {"name": name, "strength": 1.0, "seed": envelope.effect_seed + i}
+            one = {"name": name, "strength": 1.0, "seed": envelope.effect_seed + i, **GIVEN.get(name, {})}
             gain = max(self.gain(envelope, [one]), 1e-9)
             wanted = envelope.excess * self.screen.dof
-            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), LARGEST))})
+            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), LIMITS.get(name, LARGEST)))})
         return out
