@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis import ripple, travel
 from mbcacq.physics.situation import Situation
 
 BUMPS = 5
@@ -31,7 +32,9 @@ def of_poses(s: Situation) -> list[Covariate]:
         if np.ptp(torque[:, i]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             out.append(polynomial(f"gravity_torque_{i + 1}", torque[:, i], 2))
     if obs.direction is not None:
-        out += [polynomial(f"direction_{i + 1}", obs.direction[:, i], 1) for i in range(s.n) if np.ptp(obs.direction[:, i]) > 0]
+        turning = [i for i in range(s.n) if np.ptp(obs.direction[:, i]) > 0]
+        out += [polynomial(f"direction_{i + 1}", obs.direction[:, i], 1) for i in turning]
+        out += [Covariate(f"direction_{i + 1}", travel.functions(s, i), obs.direction[:, i]) for i in turning]
     if obs.time_s is not None and np.ptp(obs.time_s) > 0:
         out.append(smooth("time", s.time))
     else:
@@ -45,7 +48,13 @@ def of_poses(s: Situation) -> list[Covariate]:
 
 
 def of_centres(s: Situation) -> list[Covariate]:
-    """Covariates within the field of view (M,)."""
+    """Covariates within the field of view (M,), with waves over it: for a model of what is there, rather than a test of whether."""
+    return [Covariate(c.name, np.concatenate([c.functions, ripple.waves(c.values)], axis=1), c.values) if c.name in ("x", "y") else c
+            for c in smooth_of_centres(s)]
+
+
+def smooth_of_centres(s: Situation) -> list[Covariate]:
+    """Covariates within the field of view (M,): polynomials."""
     out = [polynomial("xyz"[c], s.obs.xyz[:, c], 3) for c in range(3) if np.ptp(s.obs.xyz[:, c]) > 1e-6]
     if out:
         radius = np.hypot(s.obs.xyz[:, 0], s.obs.xyz[:, 1])

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis import prove, residual_test
+from mbcacq.diagnosis import advice, prove, residual_test
 from mbcacq.diagnosis.explain import NOTHING, Search
 from mbcacq.diagnosis.finding import Finding, Setup, find, prepare, thin
 from mbcacq.diagnosis.locate import log10_tail
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
 from mbcacq.diagnosis.smooth import MANY_POSES
 from mbcacq.observations import Observations
+from mbcacq.physics.effect import Candidate
 
 MOST_POSES = 4000
+VISIBLE = 12.0  # chi2 that an effect of typical size must make to be called visible
 UNDECIDED = 6.0  # chi2 by which an alternative may be worse and still not be excluded
 
 
@@ -41,11 +43,17 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     verdict = verdict_of(full)
     if full.smooth is not None:
         effects += unknown_effects(full, proof)
-    alternatives, inseparable = rivals(setup, full)
+    alternatives, inseparable, pairs = rivals(setup, full)
     for effect in effects:
         effect.alternatives = alternatives.get(effect.name, [])
+    hints = advice.separate(setup.situation, pairs)
     if verdict == "explained" and inseparable:
         verdict = "cannot_tell"
+    if verdict == "none":
+        for candidate, seen in unseen(setup, full):
+            verdict = "cannot_tell"
+            inseparable.append({"effects": [f"{candidate.name}:{'+'.join(candidate.where)}", "geometry and station poses"], "correlation": float(np.sqrt(1 - seen))})
+            hints.append(advice.show(setup.situation, candidate))
     floor = float(np.sqrt(after.rms**2))
     fit = {
         "train": {"before_rms_mm": before.rms, "after_rms_mm": after.rms, "before_chi2_dof": before.chi2_dof, "after_chi2_dof": after.chi2_dof},
@@ -53,7 +61,7 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
                      "after_chi2_dof": proof.after.chi2_dof, "split": proof.split},
         "repeatability_floor_mm": expected_rms(full, floor),
     }
-    return Diagnosis(verdict, mismatch_list(setup, full, before), effects, fit, inseparable, [], setup.dropped, notes(setup, full, leftover))
+    return Diagnosis(verdict, mismatch_list(setup, full, before), effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover))
 
 
 def expected_rms(full: Finding, fallback: float) -> float:
@@ -127,13 +135,29 @@ def unknown_effects(full: Finding, proof: prove.Proof) -> list[EffectFound]:
                         p_value, float(np.clip((proof.before.chi2 - proof.after.chi2) / excess, 0, 1)))]
 
 
-def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict]]:
-    """For each named effect: what else could stand in its place; and the pairs that these data cannot tell apart."""
+def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float]]:
+    """Elastic main joints that would not show at their typical size, with the share of their effect that geometry leaves."""
+    out = []
+    if not setup.situation.masses_known:
+        return out
+    elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
+    strongest = sorted(elastic, key=lambda c: -np.ptp(setup.situation.gravity_torque[:, int(c.where[0][1:]) - 1]))[:1]
+    for candidate in strongest:
+        scored = full.before.test(candidate)
+        if candidate.typical[0] ** 2 / max(scored.covariance[0, 0], 1e-300) < VISIBLE:
+            X = full.before.block(candidate, None)
+            out.append((candidate, float(np.clip(1 / max(scored.covariance[0, 0], 1e-300) / np.sum(X * X), 0, 1))))
+    return out
+
+
+def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict], list]:
+    """For each named effect: what else could stand in its place; the pairs that these data cannot tell apart, in words and as found."""
     alternatives: dict[str, list[dict]] = {}
     inseparable: list[dict] = []
+    pairs: list = []
     model = full.model
     if not model.members or len(model.members) > 6:
-        return alternatives, inseparable
+        return alternatives, inseparable, pairs
     search = Search(setup.candidates)
     excess = max(full.before.chi2 - full.before.dof, 1e-9)
     for name in model.names:
@@ -154,7 +178,9 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
             if swapped is not None and swapped.score > model.score - UNDECIDED and scored.gain > lost - UNDECIDED:
                 inseparable.append({"effects": [f"{name}:{'+'.join(model.members[mine[0]][0].where)}", f"{candidate.name}:{'+'.join(candidate.where)}"],
                                     "correlation": float(np.clip(scored.gain / max(lost, 1e-9), 0, 1))})
-    return alternatives, inseparable
+                first, hyper = model.members[mine[0]]
+                pairs.append(((first, hyper, model.coefficients[model.parts()[mine[0]]]), (candidate, scored.hyper, scored.coefficients)))
+    return alternatives, inseparable, pairs
 
 
 def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[dict]:

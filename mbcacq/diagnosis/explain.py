@@ -19,6 +19,7 @@ from mbcacq.physics.situation import Situation
 
 FALSE_ALARM = 0.01
 NEW_FAMILY = 4.0
+LONGEST = 20
 FAMILIES = 20
 COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # where one is, others are likely
 
@@ -54,6 +55,7 @@ class Search:
     branches: int = 6
     most: int = 12
     thorough: bool = True
+    least_share: float = 0.0
     protected: frozenset[str] = frozenset()
     situation: Situation | None = None
 
@@ -76,6 +78,8 @@ class Search:
                 best = beam[0]
             elif beam[0].score < best.score - 20:
                 break
+            if len(best.members) >= LONGEST:
+                break  # the smooth model is the better place for what is left
         return self.polish(screen, best)
 
     def polish(self, screen: Screen, model: Model) -> Model:
@@ -115,7 +119,7 @@ class Search:
             if not self.allowed(candidate, model):
                 continue
             scored = best_hyper(here, candidate)
-            if scored.gain > 0.7 * self.cost(candidate, scored.hyper, model):
+            if scored.gain > max(0.7 * self.cost(candidate, scored.hyper, model), self.least_share * screen.chi2):
                 out.append(scored)
         return sorted(out, key=lambda s: self.cost(s.candidate, s.hyper, model) - s.gain)
 

@@ -22,7 +22,7 @@ from mbcacq.physics.effect import Candidate
 from mbcacq.physics.situation import Situation
 
 PASSES = 4
-SEARCHED = 1200  # poses that the search for names looks at, of a long recording
+SEARCHED = 800  # poses that the search for names looks at, of a long recording
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,8 @@ def settle(linear: Linear, model: Model, sigma: Noise) -> Linear:
 def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search, Linear]:
     """Named effects, noise and linearisation in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > smooth.MANY_POSES
-    search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=10, thorough=not large,
+    search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=5 if large else 10, thorough=not large,
+                    least_share=0.003 if large else 0.0,
                     situation=None if large else setup.situation)
     sigma = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
     model = NOTHING

@@ -6,13 +6,13 @@ number of cells of the map, and of a spectral scan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
-from mbcacq.diagnosis import covariates
+from mbcacq.diagnosis import covariates, ripple
 from mbcacq.diagnosis.screen import Screen, solve_block
 from mbcacq.physics.situation import Situation
 
@@ -21,7 +21,7 @@ FINE = 16
 
 @dataclass(frozen=True)
 class Spot:
-    """One cell of the map. kind: smooth, periodic or constant. log10_p corrected for the number of cells; order of a periodic one."""
+    """One cell of the map. kind: smooth, fine, periodic, ripple or constant. log10_p corrected for the number of cells; order of a wave."""
 
     at: str
     depends_on: str
@@ -116,10 +116,15 @@ def _spectral(screen: Screen, s: Situation) -> list[Spot]:
 
 def _scanner(screen: Screen, s: Situation, place: Attachment, poses: list[covariates.Covariate]) -> list[Spot]:
     out = []
-    for covariate in covariates.of_centres(s):
+    for covariate in covariates.smooth_of_centres(s):
         units = [screen.linear.unit(*key) for key in place.components]
         columns = np.stack([u * f[:, None] for u in units for f in covariate.functions.T], axis=2)
-        out.append(_spot(place.at, covariate.name, "smooth", block_gain(screen, columns), columns.shape[2]))
+        best = _spot(place.at, covariate.name, "smooth", block_gain(screen, columns), columns.shape[2])
+        wave = ripple.scan(screen, covariate.values) if covariate.name in ("x", "y") else None
+        if wave is not None:  # the more significant of two shapes of one dependence
+            periodic = _spot(place.at, covariate.name, "ripple", wave.gain, 2, 2 * wave.independent, wave.frequency)
+            best = replace(min(best, periodic, key=lambda p: p.log10_p), log10_p=min(best.log10_p, periodic.log10_p) + np.log10(2))
+        out.append(best)
     for covariate in poses:
         if covariate.name in ("time", "pose") or covariate.name.endswith("_C"):
             F = covariate.functions
