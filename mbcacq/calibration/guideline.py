@@ -45,7 +45,8 @@ class Figure:
         return asdict(self)
 
 
-def judge(observations: Observations, calibration: Calibration, limits: Limits | None = None) -> list[Figure]:
+def judge(observations: Observations, calibration: Calibration, limits: Limits | None = None,
+          spacing: np.ndarray | None = None) -> list[Figure]:
     """The four figures, from the verification poses (where there are none, only what can be said is said).
 
     Form: the range of distances from the fitted sphere cannot be had from centres; four times the rms of the fits (95 % of a normal
@@ -54,7 +55,7 @@ def judge(observations: Observations, calibration: Calibration, limits: Limits |
     """
     limits = limits or Limits()
     obs = verification_poses(observations)
-    spacing = verify(observations, calibration).errors("after")
+    spacing = verify(observations, calibration).errors("after") if spacing is None else spacing
     sigma = certificate_sigma(obs)
     form = 4 * float(np.nanmax(obs.rms_mm)) if obs.rms_mm is not None and obs.n_centres and np.any(np.isfinite(obs.rms_mm)) else None
     points = 0.0 if obs.n_points is None or not obs.n_centres else float(np.min(obs.n_points))

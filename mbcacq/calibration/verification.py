@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -29,11 +29,12 @@ class Place:
 @dataclass(frozen=True)
 class Verification:
     """Sphere spacing errors at every place, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
-    independent: none of the poses took part in the calibration."""
+    independent: none of the poses took part in the calibration. figures: after the manner of VDI/VDE 2634 Part 3, see ``guideline``."""
 
     places: tuple[Place, ...]
     limit_mm: float | None = None
     independent: bool = True
+    figures: tuple[dict, ...] = ()
 
     def errors(self, which: str) -> np.ndarray:
         """(places,) signed errors in mm, 'before' or 'after'."""
@@ -50,6 +51,7 @@ class Verification:
             out["expected_mean_mm"] = float(np.sqrt(2 / np.pi) * np.mean(expected))
         out["limit_mm"] = self.limit_mm
         out["independent"] = self.independent
+        out["figures"] = list(self.figures)
         out["places"] = [asdict(p) | {"balls": list(p.balls)} for p in self.places]
         return out
 
@@ -76,8 +78,14 @@ def verify(observations: Observations, calibration: Calibration | CellState, *, 
             (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
             expected = float(distance_uncertainty(calibration, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
         places.append(Place(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
-    used = isinstance(calibration, Calibration) and bool(np.isin(obs.pose_id, calibration.observations.pose_id).any())
-    return Verification(tuple(places), limit_mm, not used)
+    if not isinstance(calibration, Calibration):
+        return Verification(tuple(places), limit_mm)
+    from mbcacq.calibration.guideline import Limits, judge
+
+    used = bool(np.isin(obs.pose_id, calibration.observations.pose_id).any())
+    found = Verification(tuple(places), limit_mm, not used)
+    figures = judge(observations, calibration, Limits(sphere_spacing_error_mm=limit_mm), found.errors("after"))
+    return replace(found, figures=tuple(f.to_dict() for f in figures))
 
 
 def verification_poses(obs: Observations) -> Observations:

@@ -25,11 +25,13 @@ import click
               help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.")
 @click.option("--keep-outliers", is_flag=True, help="Do not screen gross outliers.")
 @click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
+@click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
+@click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 def command(data: Path, method: str, held_out: str | None, held_out_size: int | None, fits: int | None, seed: int, phases: tuple[str, ...],
             hold: tuple[str, ...], release: tuple[str, ...], hand_eye_only: bool, noise: str, keep_outliers: bool,
-            even_if_undetermined: bool, out: Path | None, as_json: bool) -> None:
+            even_if_undetermined: bool, with_map: bool, l_curve: Path | None, out: Path | None, as_json: bool) -> None:
     """Calibrate the cell from DATA: a run folder, a recording (.rrd) or an observation set.
 
     \b
@@ -48,6 +50,12 @@ def command(data: Path, method: str, held_out: str | None, held_out_size: int | 
     calibration = calibrate(observations, options)
     result = calibration.to_dict()
     result["verification"] = verify(observations, calibration).to_dict()
+    if with_map:
+        from mbcacq.calibration.accuracy_map import accuracy_map
+
+        result["accuracy_map"] = accuracy_map(calibration).to_dict()
+    if l_curve:
+        _draw_l_curve(result, l_curve)
     if held_out:
         result["held_out"] = leave_out(observations, options, held_out, size=held_out_size, fits=fits, seed=seed).to_dict()
     if out:
@@ -60,6 +68,18 @@ def command(data: Path, method: str, held_out: str | None, held_out_size: int | 
         click.echo(json.dumps(result))
     else:
         print_result(result)
+
+
+def _draw_l_curve(result: dict[str, Any], path: Path) -> None:
+    import numpy as np
+
+    from mbcacq.calibration.paper.angles import LCurve
+    from mbcacq.errors import ConfigError
+
+    curve = next((s["l_curve"] for s in result.get("stages", ()) if "l_curve" in s), None)
+    if curve is None:
+        raise ConfigError("there is no L-curve: it belongs to the angle adjustment of --method paper")
+    LCurve(np.array(curve["ridge"]), np.array(curve["misfit_rad"]), np.array(curve["size_mm"]), curve["corner"]).plot(path)
 
 
 def print_result(result: dict[str, Any]) -> None:
@@ -84,10 +104,12 @@ def print_result(result: dict[str, Any]) -> None:
         console.print(f"Noise: scanner {sigmas} um along x y z{repeat}")
         if result["method"] == "paper":
             console.print("The paper's method has no noise model: noise is what was left over, and standard deviations are optimistic")
-    for line in tables.remarks(result):
+    for line in [*tables.stages(result), *tables.remarks(result)]:
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))
+        for line in tables.figures(result["verification"]):
+            console.print(line)
     if result.get("held_out"):
         console.print(tables.held_out(result["held_out"]))
     for name, path in (result.get("files") or {}).items():

@@ -72,6 +72,31 @@ def remarks(result: dict[str, Any]) -> list[str]:
     return out
 
 
+def stages(result: dict[str, Any]) -> list[str]:
+    """What each stage of the paper's method did."""
+    out = []
+    for stage in result.get("stages") or []:
+        gains = []
+        for key in stage:
+            if "_before_" in key:
+                name, unit = key.split("_before_")
+                gains.append(f"{name.replace('_', ' ')} {stage[key]:.4f} -> {stage[f'{name}_after_{unit}']:.4f} {unit}")
+            elif key.startswith("change_"):
+                gains.append(f"changed by {stage[key]:.3f} {key.removeprefix('change_')}")
+        out.append(f"Stage: {stage['stage']}" + (f": {', '.join(gains)}" if gains else ""))
+    return out
+
+
+def figures(v: dict[str, Any]) -> list[str]:
+    """Figures after the manner of VDI/VDE 2634 Part 3."""
+    out = []
+    for f in v.get("figures") or []:
+        if f["value_mm"] is not None and f["name"] != "sphere spacing error":
+            limit = "" if f["limit_mm"] is None else f", limit {f['limit_mm']:g} mm: {f['verdict']}"
+            out.append(f"{f['name'].capitalize()}: {f['value_mm']:.4f} mm, largest of {f['count']}{limit}")
+    return out
+
+
 def verification(v: dict[str, Any]) -> Table:
     """Sphere spacing errors before and after, as the paper's Table 2."""
     table = Table(title="Sphere spacing error (mm)", title_justify="left")
