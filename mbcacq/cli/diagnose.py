@@ -44,6 +44,14 @@ def diagnose_poses(data: Path, report: Path | None, rrd: Path | None) -> tuple[d
 
     observations = load(data)
     result = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True))
+    if report is not None:
+        from mbcacq.diagnosis.figures import write_html
+
+        write_html(result, result.evidence, report)
+    if rrd is not None:
+        from mbcacq.diagnosis.figures import write_rrd
+
+        write_rrd(result.evidence, rrd)
     return result.as_json(), words(result)
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis import advice, prove, residual_test
+from mbcacq.diagnosis import advice, covariates, prove, residual_test
 from mbcacq.diagnosis.explain import NOTHING, Search
+from mbcacq.diagnosis.figures import Evidence
 from mbcacq.diagnosis.finding import Finding, Setup, find, prepare, thin
-from mbcacq.diagnosis.locate import log10_tail
+from mbcacq.diagnosis.locate import log10_tail, mismatch
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
 from mbcacq.diagnosis.smooth import MANY_POSES
 from mbcacq.observations import Observations
@@ -37,8 +38,8 @@ def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: 
 
 def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     model, leftover = full.model, full.leftover
-    before, _ = prove.on_train(full.before, NOTHING, None)
-    after, _ = prove.on_train(full.before, model, full.smooth)
+    before, left_before = prove.on_train(full.before, NOTHING, None)
+    after, left_after = prove.on_train(full.before, model, full.smooth)
     effects = named_effects(setup, full, before)
     verdict = verdict_of(full)
     if full.smooth is not None:
@@ -61,7 +62,8 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
                      "after_chi2_dof": proof.after.chi2_dof, "split": proof.split},
         "repeatability_floor_mm": expected_rms(full, floor),
     }
-    return Diagnosis(verdict, mismatch_list(setup, full, before), effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover))
+    shown = evidence_of(setup, full, left_before, left_after)
+    return Diagnosis(verdict, mismatch_list(setup, full, before), effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover), shown)
 
 
 def expected_rms(full: Finding, fallback: float) -> float:
@@ -218,3 +220,19 @@ def notes(setup: Setup, full: Finding, leftover: residual_test.Leftover | None) 
     if not setup.situation.masses_known:
         out.append("no masses given: elasticity under gravity was tested with one kilogram halfway along each link, its size in rad/Nm is not meaningful")
     return out
+
+
+def evidence_of(setup: Setup, full: Finding, before: np.ndarray, after: np.ndarray) -> Evidence:
+    """What pictures are drawn from; the map itself is made only when it is drawn."""
+    s, linear = setup.situation, full.before.linear
+    obs, keep = linear.obs, linear.keep
+    if s.scanner_on_flange:
+        T = linear.prediction.T_base_scanner[obs.pose]
+    else:
+        T = linear.prediction.T_base_station[obs.pose]
+    points = np.einsum("mij,mj->mi", T[:, :3, :3], obs.xyz) + T[:, :3, 3]
+    turned = [np.einsum("mij,mj->mi", T[:, :3, :3], r[:, :3])[keep] for r in (before, after)]
+    values = {c.name: np.asarray(c.values, float)[obs.pose][keep] for c in covariates.of_poses(s)}
+    if s.scanner_on_flange:
+        values |= {c.name: np.asarray(c.values, float)[keep] for c in covariates.of_centres(s)}
+    return Evidence(lambda: mismatch(full.before, s), points[keep], turned[0], turned[1], values)

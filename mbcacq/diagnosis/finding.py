@@ -136,15 +136,15 @@ def settle(linear: Linear, model: Model, sigma: Noise) -> Linear:
     return new
 
 
-def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search, Linear]:
+def search_named(setup: Setup, linear: Linear, settling: bool = True, first: Noise | None = None) -> tuple[Model, Noise, Search, Linear]:
     """Named effects, noise and linearisation in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > smooth.MANY_POSES
     search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=5 if large else 10, thorough=not large,
                     least_share=0.003 if large else 0.0,
                     situation=None if large else setup.situation)
-    sigma = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
+    sigma = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first if first is None else first, setup.first)
     model = NOTHING
-    for turn in range(2 if large else PASSES):
+    for turn in range(2 if large or not settling else PASSES):
         screen = Screen(linear, sigma)
         start = NOTHING
         if large:  # every arm is elastic: what elasticity explains is not given to slow periodic errors
@@ -158,7 +158,7 @@ def search_named(setup: Setup, linear: Linear) -> tuple[Model, Noise, Search, Li
         if not model.members:
             break
         sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
-        for _ in range(2):
+        for _ in range(2 * settling):
             linear = settle(linear, model, sigma)
         if same:
             break
@@ -170,7 +170,7 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
     linear = setup.linear if keep is None else setup.linear.restricted(keep)
     large = linear.obs.n_poses > smooth.MANY_POSES
     small = thin(setup, linear.keep, SEARCHED) if large else setup
-    model, sigma, search, settled = search_named(small, small.linear if large else linear)
+    model, sigma, search, settled = search_named(small, small.linear if large else linear, settling=keep is None)
     if not large:
         linear = settled
     if large:

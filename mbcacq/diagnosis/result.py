@@ -28,7 +28,10 @@ class EffectFound:
 
 @dataclass
 class Diagnosis:
-    """verdict as in the contract; dropped: effect -> what the recording lacks; notes: further sentences for people."""
+    """verdict as in the contract; dropped: effect -> what the recording lacks; notes: further sentences for people.
+
+    evidence: what pictures are drawn from (``figures.Evidence``); not part of the JSON.
+    """
 
     verdict: str
     mismatch: list[dict[str, Any]]
@@ -38,6 +41,7 @@ class Diagnosis:
     advice: list[dict[str, Any]]
     dropped: dict[str, str]
     notes: list[str]
+    evidence: Any = None
 
     def as_json(self) -> dict[str, Any]:
         return plain({
