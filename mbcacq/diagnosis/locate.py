@@ -46,13 +46,18 @@ def attachments(s: Situation) -> list[Attachment]:
     wrench = range(6)
     out += [Attachment(f"link{i}", tuple(("frame", i, c) for c in wrench)) for i in range(1, n)]
     out.append(Attachment("base", tuple(("frame", 0, c) for c in wrench)))
-    out.append(Attachment("mount", tuple(("frame", n, c) for c in (wrench if s.scanner_on_flange or s.obs.rotation is not None else range(3)))))
+    out.append(
+        Attachment("mount", tuple(("frame", n, c) for c in (wrench if s.scanner_on_flange or s.obs.rotation is not None else range(3))))
+    )
     if s.scanner_on_flange and np.ptp(s.obs.xyz, axis=0).max() > 0:
         out.append(Attachment("scanner", tuple(("point", 0, c) for c in range(3))))
     stations = np.unique(s.obs.station)
     if len(stations) > 1:
-        out += [Attachment(f"station{cell.stations[k].id}", tuple(("station", int(k), c) for c in range(3))) for k in stations
-                if np.sum(s.obs.station == k) > 6]
+        out += [
+            Attachment(f"station{cell.stations[k].id}", tuple(("station", int(k), c) for c in range(3)))
+            for k in stations
+            if np.sum(s.obs.station == k) > 6
+        ]
     return out
 
 
@@ -109,8 +114,17 @@ def _spectral(screen: Screen, s: Situation) -> list[Spot]:
     for candidate in gear_transmission_error.candidates(s):
         curve = screen.scan(candidate)
         j = int(np.argmax(curve))
-        out.append(_spot(candidate.where[0], candidate.depends_on, "periodic", float(curve[j]), 2, 2 * candidate.hyper.independent,
-                         float(candidate.hyper.values[j])))
+        out.append(
+            _spot(
+                candidate.where[0],
+                candidate.depends_on,
+                "periodic",
+                float(curve[j]),
+                2,
+                2 * candidate.hyper.independent,
+                float(candidate.hyper.values[j]),
+            )
+        )
     return out
 
 

@@ -1,0 +1,64 @@
+"""Lost motion that fades with travel, and waves over the field of view: no catalogue names them, both are located."""
+
+from dataclasses import replace
+
+import made
+import numpy as np
+
+from mbcacq.calibration import forward
+from mbcacq.calibration.forward import Displacements
+from mbcacq.diagnosis import base_fit, finding, travel
+from mbcacq.diagnosis.diagnose import verdict_of
+from mbcacq.physics.situation import Situation
+
+
+def situation(obs):
+    state = base_fit.start(obs)
+    return Situation(obs, state, forward.predict(obs, state))
+
+
+def test_travel_is_counted_in_the_order_of_time_and_a_standing_joint_remembers(plan):
+    q = np.zeros((4, 6))
+    q[:, 0] = [0.5, 0.1, 0.5, 0.8]
+    sense = np.ones((4, 6))
+    sense[:, 0] = [1, 1, -1, 1]
+    four = plan.select(np.arange(plan.n_poses) < 4)
+    s = situation(replace(four, q=q, direction=sense, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
+
+    travelled, told = travel.travelled(s)
+
+    np.testing.assert_allclose(travelled[:, 0], [0.4, np.inf, 0.4, 0.3])
+    np.testing.assert_array_equal(told[:, 0], [1, 1, 1, 1])
+    assert np.all(np.isinf(travelled[:, 1]))
+
+
+def short_memory_of_joint_four(s):
+    travelled, sense = travel.travelled(s)
+    joint = np.zeros(s.obs.q.shape)
+    joint[:, 3] = -8e-4 * sense[:, 3] * np.exp(-travelled[:, 3] / 0.2)
+    return Displacements(joint=joint)
+
+
+def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
+    found = finding.find(finding.prepare(made.observe(plan, 110, [short_memory_of_joint_four])))
+
+    assert verdict_of(found) in ("unexplained", "partly_explained")
+    assert (found.leftover.spots[0].at, found.leftover.spots[0].depends_on) == ("A4", "direction_4")
+
+
+def fringes(s):
+    point = np.zeros((s.obs.n_centres, 3))
+    point[:, 2] = 0.03 * np.sin(2 * np.pi * s.obs.xyz[:, 1] / 14.0 + 0.4)
+    return Displacements(point=point)
+
+
+def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(plan):
+    found = finding.find(finding.prepare(made.observe(plan, 111, [fringes])))
+
+    first = found.leftover.spots[0]
+    assert verdict_of(found) == "unexplained"
+    assert (first.at, first.depends_on, first.kind) == ("scanner", "y", "ripple")
+    assert abs(2 * np.pi / first.order - 14.0) < 0.3
+    modelled = (found.smooth.columns @ found.smooth.coefficients)[:, 2]
+    true = np.sin(2 * np.pi * plan.xyz[:, 1] / 14.0 + 0.4)
+    assert np.corrcoef(modelled, true)[0, 1] > 0.95
