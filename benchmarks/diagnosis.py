@@ -37,12 +37,26 @@ def measured(template: Observations, effects: list[dict], seed: int, outliers: f
     cell = template.cell
     T = base_fit.start(template).T_base_station
     planned = replace(cell, stations=tuple(replace(s, T_base_station=T[i]) for i, s in enumerate(cell.stations)))
-    poses = [Planned(template.q[p], cell.stations[template.station[p]].id, tuple(int(cell.ball_ids[b]) for b in template.ball[template.pose == p]))
-             for p in range(template.n_poses)]
+    poses = [
+        Planned(
+            template.q[p], cell.stations[template.station[p]].id, tuple(int(cell.ball_ids[b]) for b in template.ball[template.pose == p])
+        )
+        for p in range(template.n_poses)
+    ]
     got = recorded.observe(planned, poses, effects, seed, outliers=outliers)
     order = np.lexsort((got.ball, got.pose))
-    obs = Observations(cell, np.arange(len(got.q)), got.station, got.q, got.pose[order], got.ball[order], got.xyz[order], time_s=got.time_s,
-                       direction=got.direction, temperatures={"air_C": got.air_C, "robot_C": got.robot_C})
+    obs = Observations(
+        cell,
+        np.arange(len(got.q)),
+        got.station,
+        got.q,
+        got.pose[order],
+        got.ball[order],
+        got.xyz[order],
+        time_s=got.time_s,
+        direction=got.direction,
+        temperatures={"air_C": got.air_C, "robot_C": got.robot_C},
+    )
     return obs, got.truth
 
 
@@ -84,8 +98,12 @@ def main() -> None:
             tally["right" if right else "silent" if verdict == "none" else "wrong"] += 1
             if not right or args.what == "outside":
                 spot = found.leftover.spots[0]
-                print(f"  {name} seed {args.seed + m} strength {strength:.2f}: {verdict} {named} left {spot.at}({spot.depends_on}) 1e{spot.log10_p:.1f} "
-                      f"truth {truth_line(truth)}", flush=True)
+                print(
+                    f"  {name} seed {args.seed + m} strength {strength:.2f}: {verdict} {named} left {spot.at}({spot.depends_on}) "
+                    f"1e{spot.log10_p:.1f} "
+                    f"truth {truth_line(truth)}",
+                    flush=True,
+                )
         print(f"{name}: {dict(tally)}", flush=True)
         count += tally
     print(f"all: {dict(count)}, {np.mean(took):.2f} s each")

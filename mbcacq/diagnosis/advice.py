@@ -30,8 +30,16 @@ def elsewhere(situation: Situation, seed: int = 0) -> Situation:
     q = q[robot.chain.frames(q)[:, -1, 2, 3] > height][:TRIED]
     count = len(q)
     pose = np.arange(count)
-    blank = Observations(obs.cell, pose, np.full(count, obs.station[0]), q, pose, np.full(count, obs.ball[0]), np.zeros((count, 3)),
-                         direction=None if obs.direction is None else rng.choice([-1.0, 1.0], q.shape))
+    blank = Observations(
+        obs.cell,
+        pose,
+        np.full(count, obs.station[0]),
+        q,
+        pose,
+        np.full(count, obs.ball[0]),
+        np.zeros((count, 3)),
+        direction=None if obs.direction is None else rng.choice([-1.0, 1.0], q.shape),
+    )
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))
     return Situation(blank, situation.state, forward.predict(blank, situation.state))
@@ -45,7 +53,9 @@ def displacement(there: Situation, linear: Linear, key: str, hyper: float | None
     return linear.columns(candidate.build(hyper))[:, :3] @ coefficients
 
 
-def separate(situation: Situation, pairs: Sequence[tuple[tuple[Candidate, float | None, np.ndarray], tuple[Candidate, float | None, np.ndarray]]]) -> list[dict[str, Any]]:
+def separate(
+    situation: Situation, pairs: Sequence[tuple[tuple[Candidate, float | None, np.ndarray], tuple[Candidate, float | None, np.ndarray]]]
+) -> list[dict[str, Any]]:
     """One piece of advice for each pair of rivals, each with hyper-parameter and coefficients."""
     if not pairs:
         return []
@@ -54,15 +64,25 @@ def separate(situation: Situation, pairs: Sequence[tuple[tuple[Candidate, float 
     out = []
     for (a, ha, ca), (b, hb, cb) in pairs:
         if a.name in IN_TIME or b.name in IN_TIME:
-            out.append({"reason": f"{a.name} and {b.name} differ in time: measure the first station again, at the same postures, at the end", "poses_deg": first_poses(situation)})
+            out.append(
+                {
+                    "reason": f"{a.name} and {b.name} differ in time: measure the first station again, at the same postures, at the end",
+                    "poses_deg": first_poses(situation),
+                }
+            )
             continue
         moved = [displacement(there, linear, c.key, h, v) for c, h, v in ((a, ha, ca), (b, hb, cb))]
         if moved[0] is None or moved[1] is None:
             continue
         chosen = spread(moved[0] - moved[1])
         apart = float(np.linalg.norm((moved[0] - moved[1])[chosen], axis=1).mean())
-        out.append({"reason": f"{a.name} at {'+'.join(a.where)} and {b.name} at {'+'.join(b.where)} differ by {apart:.3f} mm at these poses, on one station",
-                    "poses_deg": np.degrees(there.obs.q[chosen]).round(3).tolist()})
+        out.append(
+            {
+                "reason": f"{a.name} at {'+'.join(a.where)} and {b.name} at {'+'.join(b.where)} differ by {apart:.3f} mm "
+                "at these poses, on one station",
+                "poses_deg": np.degrees(there.obs.q[chosen]).round(3).tolist(),
+            }
+        )
     return out
 
 
@@ -71,8 +91,11 @@ def show(situation: Situation, candidate: Candidate) -> dict[str, Any]:
     there = elsewhere(situation)
     moved = displacement(there, Linear(there.obs, there.state), candidate.key, None, candidate.typical)
     chosen = spread(moved) if moved is not None else np.arange(0)
-    return {"reason": f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one station, or a long bar end by end",
-            "poses_deg": np.degrees(there.obs.q[chosen]).round(3).tolist()}
+    return {
+        "reason": f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "
+        "station, or a long bar end by end",
+        "poses_deg": np.degrees(there.obs.q[chosen]).round(3).tolist(),
+    }
 
 
 def spread(moved: np.ndarray) -> np.ndarray:

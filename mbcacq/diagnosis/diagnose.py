@@ -53,17 +53,34 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     if verdict == "none":
         for candidate, seen in unseen(setup, full):
             verdict = "cannot_tell"
-            inseparable.append({"effects": [f"{candidate.name}:{'+'.join(candidate.where)}", "geometry and station poses"], "correlation": float(np.sqrt(1 - seen))})
+            inseparable.append(
+                {
+                    "effects": [f"{candidate.name}:{'+'.join(candidate.where)}", "geometry and station poses"],
+                    "correlation": float(np.sqrt(1 - seen)),
+                }
+            )
             hints.append(advice.show(setup.situation, candidate))
     floor = float(np.sqrt(after.rms**2))
     fit = {
-        "train": {"before_rms_mm": before.rms, "after_rms_mm": after.rms, "before_chi2_dof": before.chi2_dof, "after_chi2_dof": after.chi2_dof},
-        "held_out": {"before_rms_mm": proof.before.rms, "after_rms_mm": proof.after.rms, "before_chi2_dof": proof.before.chi2_dof,
-                     "after_chi2_dof": proof.after.chi2_dof, "split": proof.split},
+        "train": {
+            "before_rms_mm": before.rms,
+            "after_rms_mm": after.rms,
+            "before_chi2_dof": before.chi2_dof,
+            "after_chi2_dof": after.chi2_dof,
+        },
+        "held_out": {
+            "before_rms_mm": proof.before.rms,
+            "after_rms_mm": proof.after.rms,
+            "before_chi2_dof": proof.before.chi2_dof,
+            "after_chi2_dof": proof.after.chi2_dof,
+            "split": proof.split,
+        },
         "repeatability_floor_mm": expected_rms(full, floor),
     }
     shown = evidence_of(setup, full, left_before, left_after)
-    return Diagnosis(verdict, mismatch_list(setup, full, before), effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover), shown)
+    return Diagnosis(
+        verdict, mismatch_list(setup, full, before), effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover), shown
+    )
 
 
 def expected_rms(full: Finding, fallback: float) -> float:
@@ -91,7 +108,11 @@ def named_effects(setup: Setup, full: Finding, before: prove.Quality) -> list[Ef
     grouped: dict[str, list[int]] = {}
     for j, (candidate, _) in enumerate(model.members):
         name = candidate.name
-        key = name if candidate.where[0].startswith(("A", "link", "station")) and name != "wrist_coupling" else f"{name}:{'+'.join(candidate.where)}"
+        key = (
+            name
+            if candidate.where[0].startswith(("A", "link", "station")) and name != "wrist_coupling"
+            else f"{name}:{'+'.join(candidate.where)}"
+        )
         grouped.setdefault(key, []).append(j)
     out = []
     for members in grouped.values():
@@ -100,8 +121,19 @@ def named_effects(setup: Setup, full: Finding, before: prove.Quality) -> list[Ef
         gain = model.gain - rest.gain
         k = sum(model.members[j][0].k for j in members)
         where = list(dict.fromkeys(w for j in members for w in model.members[j][0].where))
-        out.append((gain, EffectFound(first.name, where, first.depends_on, merge_parameters(full, members),
-                                      10 ** max(log10_tail(gain, k), -300.0), float(np.clip(gain / excess, 0, 1)))))
+        out.append(
+            (
+                gain,
+                EffectFound(
+                    first.name,
+                    where,
+                    first.depends_on,
+                    merge_parameters(full, members),
+                    10 ** max(log10_tail(gain, k), -300.0),
+                    float(np.clip(gain / excess, 0, 1)),
+                ),
+            )
+        )
     return [effect for _, effect in sorted(out, key=lambda pair: -pair[0])]
 
 
@@ -133,8 +165,16 @@ def unknown_effects(full: Finding, proof: prove.Proof) -> list[EffectFound]:
     first = next(((p.at, p.depends_on) for p in spots), ranked[0])
     excess = max(proof.before.chi2 - proof.before.dof, 1e-9)
     p_value = 10 ** max(spots[0].log10_p, -300.0) if spots else 1.0
-    return [EffectFound("unknown", [first[0]], first[1], {f"{at}({on}).rms_mm": {"value": float(np.sqrt(size[at, on])), "std": 0.0} for at, on in ranked[:12]},
-                        p_value, float(np.clip((proof.before.chi2 - proof.after.chi2) / excess, 0, 1)))]
+    return [
+        EffectFound(
+            "unknown",
+            [first[0]],
+            first[1],
+            {f"{at}({on}).rms_mm": {"value": float(np.sqrt(size[at, on])), "std": 0.0} for at, on in ranked[:12]},
+            p_value,
+            float(np.clip((proof.before.chi2 - proof.after.chi2) / excess, 0, 1)),
+        )
+    ]
 
 
 def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float]]:
@@ -175,11 +215,16 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
                 continue
             seen.add(candidate.name)
             alternatives.setdefault(name, []).append(
-                {"name": candidate.name, "where": list(candidate.where), "held_out_gain": float(np.clip(scored.gain / excess, 0, 1))})
+                {"name": candidate.name, "where": list(candidate.where), "held_out_gain": float(np.clip(scored.gain / excess, 0, 1))}
+            )
             swapped = search.solve(full.before, (*rest.members, (candidate, scored.hyper)))
             if swapped is not None and swapped.score > model.score - UNDECIDED and scored.gain > lost - UNDECIDED:
-                inseparable.append({"effects": [f"{name}:{'+'.join(model.members[mine[0]][0].where)}", f"{candidate.name}:{'+'.join(candidate.where)}"],
-                                    "correlation": float(np.clip(scored.gain / max(lost, 1e-9), 0, 1))})
+                inseparable.append(
+                    {
+                        "effects": [f"{name}:{'+'.join(model.members[mine[0]][0].where)}", f"{candidate.name}:{'+'.join(candidate.where)}"],
+                        "correlation": float(np.clip(scored.gain / max(lost, 1e-9), 0, 1)),
+                    }
+                )
                 first, hyper = model.members[mine[0]]
                 pairs.append(((first, hyper, model.coefficients[model.parts()[mine[0]]]), (candidate, scored.hyper, scored.coefficients)))
     return alternatives, inseparable, pairs
@@ -192,11 +237,17 @@ def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[di
     excess = max(before.chi2 - before.dof, model.gain, 1e-9)
     out = []
     for j, (candidate, _) in enumerate(model.members):
-        rest = search.solve(full.before, model.members[:j] + model.members[j + 1:], permit=True)
+        rest = search.solve(full.before, model.members[:j] + model.members[j + 1 :], permit=True)
         gain = model.gain - rest.gain
         for at in candidate.where[-1:]:
-            out.append({"at": at, "depends_on": candidate.depends_on, "share": float(np.clip(gain / excess, 0, 1)),
-                        "p_value": 10 ** max(log10_tail(gain, candidate.k), -300.0)})
+            out.append(
+                {
+                    "at": at,
+                    "depends_on": candidate.depends_on,
+                    "share": float(np.clip(gain / excess, 0, 1)),
+                    "p_value": 10 ** max(log10_tail(gain, candidate.k), -300.0),
+                }
+            )
     merged: dict[tuple[str, str], dict] = {}
     for entry in sorted(out, key=lambda e: -e["share"]):
         merged.setdefault((entry["at"], entry["depends_on"]), entry)
@@ -206,8 +257,14 @@ def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[di
         for spot in full.leftover.significant:
             if spot.at not in places and len(places) < 6:
                 places.add(spot.at)
-                out.append({"at": spot.at, "depends_on": spot.depends_on, "share": float(np.clip((spot.gain - spot.k) / excess, 0, 1)),
-                            "p_value": 10 ** max(spot.log10_p, -300.0)})
+                out.append(
+                    {
+                        "at": spot.at,
+                        "depends_on": spot.depends_on,
+                        "share": float(np.clip((spot.gain - spot.k) / excess, 0, 1)),
+                        "p_value": 10 ** max(spot.log10_p, -300.0),
+                    }
+                )
     return sorted(out, key=lambda e: -e["share"])
 
 
@@ -218,7 +275,10 @@ def notes(setup: Setup, full: Finding, leftover: residual_test.Leftover | None) 
     if dropped:
         out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
     if not setup.situation.masses_known:
-        out.append("no masses given: elasticity under gravity was tested with one kilogram halfway along each link, its size in rad/Nm is not meaningful")
+        out.append(
+            "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
+            "its size in rad/Nm is not meaningful"
+        )
     return out
 
 

@@ -18,7 +18,9 @@ EXAGGERATED = 500.0  # arrows are drawn so much longer than they are
 
 @dataclass(frozen=True)
 class Evidence:
-    """spots: makes the map before any effect. points: (M, 3) mm measured centres in the base frame; before, after: (M, 3) mm residuals in base axes.
+    """spots: makes the map before any effect. points: (M, 3) mm measured centres, base frame.
+
+    before, after: (M, 3) mm residuals in base axes.
 
     covariates: name -> (M,) values.
     """
@@ -36,7 +38,8 @@ def write_html(diagnosis: Diagnosis, evidence: Evidence, path: Path) -> None:
     body = [figure.to_html(full_html=False, include_plotlyjs=(j == 0)) for j, figure in enumerate(figures)]
     page = f"""<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Diagnosis</title>
 <style>body {{ font-family: sans-serif; max-width: 70rem; margin: 2rem auto; }} pre {{ white-space: pre-wrap; }}</style></head>
-<body><h1>Diagnosis: {html.escape(diagnosis.verdict.replace("_", " "))}</h1><pre>{html.escape(words(diagnosis))}</pre>{"".join(body)}</body></html>"""
+<body><h1>Diagnosis: {html.escape(diagnosis.verdict.replace("_", " "))}</h1>
+<pre>{html.escape(words(diagnosis))}</pre>{"".join(body)}</body></html>"""
     path.write_text(page, encoding="utf-8")
 
 
@@ -66,7 +69,9 @@ def along(diagnosis: Diagnosis, evidence: Evidence) -> list:
         x = evidence.covariates[name]
         figure = go.Figure()
         for label, residual, colour in (("before", evidence.before, "#b03a2e"), ("after", evidence.after, "#1a5276")):
-            figure.add_trace(go.Scattergl(x=x, y=np.linalg.norm(residual, axis=1), mode="markers", name=label, marker={"size": 4, "color": colour}))
+            figure.add_trace(
+                go.Scattergl(x=x, y=np.linalg.norm(residual, axis=1), mode="markers", name=label, marker={"size": 4, "color": colour})
+            )
         figure.update_layout(title=f"Size of the residual along {name}", xaxis_title=name, yaxis_title="mm", height=360)
         out.append(figure)
     return out

@@ -111,7 +111,9 @@ def back(setup: Setup, small: Setup, model: Model) -> Model:
         if candidate.hyper is not None and candidate.hyper.name == "at_pose":
             pose = small.linear.obs.pose_id[np.flatnonzero(small.situation.order == int(hyper))[0]]
             later = setup.linear.obs.pose_id[np.argsort(setup.situation.order)]
-            hyper = float(np.flatnonzero(later == pose)[0]) if np.any(later == pose) else float(hyper) * len(later) / small.linear.obs.n_poses
+            hyper = (
+                float(np.flatnonzero(later == pose)[0]) if np.any(later == pose) else float(hyper) * len(later) / small.linear.obs.n_poses
+            )
         if candidate.key in by_key:
             members.append((by_key[candidate.key], hyper))
     return Model(tuple(members), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
@@ -139,9 +141,15 @@ def settle(linear: Linear, model: Model, sigma: Noise) -> Linear:
 def search_named(setup: Setup, linear: Linear, settling: bool = True, first: Noise | None = None) -> tuple[Model, Noise, Search, Linear]:
     """Named effects, noise and linearisation in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > smooth.MANY_POSES
-    search = Search(setup.candidates, beam=1 if large else 3, branches=3 if large else 6, most=5 if large else 10, thorough=not large,
-                    least_share=0.003 if large else 0.0,
-                    situation=None if large else setup.situation)
+    search = Search(
+        setup.candidates,
+        beam=1 if large else 3,
+        branches=3 if large else 6,
+        most=5 if large else 10,
+        thorough=not large,
+        least_share=0.003 if large else 0.0,
+        situation=None if large else setup.situation,
+    )
     sigma = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first if first is None else first, setup.first)
     model = NOTHING
     for turn in range(2 if large or not settling else PASSES):
@@ -166,7 +174,10 @@ def search_named(setup: Setup, linear: Linear, settling: bool = True, first: Noi
 
 
 def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, structure: bool | None = None, again: bool = True) -> Finding:
-    """The model of the centres in keep; without keep, outliers are reconsidered once with the model in place. structure: whether to fit smooth groups; None lets the examination decide."""
+    """The model of the centres in keep; without keep, outliers are reconsidered once with the model in place.
+
+    structure: whether to fit smooth groups; None lets the examination decide.
+    """
     linear = setup.linear if keep is None else setup.linear.restricted(keep)
     large = linear.obs.n_poses > smooth.MANY_POSES
     small = thin(setup, linear.keep, SEARCHED) if large else setup
@@ -198,7 +209,11 @@ def find(setup: Setup, keep: np.ndarray | None = None, examine: bool = True, str
         model, named = NOTHING, before
         leftover = residual_test.examine(before, setup.situation)
     if structure or (structure is None and leftover is not None and leftover.structure):
-        groups = smooth.everything(linear, setup.situation) if large else smooth.located(linear, setup.situation, leftover_spots(named, setup, leftover))
+        groups = (
+            smooth.everything(linear, setup.situation)
+            if large
+            else smooth.located(linear, setup.situation, leftover_spots(named, setup, leftover))
+        )
         sizes = None
         for _ in range(2):
             new = smooth.fit(named, groups, sizes)

@@ -107,7 +107,7 @@ class Linear:
         station = np.zeros((obs.n_centres, self.width, 6 * len(seen)))
         for j, s in enumerate(seen):
             rows = obs.station[obs.pose] == s
-            station[rows, :, 6 * j:6 * j + 6] = local[rows]
+            station[rows, :, 6 * j : 6 * j + 6] = local[rows]
             given = obs.cell.stations[s].sigma_mm if obs.cell.stations[s].T_base_station is not None else None
             sigma.append(STATION_PRIOR if given is None else np.array([given] * 3 + [given / 100.0] * 3))
         blocks.append(station)
@@ -119,12 +119,16 @@ class Linear:
             uncertainty = np.array([a.uncertainty_mm for a in obs.cell.artefacts])[obs.cell.ball_artefact]
             for j, b in enumerate(used):
                 rows = obs.ball == b
-                ball[rows, :, 3 * j:3 * j + 3] = balls[rows]
+                ball[rows, :, 3 * j : 3 * j + 3] = balls[rows]
                 sigma.append(np.full(3, max(uncertainty[b], 1e-5)))
             blocks.append(ball)
         stations = slice(z, z + 6 * len(seen))
         sigma = np.concatenate(sigma)
-        return np.concatenate(blocks, axis=2), sigma, Layout(slice(0, 5 * n), slice(5 * n, z), stations, slice(stations.stop, len(sigma)), len(sigma))
+        return (
+            np.concatenate(blocks, axis=2),
+            sigma,
+            Layout(slice(0, 5 * n), slice(5 * n, z), stations, slice(stations.stop, len(sigma)), len(sigma)),
+        )
 
     def moved(self, step: np.ndarray, layout: Layout) -> CellState:
         """The state of a solution (z,) of the nuisance parameters: the arm's as deviation from nominal, mount and stations as a step.
@@ -134,14 +138,18 @@ class Linear:
         n = self.obs.cell.robot.n
         mount = np.zeros(6)
         free = step[layout.mount]
-        mount[:len(free)] = free
+        mount[: len(free)] = free
         T = self.state.T_base_station.copy()
         for j, s in enumerate(np.unique(self.obs.station)):
             if self.obs.cell.stations[s].T_base_station is not None and self.obs.cell.stations[s].sigma_mm is not None:
                 continue
-            T[s] = T[s] @ se3.exp(step[layout.stations][6 * j:6 * j + 6])
-        return replace(self.state, chain=self.obs.cell.robot.chain.with_errors(step[layout.geometry].reshape(n, 5)),
-                       T_flange_scanner=self.state.T_flange_scanner @ se3.exp(mount), T_base_station=T)
+            T[s] = T[s] @ se3.exp(step[layout.stations][6 * j : 6 * j + 6])
+        return replace(
+            self.state,
+            chain=self.obs.cell.robot.chain.with_errors(step[layout.geometry].reshape(n, 5)),
+            T_flange_scanner=self.state.T_flange_scanner @ se3.exp(mount),
+            T_base_station=T,
+        )
 
     def restricted(self, keep: np.ndarray) -> Linear:
         """The same linearisation with only the centres in keep (M,) bool; columns are shared."""

@@ -1,7 +1,7 @@
 """Noise of a recording, estimated from the data: restricted maximum likelihood of variance components with log-normal priors.
 
-Components: instrument noise along each axis (with a measured orientation: its rotational noise too) and repeatability of each joint, which moves
-all centres of a pose together. Stated figures and the repeatability on the data sheet are priors, not truths.
+Components: instrument noise along each axis (with a measured orientation: its rotational noise too) and repeatability of each joint, which
+moves all centres of a pose together. Stated figures and the repeatability on the data sheet are priors, not truths.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def pack(noise: Noise, turn: bool) -> np.ndarray:
 
 def unpack(theta: np.ndarray, n: int, turn: bool) -> Noise:
     value = np.exp(theta)
-    return Noise(value[:3], value[3:3 + n], float(value[-1]) if turn else 1e-4)
+    return Noise(value[:3], value[3 : 3 + n], float(value[-1]) if turn else 1e-4)
 
 
 def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
@@ -49,7 +49,7 @@ def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
     size = 3 + n + turn
     out = np.zeros((size, size))
     out[:3, :3] = np.eye(3) / (LOG_SD_STATED if stated else LOG_SD_GUESSED) ** 2
-    out[3:3 + n, 3:3 + n] = np.linalg.inv(LOG_SD_JOINT**2 * np.eye(n) + LOG_SD_COMMON**2)
+    out[3 : 3 + n, 3 : 3 + n] = np.linalg.inv(LOG_SD_JOINT**2 * np.eye(n) + LOG_SD_COMMON**2)
     if turn:
         out[-1, -1] = 1 / LOG_SD_GUESSED**2
     return out
@@ -105,4 +105,5 @@ def pose_sums(linear: Linear):
         out = np.zeros((linear.obs.n_poses, *values.shape[1:]))
         out[used] = np.add.reduceat(values, starts, axis=0)
         return out
+
     return pose, by_pose

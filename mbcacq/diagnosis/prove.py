@@ -97,7 +97,9 @@ def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: n
     if unseen:
         columns, sigma, layout = linear.nuisance()
         position = {k: j for j, k in enumerate(np.unique(obs.station))}
-        free = np.concatenate([np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in unseen])
+        free = np.concatenate(
+            [np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in unseen]
+        )
         station, width = columns[:, :, free], sigma[free]
         Z = whiten(station) * width
         normal = Z.T @ Z

@@ -36,7 +36,7 @@ class Group:
 
 @dataclass(frozen=True)
 class SmoothModel:
-    """Groups with their coefficients and prior sigmas (all concatenated), the size of each group, and how many coefficients the data determine."""
+    """Groups with coefficients and prior sigmas (all concatenated), the size of each group; used: how many coefficients are determined."""
 
     groups: tuple[Group, ...]
     coefficients: np.ndarray
@@ -81,7 +81,9 @@ def everything(linear: Linear, s: Situation) -> list[Group]:
     for i in range(s.n):
         moment = s.gravity_moment(i)
         scale = max(float(np.abs(moment).max()), 1e-9)
-        group("base" if i == 0 else f"link{i}", f"gravity_torque_{i + 1}", [("frame", i, 3 + c) for c in range(3)], moment / scale, np.ones(3))
+        group(
+            "base" if i == 0 else f"link{i}", f"gravity_torque_{i + 1}", [("frame", i, 3 + c) for c in range(3)], moment / scale, np.ones(3)
+        )
     F, weight = waves(s.order.astype(float), np.inf, 6) if obs.time_s is None else waves(s.time, np.inf, 6)
     F, weight = F[:, :6], np.ones(6)
     group("base", "time" if obs.time_s is not None else "pose", [("frame", 0, c) for c in range(6)], F, weight)
@@ -145,7 +147,11 @@ def fit(screen: Screen, groups: tuple[Group, ...] | list[Group], start: np.ndarr
     smallest = (SMALLEST * float(np.mean(screen.noise.point))) ** 2
     alive = np.ones(len(groups), bool)
     for _ in range(rounds):
-        index = np.concatenate([np.arange(p.start, p.stop) for p, a in zip(parts, alive, strict=True) if a]) if alive.any() else np.zeros(0, int)
+        index = (
+            np.concatenate([np.arange(p.start, p.stop) for p, a in zip(parts, alive, strict=True) if a])
+            if alive.any()
+            else np.zeros(0, int)
+        )
         if len(index) == 0:
             return None
         prior = np.concatenate([np.full(p.stop - p.start, v) for p, v, a in zip(parts, size2, alive, strict=True) if a])

@@ -22,9 +22,11 @@ def words(d: Diagnosis) -> str:
     for effect in d.effects:
         lines += describe(effect)
     before, after = d.fit["held_out"]["before_rms_mm"], d.fit["held_out"]["after_rms_mm"]
-    lines.append(f"On data that took no part (by {d.fit['held_out']['split']}): {before:.4f} mm before, {after:.4f} mm after; "
-                 f"chi2/dof {d.fit['held_out']['before_chi2_dof']:.2f} before, {d.fit['held_out']['after_chi2_dof']:.2f} after; "
-                 f"noise alone makes {d.fit['repeatability_floor_mm']:.4f} mm.")
+    lines.append(
+        f"On data that took no part (by {d.fit['held_out']['split']}): {before:.4f} mm before, {after:.4f} mm after; "
+        f"chi2/dof {d.fit['held_out']['before_chi2_dof']:.2f} before, {d.fit['held_out']['after_chi2_dof']:.2f} after; "
+        f"noise alone makes {d.fit['repeatability_floor_mm']:.4f} mm."
+    )
     lines += [f"Cannot be told apart: {' and '.join(pair['effects'])} (correlation {pair['correlation']:.2f})" for pair in d.not_separable]
     lines += [f"Measure next: {a['reason']}" for a in d.advice]
     lines += [f"Note: {note}." for note in d.notes]
@@ -32,11 +34,17 @@ def words(d: Diagnosis) -> str:
 
 
 def describe(effect: EffectFound) -> list[str]:
-    out = [f"{effect.name} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, removes {effect.held_out_gain:.0%} of the excess over noise)"]
+    out = [
+        f"{effect.name} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, removes {effect.held_out_gain:.0%} of the excess over "
+        "noise)"
+    ]
     for name, entry in list(effect.parameters.items())[:24]:
         out.append(f"  {name} = {number(entry['value'])} +- {number(entry['std'])}")
     if effect.alternatives:
-        out.append("  could also be: " + "; ".join(f"{a['name']} at {', '.join(a['where'])} ({a['held_out_gain']:.0%})" for a in effect.alternatives))
+        out.append(
+            "  could also be: "
+            + "; ".join(f"{a['name']} at {', '.join(a['where'])} ({a['held_out_gain']:.0%})" for a in effect.alternatives)
+        )
     return [*out, ""]
 
 

@@ -28,20 +28,37 @@ def candidates(s: Situation) -> list[Candidate]:
             phase = values[:, None] * q
             return np.stack([np.sin(phase), np.cos(phase)], axis=-1)
 
-        out.append(Candidate(
-            NAME, (f"A{i + 1}",), f"q{i + 1}", lambda h, i=i, f=functions: [Part("joint", i, 0, f(np.array([h]))[0])], report_for(f"A{i + 1}"),
-            np.array([3e-5, 3e-5]), hyper, (("joint", i, 0),), functions, several=True))
+        out.append(
+            Candidate(
+                NAME,
+                (f"A{i + 1}",),
+                f"q{i + 1}",
+                lambda h, i=i, f=functions: [Part("joint", i, 0, f(np.array([h]))[0])],
+                report_for(f"A{i + 1}", q),
+                np.array([3e-5, 3e-5]),
+                hyper,
+                (("joint", i, 0),),
+                functions,
+                several=True,
+            )
+        )
     return out
 
 
-def report_for(joint: str):
+def report_for(joint: str, q: np.ndarray):
+    """The order is uncertain too: by as much as it may turn the phase over the spread of the angle, and the phase at q = 0 with it."""
+    spread, middle = max(float(q.std()), 1e-9), float(q.mean())
+
     def report(c, v, order):
-        amplitude = np.hypot(c[0], c[1])
-        along = np.array([c[0], c[1]]) / max(amplitude, 1e-30)
-        across = np.array([-c[1], c[0]]) / max(amplitude, 1e-30) ** 2
+        amplitude = max(float(np.hypot(c[0], c[1])), 1e-30)
+        along = np.array([c[0], c[1]]) / amplitude
+        across = np.array([-c[1], c[0]]) / amplitude**2
+        phase_std = float(np.sqrt(across @ v @ across))
+        order_std = phase_std / spread
         return {
-            f"{joint}.order": number(order, 0.0),
+            f"{joint}.order": number(order, order_std),
             f"{joint}.amplitude_deg": number(np.degrees(amplitude), np.degrees(np.sqrt(along @ v @ along))),
-            f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.sqrt(across @ v @ across))),
+            f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.hypot(phase_std, order_std * middle))),
         }
+
     return report

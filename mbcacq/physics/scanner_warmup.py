@@ -7,6 +7,7 @@ from mbcacq.physics.effect import Candidate, Part, number, vector
 from mbcacq.physics.situation import Situation
 
 NAME = "scanner_warmup"
+UNCERTAIN_TAU = 2.0  # growth of the offset's variance because the time constant is estimated beside it
 
 
 def candidates(s: Situation) -> list[Candidate]:
@@ -17,6 +18,8 @@ def candidates(s: Situation) -> list[Candidate]:
         return [Part("point", 0, c, fade * np.eye(3)[c]) for c in range(3)]
 
     def report(c, v, tau):
-        return {"offset_mm": vector(c, v), "time_constant_s": number(tau, 0.0)}
+        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau, warming.time_constant_std(tau, c, v))}
 
-    return [Candidate(NAME, ("scanner",), "time", build, report, np.full(3, 0.02), hyper, tuple(("point", 0, c) for c in range(3)), functions)]
+    return [
+        Candidate(NAME, ("scanner",), "time", build, report, np.full(3, 0.02), hyper, tuple(("point", 0, c) for c in range(3)), functions)
+    ]

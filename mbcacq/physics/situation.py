@@ -44,7 +44,7 @@ class Situation:
 
     @cached_property
     def links(self) -> tuple[np.ndarray, np.ndarray]:
-        """Masses (n,) and centres of mass (n, 3); where none are given, one kg halfway along each link, so that the shape is still right."""
+        """Masses (n,) and centres of mass (n, 3); where none are given, one kg halfway along each link: the shape is right."""
         robot = self.obs.cell.robot
         if self.masses_known:
             return robot.mass, robot.com

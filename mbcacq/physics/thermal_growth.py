@@ -48,6 +48,9 @@ def make_warmup(s: Situation, i: int) -> Candidate:
         return [Part("frame", i + 1, c, grown * along[c]) for c in used]
 
     def report(c, v, tau):
-        return {f"link{i + 1}.growth_mm": number(c[0], np.sqrt(v[0, 0])), f"link{i + 1}.time_constant_s": number(tau, 0.0)}
+        return {
+            f"link{i + 1}.growth_mm": number(c[0], np.sqrt(v[0, 0])),
+            f"link{i + 1}.time_constant_s": number(tau, warming.time_constant_std(tau, c, v)),
+        }
 
     return Candidate(NAME, (f"link{i + 1}",), "time", build, report, np.array([0.1]), hyper)

@@ -15,3 +15,9 @@ def fading(s: Situation):
     """exp(-t / tau): (H,) s -> (H, P, 1)."""
     time = s.time
     return lambda values: np.exp(-time[None] / np.asarray(values)[:, None])[..., None]
+
+
+def time_constant_std(tau: float, c: np.ndarray, v: np.ndarray) -> float:
+    """Rough standard deviation of tau: the fading and its derivative by log tau are about equally large."""
+    size = float(np.linalg.norm(c))
+    return float(tau * 2.0 * np.sqrt(np.trace(v)) / max(size, 1e-30))
