@@ -77,4 +77,7 @@ def kinds(text: str, missing: Sequence[str] = ()) -> list[str]:
                               f"{', '.join((*CATALOGUED, *OUTSIDE))}); correct --effects")
         out += groups.get(word.strip(), (word.strip(),))
     impossible = {name for column in missing for name in NEEDS[column]}
-    return [k for k in dict.fromkeys(out) if k not in impossible]
+    left = [k for k in dict.fromkeys(out) if k not in impossible]
+    if not left:
+        raise ConfigError(f"without {' and '.join(missing)} none of the effects '{text}' can be told; conceal others")
+    return left

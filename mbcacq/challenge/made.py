@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.challenge.envelopes import Envelope
 from mbcacq.devices import load_driver
 from mbcacq.observations import Observations
-from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan import LoadedPlan, PlannedPose
 
 Concealed = list[dict[str, Any]]
 
@@ -31,16 +31,18 @@ def observe(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope
     return without(observations, envelope.missing), recorded.truth
 
 
-def run(loaded: LoadedPlan, poses: Sequence[PlannedPose], paths: Sequence[Transit], envelope: Envelope, concealed: Concealed,
+def run(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope, concealed: Concealed,
         folder: Path) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.pipeline import Acquisition
+    from mbcacq.plan import path
+    from mbcacq.plan.route import way_home
     from mbcacq.recording import load
 
     secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": concealed}}))
     folder.mkdir(parents=True, exist_ok=True)
     with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=envelope.seed) as cell:
-        Acquisition(loaded, poses, paths, folder).execute(cell.overrides())
+        Acquisition(loaded, poses, path(loaded, poses), way_home(loaded, poses[-1]), folder).execute(cell.overrides())
         truth = cell.truth()
     return without(load(folder), envelope.missing), truth
 

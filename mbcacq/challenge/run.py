@@ -16,7 +16,7 @@ from mbcacq.challenge.envelopes import OUTSIDE, Envelope
 from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, path
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,10 @@ class Challenger:
     def _record(self, envelope: Envelope, concealed: list[dict[str, Any]]):
         if not self.protocols:
             return made.observe(self.loaded, self.poses, envelope, concealed)
-        paths = path(self.loaded, self.poses)
         if self.folder is not None:
-            return made.run(self.loaded, self.poses, paths, envelope, concealed, self.folder / f"{envelope.number:03d}" / "run")
+            return made.run(self.loaded, self.poses, envelope, concealed, self.folder / f"{envelope.number:03d}" / "run")
         with TemporaryDirectory(prefix="mbcacq-challenge-") as temporary:
-            return made.run(self.loaded, self.poses, paths, envelope, concealed, Path(temporary))
+            return made.run(self.loaded, self.poses, envelope, concealed, Path(temporary))
 
     def _keep(self, outcome: Outcome, observations) -> None:
         from mbcacq.recording import write_observation_set

@@ -34,6 +34,8 @@ def command(seed: int, count: int, plan: Path | None, effects: str, protocols: b
       mbcacq challenge --fast --count 32 --effects catalogue     every effect of the catalogue twice
       mbcacq challenge --fast --count 50 --effects none          how often is there a false alarm
     """
+    import numpy as np
+
     from mbcacq import library
     from mbcacq.challenge.envelopes import draw, kinds
     from mbcacq.challenge.run import take_all
@@ -42,7 +44,9 @@ def command(seed: int, count: int, plan: Path | None, effects: str, protocols: b
 
     if protocols and outliers:
         raise ConfigError("gross outliers can only be made with --fast; leave out --outliers, or add --fast")
-    envelopes = draw(seed, count, kinds(effects, missing), outliers, missing)
+    wanted = kinds(effects, missing)
+    order = np.random.default_rng([seed, 21]).permutation(len(wanted))
+    envelopes = draw(seed, count, [wanted[i] for i in order], outliers, missing)
 
     outcomes = take_all(plan or library.folder() / "seeing.yaml", envelopes, protocols, out, jobs,
                         lambda o: click.echo(f"{o.envelope.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True))

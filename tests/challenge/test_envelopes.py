@@ -45,6 +45,8 @@ def test_without_times_nothing_that_creeps_is_concealed():
     assert "thermal_growth" not in left
     assert "joint_compliance" in left
     assert "backlash" not in kinds("catalogue", ["direction"])
+    with pytest.raises(ConfigError, match="without direction none of the effects 'backlash' can be told"):
+        kinds("backlash", ["direction"])
 
 
 def test_an_unknown_effect_is_refused_by_name():
