@@ -44,7 +44,7 @@ def calibrate(observations: Observations, options: Options | None = None) -> Cal
     fitted = adjust(obs, options, first)
     result = Calibration.of(obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary,
                             fitted.found)
-    refuse_poor(result.layout, result.covariance, expected_accuracy(result), obs, options)
+    refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), obs, options)
     return result
 
 

@@ -15,25 +15,25 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.observations import Observations
 
 ROUNDS = 6
+NEAR_MM = 3.0   # a first guess that brings the points together this well needs no other start
 
 
 def start(obs: Observations, chain: Chain | None = None) -> CellState:
     """Nominal arm (or ``chain``), with the better of the given hand-eye and the one found from the data; robust to gross outliers."""
     chain = obs.cell.robot.chain if chain is None else chain
     T_base_flange = chain.flange(obs.q)
-    if obs.cell.measurement == TARGET_IN_BASE:
-        found = tracker_start(obs, T_base_flange)
-        candidates = [found] if found is not None else []
-        candidates.append((obs.cell.T_flange_scanner, place_stations(obs, T_base_flange, obs.cell.T_flange_scanner)))
-    else:
-        hand_eyes = [obs.cell.T_flange_scanner]
-        found = hand_eye_from_fixed_points(obs, T_base_flange, obs.cell.T_flange_scanner)
-        if found is not None:
-            hand_eyes.insert(0, found)
-        candidates = [(X, place_stations(obs, T_base_flange, X)) for X in hand_eyes]
-    spread = [misfit(obs, T_base_flange, *candidate) for candidate in candidates]
-    X, stations = candidates[int(np.argmin(spread))]
-    return CellState(chain, X, stations, obs.cell.ball_centres.copy())
+    guess = obs.cell.T_flange_scanner
+    given = guess, place_stations(obs, T_base_flange, guess)
+    spread = misfit(obs, T_base_flange, *given)
+    if spread > NEAR_MM:
+        if obs.cell.measurement == TARGET_IN_BASE:
+            found = tracker_start(obs, T_base_flange)
+        else:
+            X = hand_eye_from_fixed_points(obs, T_base_flange, guess)
+            found = None if X is None else (X, place_stations(obs, T_base_flange, X))
+        if found is not None and misfit(obs, T_base_flange, *found) < spread:
+            given = found
+    return CellState(chain, *given, obs.cell.ball_centres.copy())
 
 
 def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
