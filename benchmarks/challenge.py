@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -74,7 +75,17 @@ def _power(job: tuple[str, int]) -> list[bool]:
     return found(run._challenger, *job, MULTIPLES)
 
 
+def code() -> str:
+    """Commit of the code that is measured, where it is a checkout."""
+    told = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True, check=False)
+    return told.stdout.strip() or "unknown"
+
+
+CODE = code()
+
+
 def add(kept: list[dict], file: Path, record: dict) -> None:
+    record = {**record, "code": CODE}
     kept.append(record)
     with file.open("a", encoding="utf-8") as out:
         out.write(json.dumps(record) + "\n")
@@ -90,7 +101,8 @@ def report(kept: list[dict]) -> str:
         rows = summary(scores)
         seconds = np.array([r["seconds"] for r in mine])
         took = f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.1f} s at most, beside other work"
-        lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, effects {effects}; {took}.", "", markdown(rows), ""]
+        commits = ", ".join(dict.fromkeys(r.get("code", "unknown") for r in mine))
+        lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, effects {effects}, code {commits}; {took}.", "", markdown(rows), ""]
         lines += interval(part, scores)
         lines += failures(mine, scores)
     return "\n".join(lines + power_lines(kept))
