@@ -102,7 +102,7 @@ def report(kept: list[dict]) -> str:
         seconds = np.array([r["seconds"] for r in mine])
         took = f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.1f} s at most, beside other work"
         commits = ", ".join(dict.fromkeys(r.get("code", "unknown") for r in mine))
-        lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, effects {effects}, code {commits}; {took}.", "", markdown(rows), ""]
+        lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, {effects}, code {commits}; {took}.", "", markdown(rows), ""]
         lines += interval(part, scores)
         lines += failures(mine, scores)
     return "\n".join(lines + power_lines(kept))
