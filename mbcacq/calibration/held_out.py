@@ -135,12 +135,26 @@ def _masks(obs: Observations, split: str, size: int | None, fits: int | None, se
             mask = np.zeros(obs.n_poses, bool)
             mask[part] = True
             masks.append(mask)
-    return [_known_stations(obs, m) for m in masks]
+    known = [_known_places(obs, m) for m in masks]
+    if not any(m.any() for m in known):
+        raise CalibrationError("every pose left out shows a ball where the rest does not know its place; use --held-out station or random")
+    return [m for m in known if m.any()]
 
 
-def _known_stations(obs: Observations, test: np.ndarray) -> np.ndarray:
-    """Poses at stations that training does not see are not tested: nobody could know where such a station stands."""
-    return test & np.isin(obs.station, np.unique(obs.station[~test]))
+def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
+    """Only poses whose balls have a place that training knows: the same ball at the same station was seen there, or three other balls.
+
+    One socket of two does not tell where the other is, and of a station that was not seen nobody knows anything.
+    """
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return test & np.isin(obs.station, np.unique(obs.station[~test]))
+    seen = np.zeros((len(obs.cell.stations), len(obs.cell.ball_ids)), bool)
+    train = ~test[obs.pose]
+    station = obs.station[obs.pose]
+    seen[station[train], obs.ball[train]] = True
+    known = seen[station, obs.ball] | (seen.sum(axis=1) >= 3)[station]
+    unknown = np.bincount(obs.pose, ~known, minlength=obs.n_poses) > 0
+    return test & ~unknown
 
 
 def _rms(d: np.ndarray, freedom: int) -> float:

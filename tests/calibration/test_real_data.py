@@ -61,6 +61,12 @@ def test_panda_in_sockets():
     assert figure.rms_mm > figure.spread_mm  # the six freedoms of a place are paid for
 
 
+def test_blocks_are_judged_only_where_training_knows_the_socket():
+    figure = held_out(load(DATA / "panda-sockets"), split="block")
+    assert figure.poses < 387
+    assert figure.rms_mm < 0.3
+
+
 def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_cannot_see():
     found = calibrate(load(DATA / "iiwa14-sockets"))
     assert {u.name for u in found.undetermined} == {"a_6", "alpha_6"}
