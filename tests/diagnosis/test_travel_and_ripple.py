@@ -46,19 +46,15 @@ def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
     assert (found.leftover.spots[0].at, found.leftover.spots[0].depends_on) == ("A4", "direction_4")
 
 
-def fringes(s):
-    point = np.zeros((s.obs.n_centres, 3))
-    point[:, 2] = 0.03 * np.sin(2 * np.pi * s.obs.xyz[:, 1] / 14.0 + 0.4)
-    return Displacements(point=point)
-
-
 def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(plan):
-    found = finding.find(finding.prepare(made.observe(plan, 111, [fringes])))
+    observed = made.observe(plan, 111)
+    true = 0.03 * np.sin(2 * np.pi * observed.xyz[:, 1] / 14.0 + 0.4)
+
+    found = finding.find(finding.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
 
     first = found.leftover.spots[0]
     assert verdict_of(found) == "unexplained"
     assert (first.at, first.depends_on, first.kind) == ("scanner", "y", "ripple")
     assert abs(2 * np.pi / first.order - 14.0) < 0.3
     modelled = (found.smooth.columns @ found.smooth.coefficients)[:, 2]
-    true = np.sin(2 * np.pi * plan.xyz[:, 1] / 14.0 + 0.4)
     assert np.corrcoef(modelled, true)[0, 1] > 0.95
