@@ -162,7 +162,7 @@ class FakeCell:
         except (TypeError, ValueError) as error:
             raise ConfigError(f"fake.robot: {error}; correct the plan") from error
         self._krc.start()
-        return {"bind": client[0], "port": client[1]}
+        return {"bind": client[0], "port": client[1], "controller_ip": "", "eki": ""}  # nor may a dry run speak to the real controller
 
     def _nominal_rows(self) -> tuple[tuple[float, ...], ...]:
         """What the controller believes of its arm: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg."""

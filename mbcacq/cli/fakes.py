@@ -25,6 +25,7 @@ def command(plan: Path, fast: bool, seed: int) -> None:
     with load_driver("fakes", "cell")(loaded, expand(loaded), realtime=not fast, seed=seed, ports="plan") as cell:
         click.echo(f"fake cell of '{loaded.plan.name}' is up:")
         for role, options in cell.overrides().items():
-            click.echo(f"  {role}: " + ", ".join(f"{k} {v}" for k, v in options.items()))
+            if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None)):
+                click.echo(f"  {role}: {places}")
         click.echo(f"now, in another terminal: mbcacq run {plan}    (Ctrl-C here ends the fake cell)")
         quit_event.wait()
