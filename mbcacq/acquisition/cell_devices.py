@@ -33,11 +33,15 @@ class CellDevices:
         failures: dict[str, Exception] = {}
         devices = self.all
         with ThreadPoolExecutor(len(devices)) as pool:
-            for name, future in {n: pool.submit(d.connect) for n, d in devices.items()}.items():
-                try:
-                    future.result()
-                except Exception as error:
-                    failures[name] = error
+            try:
+                for name, future in {n: pool.submit(d.connect) for n, d in devices.items()}.items():
+                    try:
+                        future.result()
+                    except Exception as error:
+                        failures[name] = error
+            except BaseException:  # Ctrl-C: closing ends the wait of those that still connect
+                self.close()
+                raise
         if not failures:
             return
         self.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -65,7 +66,8 @@ class Runner:
 
     def _measure(self) -> str:
         robot = self.devices.robot
-        with CyclePump(robot, self.bus) as pump:
+        with CyclePump(robot, self.bus) as pump, ExitStack() as stack:
+            stack.callback(robot.stop)  # before the pump is waited for, which may hang on a slow disk
             self.confirm(robot.state().q)
             mover = Mover(robot, self.loaded.cell.robot.limits, motion_limits(self.loaded), pump)
             self._pass([self.way_home[-1]], mover)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -34,6 +35,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
     from mbcacq.plan import expand, load, path, refuse_errors
     from mbcacq.plan.route import way_home
 
+    end_in_order_when_told()
     loaded = load(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
@@ -62,21 +64,40 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
                                f"see {result['files']['report']}")
 
 
+def end_in_order_when_told() -> None:
+    """A closed terminal and ``kill`` end the run as Ctrl-C does: arm at rest, recording complete, nothing left behind."""
+
+    def end(number: int, frame: object) -> None:
+        for each in numbers:
+            signal.signal(each, signal.SIG_IGN)  # once is enough; a second one must not disturb the closing
+        raise Aborted(f"the run was ended by {signal.Signals(number).name}")
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    for number in numbers:
+        if signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
+            signal.signal(number, end)
+
+
 def tell_viewer(url: str) -> None:
     click.echo(f"watch it live: rerun {url}", err=True)
 
 
 def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> Callable[[np.ndarray], None]:
-    """The last question before a real arm moves. A controller that can only be on this computer is a fake and is not asked about."""
+    """The last question before a real arm moves. A controller that can only be on this computer is a fake and is not asked about:
+    its driver listens, by its option ``bind``, on a loopback address."""
 
     def confirm(q: np.ndarray) -> None:
-        if arm or _loopback(str(options.get("bind", "127.0.0.1"))):
+        if arm or _loopback(str(options.get("bind", ""))):
             return
         angles = ", ".join(f"{angle:.1f}" for angle in np.degrees(q))
         if not sys.stdin.isatty():
             raise ConfigError(f"this would move {robot} (now at {angles} deg); without a terminal to ask on, say so with --arm")
         click.echo(f"{robot} stands at {angles} deg and will move through {n_poses} poses. Is the cell clear and the stop button at hand?", err=True)
-        if not click.confirm("Move the robot?", err=True):
+        try:
+            allowed = click.confirm("Move the robot?", err=True)
+        except click.Abort:
+            allowed = False
+        if not allowed:
             raise Aborted("the operator did not allow the robot to move")
 
     return confirm

@@ -118,6 +118,31 @@ def test_a_device_fault_stops_the_robot_and_ends_the_run(world):
     assert (seen.events[-1].exit_status, seen.events[-1].reason) == ("fail", "the scanner fell silent")
 
 
+def test_the_arm_is_stopped_before_the_rest_is_tidied_up(world):
+    class Noting(JumpingRobot):
+        def cycles(self):
+            self.log.append("cycles")
+            return super().cycles()
+
+    scanner = StillScanner()
+    scanner.fault = devices.DeviceTimeout("the scanner fell silent")
+    runner, _, parts = make(world, scanner=scanner, robot=Noting())
+    with pytest.raises(devices.DeviceTimeout):
+        runner.run()
+    log = parts["robot"].log
+    assert "cycles" in log[log.index("stop"):]
+
+
+def test_interrupt_while_connecting_closes_what_is_connected(world, monkeypatch):
+    scanner = StillScanner()
+    monkeypatch.setattr(scanner, "connect", lambda: (_ for _ in ()).throw(KeyboardInterrupt()))
+    runner, seen, parts = make(world, scanner=scanner)
+    with pytest.raises(KeyboardInterrupt):
+        runner.run()
+    assert parts["robot"].log[-1] == "close"
+    assert seen.events[-1].exit_status == "abort"
+
+
 def test_interrupt_is_an_abort(world):
     scanner = StillScanner()
     scanner.fault = KeyboardInterrupt()

@@ -81,7 +81,8 @@ def test_an_interrupted_run_is_resumed_into_the_same_result(tmp_path):
     assert sorted(observations.pose_id.tolist()) == list(range(10))
 
 
-def test_ctrl_c_ends_with_130_and_a_readable_recording(tmp_path):
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 5), (signal.SIGHUP, 5)])
+def test_an_interrupted_run_ends_in_order_with_a_complete_recording(tmp_path, number, code):
     run = tmp_path / "run"
     process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.PIPE,
                                stdout=subprocess.DEVNULL, text=True)
@@ -89,13 +90,15 @@ def test_ctrl_c_ends_with_130_and_a_readable_recording(tmp_path):
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and not (journal.exists() and journal.read_text().count("\n") >= 4):
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, text = process.communicate(timeout=60)
-    assert process.returncode == 130, text
+    assert process.returncode == code, text
     assert "Traceback" not in text
-    from mbcacq.recording import load
+    assert "leaked" not in text
+    from mbcacq.recording import Recording, load
 
     assert load(run).n_poses >= 1
+    assert Recording(run / "run.rrd").about()["exit_status"] == "abort"
 
 
 def test_broken_yaml(tmp_path):
@@ -153,9 +156,10 @@ def test_a_real_arm_is_not_moved_unasked(tmp_path):
     from mbcacq.cli.run import ask_before_motion
     from mbcacq.errors import ConfigError
 
-    confirm = ask_before_motion({"bind": "192.168.1.5"}, "KR 10", 3, arm=False)
-    with pytest.raises(ConfigError, match="--arm"):
-        confirm(np.zeros(6))
+    for options in ({"bind": "192.168.1.5"}, {"address": "192.168.1.5"}, {}):
+        with pytest.raises(ConfigError, match="--arm"):
+            ask_before_motion(options, "KR 10", 3, arm=False)(np.zeros(6))
+    ask_before_motion({"bind": "127.0.0.1"}, "KR 10", 3, arm=False)(np.zeros(6))
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.9])
