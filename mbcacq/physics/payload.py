@@ -13,6 +13,7 @@ from mbcacq.physics.effect import Candidate, Missing, Part, number, vector
 from mbcacq.physics.situation import Situation
 
 NAME = "payload"
+NEXT_IN_LINE = 0.15  # of the largest range of gravity torque
 
 
 def candidates(s: Situation) -> list[Candidate]:
@@ -35,19 +36,42 @@ def unit_torques(s: Situation) -> np.ndarray:
     return np.stack([at_origin] + [torque(e) - at_origin for e in np.eye(3)], axis=2)
 
 
-def beside(s: Situation, compliance: Mapping[int, float]) -> list[Candidate]:
-    """The candidate that goes with joints of known compliance: index -> rad/Nm."""
+def loaded(s: Situation) -> list[int]:
+    """Joints whose gravity torque varies enough for their elasticity to matter."""
+    load = np.ptp(s.gravity_torque, axis=0)
+    return [i for i in range(s.n) if load[i] > NEXT_IN_LINE * load.max()]
+
+
+def beside(s: Situation, compliance: Mapping[int, float], doubt: float = 0.0, complete: bool = False) -> list[Candidate]:
+    """The candidate that goes with joints of known compliance: index -> rad/Nm. doubt: relative standard deviation of the compliances.
+
+    The loaded joint next in line is as soft as any, though perhaps too little loaded to be found by itself: where it has no
+    compliance it gets one, free, or the mass would take its part. complete: there is no such joint.
+    """
     if not s.masses_known or not compliance or not s.scanner_on_flange:
         return []
-    torque = unit_torques(s)
-    parts = [Part("joint", i, 0, c * torque[:, i]) for i, c in sorted(compliance.items())]
+    torque, declared = unit_torques(s), s.gravity_torque
+    elastic, softest = dict(compliance), max(compliance.values())
+    beyond = [] if complete else [i for i in loaded(s) if i not in elastic]
+    none = np.zeros((s.obs.n_poses, len(beyond)))
+    parts = []
+    for i, c in sorted({**elastic, **dict.fromkeys(beyond, softest)}.items()):
+        own = none.copy()
+        if i in beyond:
+            own[:, beyond.index(i)] = declared[:, i]
+        parts.append(Part("joint", i, 0, np.concatenate([c * torque[:, i], own], axis=1)))
     mass, com = float(np.mean(s.payload_mass)), s.obs.cell.robot.payload_com
 
     def report(c, v, _):
         new_mass = max(mass + c[0], 0.05)
-        new_com = (mass * com + c[1:]) / new_mass
+        new_com = (mass * com + c[1:4]) / new_mass
         slope = np.concatenate([-new_com[:, None], np.eye(3)], axis=1) / new_mass
-        return {"mass_kg": number(new_mass, np.sqrt(v[0, 0])), "com_mm": vector(new_com, slope @ v @ slope.T)}
+        v_payload = v[:4, :4] + doubt**2 * np.outer(c[:4], c[:4])
+        out = {"mass_kg": number(new_mass, np.sqrt(v_payload[0, 0])), "com_mm": vector(new_com, slope @ v_payload @ slope.T)}
+        for k, i in enumerate(beyond, start=4):
+            out[f"A{i + 1}.compliance_rad_per_Nm"] = number(c[k], np.sqrt(v[k, k]))
+        return out
 
-    label = ",".join(f"{i}:{c:.1e}" for i, c in sorted(compliance.items()))
-    return [Candidate(NAME, ("mount",), "gravity_torque_2", lambda _: parts, report, np.array([0.5, 50.0, 50.0, 50.0]), variant=label)]
+    label = ",".join(f"{i}:{c:.3e}" for i, c in sorted(compliance.items()))
+    typical = np.array([0.5, 50.0, 50.0, 50.0] + [1.5e-6] * len(beyond))
+    return [Candidate(NAME, ("mount",), "gravity_torque_2", lambda _: parts, report, typical, variant=label)]

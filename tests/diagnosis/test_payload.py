@@ -1,0 +1,75 @@
+"""A tool heavier than declared, concealed by the fake cell's own physics, is told from elastic joints that carry what is declared."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbcacq.challenge import made as concealed
+from mbcacq.challenge.envelopes import Envelope
+from mbcacq.diagnosis import base_fit, finding
+from mbcacq.diagnosis.diagnose import verdict_of
+from mbcacq.geometry import gravity
+from mbcacq.physics import payload
+from mbcacq.physics.situation import Situation
+from mbcacq.plan import expand, load
+
+PLAN = Path(__file__).parents[2] / "plans" / "seeing.yaml"
+
+
+@pytest.fixture(scope="module")
+def seeing():
+    loaded = load(PLAN)
+    return loaded, expand(loaded)
+
+
+def observed(seeing, seed, hidden):
+    return concealed.observe(*seeing, Envelope(0, "payload", seed, ("payload",), 1, 1.0), [hidden])[0]
+
+
+def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
+    mass, com, softness = 6.0, [0.0, 0.0, 100.0], 6e-6
+    hidden = {"name": "payload", "mass_kg": mass, "com_mm": com, "compliance_rad_per_Nm": softness}
+
+    found = finding.find(finding.prepare(observed(seeing, 102, hidden)))
+
+    assert verdict_of(found) == "explained"
+    assert {(c.name, c.where) for c, _ in found.model.members} == {
+        ("payload", ("mount",)), ("joint_compliance", ("A2",)), ("joint_compliance", ("A3",))}
+    for (candidate, hyper), p in zip(found.model.members, found.model.parts(), strict=True):
+        told = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
+        for name, entry in told.items():
+            true = {"mass_kg": mass, "com_mm": np.array(com)}.get(name, softness)
+            assert np.all(np.abs(np.array(entry["value"]) - true) < 3 * np.array(entry["std"])), name
+    mass_told = found.model.coefficients[found.model.parts()[-1].start]
+    assert mass_told > 3 * np.sqrt(found.model.covariance[found.model.parts()[-1].start, found.model.parts()[-1].start])
+
+
+def test_elastic_joints_under_the_declared_tool_are_not_told_as_a_wrong_tool(seeing):
+    hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
+
+    found = finding.find(finding.prepare(observed(seeing, 103, hidden)), structure=False)
+
+    assert {c.name for c, _ in found.model.members} == {"joint_compliance"}
+
+
+def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
+    from mbcacq.calibration import forward
+
+    state = base_fit.start(plan)
+    s = Situation(plan, state, forward.predict(plan, state))
+    arm, mass, com = plan.cell.robot, 4.2, np.array([30.0, -20, 90])
+    none = np.zeros(s.n)
+
+    expected = gravity.gravity_torque(arm.chain, arm.chain.frames(plan.q), none, np.zeros((s.n, 3)), mass, com, arm.gravity)
+
+    np.testing.assert_allclose(payload.unit_torques(s) @ np.r_[mass, mass * com], expected, atol=1e-9)
+
+
+def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
+    from mbcacq.calibration import forward
+
+    state = base_fit.start(plan)
+    s = Situation(plan, state, forward.predict(plan, state))
+    assert payload.candidates(s) == []
+    assert payload.beside(s, {}) == []
