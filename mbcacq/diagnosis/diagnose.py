@@ -11,16 +11,27 @@ from mbcacq.diagnosis.finding import Finding, Setup, find, prepare, thin
 from mbcacq.diagnosis.locate import log10_tail, mismatch
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
 from mbcacq.diagnosis.smooth import MANY_POSES
+from mbcacq.errors import CalibrationError
 from mbcacq.observations import Observations
 from mbcacq.physics.effect import Candidate
 
 MOST_POSES = 4000
+FEWEST_POSES = 12
 VISIBLE = 12.0  # chi2 that an effect of typical size must make to be called visible
 UNDECIDED = 6.0  # chi2 by which an alternative may be worse and still not be excluded
 
 
 def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: None) -> Diagnosis:
     """Locate, explain, prove. Raises CalibrationError where the data do not even determine the geometry."""
+    if obs.n_poses < FEWEST_POSES:
+        raise CalibrationError(f"{obs.n_poses} poses are too few for a diagnosis: measure at least {FEWEST_POSES}")
+    try:
+        return _diagnose(obs, folds, progress)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
+
+
+def _diagnose(obs: Observations, folds: int | None, progress) -> Diagnosis:
     progress("fitting the geometry")
     setup = prepare(obs)
     extra = []

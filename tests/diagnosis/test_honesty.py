@@ -8,7 +8,8 @@ import pytest
 
 from mbcacq.calibration.forward import Displacements
 from mbcacq.diagnosis import finding
-from mbcacq.diagnosis.diagnose import verdict_of
+from mbcacq.diagnosis.diagnose import diagnose, verdict_of
+from mbcacq.errors import CalibrationError
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -69,3 +70,10 @@ def test_an_unnamed_scanner_error_is_located_in_the_scanner(plan):
     assert verdict_of(found) == "unexplained"
     assert found.leftover.spots[0].at == "scanner"
     assert found.leftover.spots[0].depends_on == "x"
+
+
+def test_too_few_poses_are_refused(plan):
+    few = plan.select(np.arange(plan.n_poses) < 8)
+
+    with pytest.raises(CalibrationError, match="too few"):
+        diagnose(few)
