@@ -30,7 +30,7 @@ def _noise(rows: list[dict[str, Any]], wanted: float) -> list[str]:
            _text(left, 33, "one dot a cell; filled: joints 15 urad, hollow: 5 urad")]
     for k in range(-3, 2):
         out += [_line(left, y(10**k), right, y(10**k), "#ddd"), _text(left - 5, y(10**k) + 4, f"{10.0**k:g}", "end")]
-    out += [_line(left, y(wanted), right, y(wanted), "#000", dash=True), _text(right, y(wanted) - 4, "published 0.394", "end")]
+    out += [_line(left, y(wanted), right, y(wanted), "#000", dash=True), _text(left + 3, y(wanted) - 4, "published 0.394")]
     step = (right - left) / len(names)
     for i, name in enumerate(names):
         middle = left + (i + 0.5) * step
@@ -50,7 +50,7 @@ def _effects(tables: dict[str, list[dict[str, Any]]]) -> list[str]:
         for r in rows:
             if r["form"].startswith("(outside"):
                 continue
-            share = min(r["paper"]["size"] / r["plausible"], 1e3)
+            share = min(r["size"] / r["plausible"], 1e3)
             best.setdefault(r["family"], {})[plan] = min(share, best.get(r["family"], {}).get(plan, np.inf))
     order = sorted(best, key=lambda f: best[f]["tree"])
     left, right, top, bottom = 560, 845, 46, 420
