@@ -80,6 +80,15 @@ class Data:
             return [self.block([("joint", i, 0)], F[:, i], sigma) for i in range(self.n)]
         return columns
 
+    def strain_wave(self, who):
+        """Once and twice per turn of the wave generator of gears of ratio 80 and 120."""
+        out = []
+        for order in (80, 120, 160, 240):
+            phase = order * self.obs.q[who]
+            F = np.stack([np.sin(phase), np.cos(phase)], axis=2)
+            out += [self.block([("joint", i, 0)], F[:, i], GEAR / 5) for i in range(self.n)]
+        return out
+
     def wobble(self, who):
         """Displacement of each axis in all directions, once and twice per turn: a bearing that runs out."""
         out = []
@@ -101,7 +110,8 @@ class Data:
     def ladder(self) -> list[tuple[str, list]]:
         steps = [("geometry", None), ("joint elasticity under gravity", self.compliance)]
         if self.places:
-            return [*steps, ("bending of the links", self.bending), ("periodic errors, orders 1..4", self.periodic(1, 4))]
+            return [*steps, ("bending of the links", self.bending), ("orders 80, 120, 160, 240", self.strain_wave),
+                    ("periodic errors, orders 1..4", self.periodic(1, 4))]
         return [*steps, ("bending of the links", self.bending), ("periodic errors, orders 1..4", self.periodic(1, 4)),
                 ("orders 5..12", self.periodic(5, 12)), ("orders 13..32", self.periodic(13, 32)), ("orders 33..60", self.periodic(33, 60)),
                 ("axes running out", self.wobble), ("instrument or base drifting", self.base_drift)]
@@ -191,40 +201,44 @@ def run(folder: Path, out: Path) -> None:
         control += effect(shuffled)
     judged("control: all, covariates shuffled", control)
     result = {"set": folder.name, "poses": data.obs.n_poses, "set_aside": int((~data.linear.keep).sum()), "rows": rows}
-    if not data.places:
-        result["lines"] = lines(data)
-        picture = spectrum(result["lines"], f"{folder.name}: periodic error of each joint")
-        (out / f"{folder.name}-lines.svg").write_text(picture, encoding="utf-8")
+    found = lines(data)
+    clear = {joint: [v for v in values if v[1] > 5 * v[2]] for joint, values in found.items()}
+    result["lines"] = {joint: sorted(values, key=lambda v: -v[1] / v[2])[:12] for joint, values in clear.items()}
+    picture = spectrum(found, f"{folder.name}: periodic error of each joint, one order at a time")
+    (out / f"{folder.name}-lines.svg").write_text(picture, encoding="utf-8")
     (out / f"{folder.name}.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     picture = bars(rows, list(splits), f"{folder.name}: what is left on poses that took no part (mm rms)")
     (out / f"{folder.name}.svg").write_text(picture, encoding="utf-8")
 
 
 def lines(data: Data) -> dict[str, list[list[float]]]:
-    """Joint -> [order, amplitude (arc seconds), its standard deviation] of integer orders, fitted together with elasticity."""
-    who, linear = np.arange(data.obs.n_poses), data.linear
-    columns, sigma, _ = linear.nuisance()
-    highest = 140 if data.obs.n_poses > 2000 else 40
-    parts = data.compliance(who)
-    gear = data.periodic(1, highest)(who)
-    X = np.concatenate([columns, *(b for b, _ in parts), *(b for b, _ in gear)], axis=2)
-    sigma = np.concatenate([sigma, *(s for _, s in parts), *(s for _, s in gear)])
+    """Joint -> [order, amplitude (arc seconds), its std], one order at a time beside geometry, elasticity and the other joints."""
+    own, linear, n = np.arange(data.obs.n_poses), data.linear, data.n
+    rest = [] if data.places else data.periodic(1, 32)(own)
+    elastic = data.compliance(own) + (data.bending(own) if data.places else [])
     weight = 1 / TRAINED_NOISE[linear.width]
-    A = (X[linear.keep] * weight[:, None]).reshape(-1, len(sigma)) * sigma
-    r = (linear.residual[linear.keep] * weight).reshape(-1)
-    normal = A.T @ A
-    normal[np.diag_indices_from(normal)] += 1.0
-    inverse = np.linalg.inv(normal)
-    scaled = inverse @ (A.T @ r)
-    noise = np.sqrt(np.sum((r - A @ scaled) ** 2) / (len(r) - np.sum(inverse * (normal - np.eye(len(sigma))))))
-    value, spread = sigma * scaled, noise * sigma * np.sqrt(np.diag(inverse))
-    first, out = len(sigma) - 2 * highest * data.n, {}
-    for i in range(data.n):
-        at = first + 2 * highest * i
-        a, b = value[at:at + highest], value[at + highest:at + 2 * highest]
-        std = np.hypot(spread[at:at + highest], spread[at + highest:at + 2 * highest]) / np.sqrt(2)
-        table = np.column_stack([np.hypot(a, b), std]) * np.degrees(3600.0)
-        out[f"A{i + 1}"] = [[k + 1, *(round(float(v), 2) for v in row)] for k, row in enumerate(table)]
+    columns, sigma, _ = linear.nuisance()
+    orders = np.arange(1.0, 281.0)
+    out = {}
+    for i in range(n):
+        blocks = elastic + [b for j, b in enumerate(rest) if j != i]
+        X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
+        A = (X[linear.keep] * weight[:, None]).reshape(-1, X.shape[2]) * np.concatenate([sigma, *(s for _, s in blocks)])
+        r = (linear.residual[linear.keep] * weight).reshape(-1)
+        lower = np.linalg.cholesky(A.T @ A + np.eye(A.shape[1]))
+        left = r - A @ np.linalg.solve(lower.T, np.linalg.solve(lower, A.T @ r))
+        turn = (linear.unit("joint", i, 0)[linear.keep] * weight).reshape(-1, 1)
+        phase = np.repeat(data.obs.q[data.obs.pose[linear.keep], i], linear.width)[:, None] * orders
+        table = []
+        for F in (np.sin(phase), np.cos(phase)):
+            F *= turn
+            gone = np.linalg.solve(lower, A.T @ F)
+            table.append((left @ F, np.sum(F**2, axis=0) - np.sum(gone**2, axis=0)))
+        amplitude = np.hypot(table[0][0] / table[0][1], table[1][0] / table[1][1])
+        std = np.sqrt(np.mean(left**2) / np.mean([table[0][1], table[1][1]], axis=0))
+        seconds = np.degrees(3600.0)
+        rows = np.column_stack([amplitude, std]) * seconds
+        out[f"A{i + 1}"] = [[int(k), *(round(float(v), 2) for v in row)] for k, row in zip(orders, rows, strict=True)]
     return out
 
 
