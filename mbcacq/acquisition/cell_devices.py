@@ -47,7 +47,7 @@ class CellDevices:
         self.close()
         if len(failures) == 1:
             raise next(iter(failures.values()))
-        raise ConnectError("; ".join(f"{name}: {error}" for name, error in failures.items()))
+        raise ConnectError("; ".join(str(error) if str(error).startswith(name) else f"{name}: {error}" for name, error in failures.items()))
 
     def close(self) -> None:
         """Stop and release everything, the robot first; every device is closed even if another one fails to."""

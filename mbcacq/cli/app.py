@@ -63,7 +63,8 @@ class LazyGroup(click.Group):
         except Exception as error:
             if os.environ.get("MBCACQ_DEBUG"):
                 raise
-            click.echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True)
+            click.echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)",
+                       err=True)
             sys.exit(ExitCode.BUG)
 
 

@@ -92,7 +92,8 @@ def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> Cal
         angles = ", ".join(f"{angle:.1f}" for angle in np.degrees(q))
         if not sys.stdin.isatty():
             raise ConfigError(f"this would move {robot} (now at {angles} deg); without a terminal to ask on, say so with --arm")
-        click.echo(f"{robot} stands at {angles} deg and will move through {n_poses} poses. Is the cell clear and the stop button at hand?", err=True)
+        click.echo(f"{robot} stands at {angles} deg and will move through {n_poses} poses. "
+                   "Is the cell clear and the stop button at hand?", err=True)
         try:
             allowed = click.confirm("Move the robot?", err=True)
         except click.Abort:

@@ -91,3 +91,14 @@ def test_a_certificate_becomes_an_artefact_file(tmp_path):
 
 def test_nothing_asked_for_nothing_done(result_file):
     assert run(result_file).output == ""
+
+
+def test_an_earlier_export_is_replaced_only_when_told(result_file, tmp_path):
+    out = tmp_path / "out"
+    run(result_file, "--results", out, "--tool", 7)
+    before = (out / "tool_data.txt").read_bytes()
+    with pytest.raises(ConfigError, match="--force"):
+        run(result_file, "--results", out, "--tool", 8)
+    assert (out / "tool_data.txt").read_bytes() == before
+    run(result_file, "--results", out, "--tool", 8, "--force")
+    assert (out / "tool_data.txt").read_bytes() != before

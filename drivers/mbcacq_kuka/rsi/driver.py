@@ -80,7 +80,11 @@ class KukaRsi:
         """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable)."""
         self.close()
         self._error, self._move_seq = None, 0
-        self._shared = Shared.create()
+        try:
+            self._shared = Shared.create()
+        except OSError as error:
+            raise ConnectError(f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); "
+                               "free some in /dev/shm") from error
         self._reader = Reader(self._shared)
         atexit.register(self.close)
         try:

@@ -36,13 +36,13 @@ def export_results(source: Path, *, results: Path | None, artefact: str | None, 
     """Do what the options ask for; the lines to print, none where none of them was given."""
     lines = []
     if results is not None:
-        lines += _results(source, results, targets)
+        lines += _results(source, results, targets, force)
     if artefact is not None:
         lines.append(_artefact(source, artefact, output or Path(f"{artefact}.yaml"), force))
     return lines
 
 
-def _results(source: Path, folder: Path, targets: dict[str, Any]) -> list[str]:
+def _results(source: Path, folder: Path, targets: dict[str, Any], force: bool) -> list[str]:
     from mbcacq.errors import ConfigError
     from mbcacq.recording import load
     from mbcacq.report.export.folder import Targets, contents, write_folder
@@ -51,6 +51,8 @@ def _results(source: Path, folder: Path, targets: dict[str, Any]) -> list[str]:
     result = load_result(source)
     if folder.resolve() == (source if source.is_dir() else source.parent).resolve():
         raise ConfigError(f"{folder} is where the result lies; give another folder")
+    if (folder / "result.json").exists() and not force:
+        raise ConfigError(f"{folder} already holds an export; give another folder, or --force to replace it")
     observations = load(source) if source.is_dir() else None
     files = contents(result, Targets(**targets), observations)
     return [f"{path}" for path in write_folder(files, folder)]
