@@ -12,7 +12,8 @@ from mbcacq.errors import ConfigError
 
 @click.command("simulate")
 @click.argument("plan", type=click.Path(path_type=Path))
-@click.option("--cell", "result", type=click.Path(path_type=Path), help="Calibrated cell: a result.json, or a run folder with one [default: nominal].")
+@click.option("--cell", "result", type=click.Path(path_type=Path),
+              help="Calibrated cell: a result.json, or a run folder with one [default: nominal].")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the observation set to write.")
 @click.option("--noise", is_flag=True, help="Add the scatter of scanner and joints; without it the set holds the model's exact prediction.")
 @click.option("--seed", default=0, show_default=True, help="Seed of that scatter.")
