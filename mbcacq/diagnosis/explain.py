@@ -196,6 +196,8 @@ class Search:
         model = Model(members, gain, gain - cost, coefficients, covariance)
         if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
             return None
+        if not permit and payload.NAME in model.names and "joint_compliance" not in model.names:
+            return None  # a rigid arm shows no payload
         return model
 
 
