@@ -6,12 +6,10 @@ import ipaddress
 import json
 import signal
 import sys
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
 import click
-import numpy as np
 
 from mbcacq.errors import Aborted, CalibrationError, ConfigError
 
@@ -39,6 +37,8 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
     loaded = load(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
+    if not dry_run:
+        ask_before_motion(loaded.plan.robot.options, loaded.cell.robot.name, len(poses), arm)
     if resume and out:
         raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
     folder, done, parts = pipeline.resume_folder(resume, loaded) if resume else (pipeline.new_run_folder(out, plan.stem), frozenset(), 0)
@@ -48,8 +48,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
         overrides = fake.overrides() if dry_run else {}
         if yes and loaded.plan.positioner.driver == "manual":
             overrides = {**overrides, "positioner": {**overrides.get("positioner", {}), "assume_yes": True}}
-        confirm = None if dry_run else ask_before_motion(loaded.plan.robot.options, loaded.cell.robot.name, len(poses), arm)
-        acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, confirm=confirm, done=done, told=tell_viewer)
+        acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, done=done, told=tell_viewer)
     limit = loaded.plan.accept.sphere_spacing_error_mm
     result = pipeline.evaluate(folder, limit)
     if as_json:
@@ -82,26 +81,21 @@ def tell_viewer(url: str) -> None:
     click.echo(f"watch it live: rerun {url}", err=True)
 
 
-def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> Callable[[np.ndarray], None]:
-    """The last question before a real arm moves. A controller that can only be on this computer is a fake and is not asked about:
-    its driver listens, by its option ``bind``, on a loopback address."""
-
-    def confirm(q: np.ndarray) -> None:
-        if arm or _loopback(str(options.get("bind", ""))):
-            return
-        angles = ", ".join(f"{angle:.1f}" for angle in np.degrees(q))
-        if not sys.stdin.isatty():
-            raise ConfigError(f"this would move {robot} (now at {angles} deg); without a terminal to ask on, say so with --arm")
-        click.echo(f"{robot} stands at {angles} deg and will move through {n_poses} poses. "
-                   "Is the cell clear and the stop button at hand?", err=True)
-        try:
-            allowed = click.confirm("Move the robot?", err=True)
-        except click.Abort:
-            allowed = False
-        if not allowed:
-            raise Aborted("the operator did not allow the robot to move")
-
-    return confirm
+def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> None:
+    """The last question before a real arm moves, and before its drives are switched on. A controller that can only be on this computer is a
+    fake and is not asked about: its driver listens, by its option ``bind``, on a loopback address."""
+    if arm or _loopback(str(options.get("bind", ""))) and "eki" not in options:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError(f"this would move {robot}; without a terminal to ask on, say so with --arm")
+    click.echo(f"{robot} will move: to its home position, then through {n_poses} poses. "
+               "Is the cell clear and the stop button at hand?", err=True)
+    try:
+        allowed = click.confirm("Move the robot?", err=True)
+    except click.Abort:
+        allowed = False
+    if not allowed:
+        raise Aborted("the operator did not allow the robot to move")
 
 
 def _loopback(address: str) -> bool:

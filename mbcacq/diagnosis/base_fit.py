@@ -12,6 +12,8 @@ from mbcacq.diagnosis.whitening import Noise
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 
+MOST = 0.4  # of a station's centres
+
 
 def start(obs: Observations) -> CellState:
     """Nominal arm, given hand-eye; each station's pose from its points brought into the base frame."""
@@ -88,7 +90,15 @@ def keep_after(obs: Observations, residual: np.ndarray) -> np.ndarray:
         apart = np.linalg.norm(residual[:, :3] - centre[obs.pose], axis=1)
         several = count[obs.pose] >= 3
         keep &= (apart < limit(apart[several])) | ~several
-    return keep
+    return keep | _together(obs, keep)
+
+
+def _together(obs: Observations, keep: np.ndarray) -> np.ndarray:
+    """Centres (M,) of stations of which most would be dropped: outliers come singly, a station that goes wrong as a whole is structure."""
+    station = obs.station[obs.pose]
+    n = len(obs.cell.stations)
+    share = np.bincount(station, ~keep, n) / np.maximum(np.bincount(station, minlength=n), 1)
+    return (share > MOST)[station]
 
 
 def limit(sizes: np.ndarray) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.diagnosis import advice, covariates, prove, residual_test
@@ -52,10 +54,14 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     before, left_before = prove.on_train(full.before, NOTHING, None)
     after, left_after = prove.on_train(full.before, model, full.smooth)
     effects = named_effects(setup, full, before)
-    verdict = verdict_of(full)
+    verdict, places = verdict_of(full), mismatch_list(setup, full, before)
+    if verdict == "explained" and proof.after.chi2 >= proof.before.chi2:
+        # A name that predicts nothing better on data that took no part is not told.
+        verdict, effects, places, after = "none", [], [], before
+        proof = replace(proof, after=proof.before)
     if full.smooth is not None:
         effects += unknown_effects(full, proof)
-    alternatives, inseparable, pairs = rivals(setup, full)
+    alternatives, inseparable, pairs = rivals(setup, full) if effects else ({}, [], [])
     for effect in effects:
         effect.alternatives = alternatives.get(effect.name, [])
     hints = advice.separate(setup.situation, pairs)
@@ -90,7 +96,7 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     }
     shown = evidence_of(setup, full, left_before, left_after)
     return Diagnosis(
-        verdict, mismatch_list(setup, full, before), effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover), shown
+        verdict, places, effects, fit, inseparable, hints, setup.dropped, notes(setup, full, leftover), shown
     )
 
 
@@ -264,18 +270,17 @@ def mismatch_list(setup: Setup, full: Finding, before: prove.Quality) -> list[di
         merged.setdefault((entry["at"], entry["depends_on"]), entry)
     out = list(merged.values())
     if full.leftover is not None and full.leftover.structure:
-        places = set()
-        for spot in full.leftover.significant:
-            if spot.at not in places and len(places) < 6:
-                places.add(spot.at)
-                out.append(
-                    {
-                        "at": spot.at,
-                        "depends_on": spot.depends_on,
-                        "share": float(np.clip((spot.gain - spot.k) / excess, 0, 1)),
-                        "p_value": 10 ** max(spot.log10_p, -300.0),
-                    }
-                )
+        # Neighbouring places explain each other's mismatch, and a place with more components always explains a little more of it: the most
+        # significant one comes first and carries the largest share.
+        spots = {}
+        for spot in sorted(full.leftover.significant, key=lambda p: p.log10_p):
+            if spot.at not in spots and len(spots) < 6:
+                spots[spot.at] = spot
+        shares = sorted((float(np.clip((p.gain - p.k) / excess, 0, 1)) for p in spots.values()), reverse=True)
+        out += [
+            {"at": p.at, "depends_on": p.depends_on, "share": share, "p_value": 10 ** max(p.log10_p, -300.0)}
+            for p, share in zip(spots.values(), shares, strict=True)
+        ]
     return sorted(out, key=lambda e: -e["share"])
 
 

@@ -8,7 +8,6 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 
@@ -158,8 +157,8 @@ def test_a_real_arm_is_not_moved_unasked(tmp_path):
 
     for options in ({"bind": "192.168.1.5"}, {"address": "192.168.1.5"}, {}):
         with pytest.raises(ConfigError, match="--arm"):
-            ask_before_motion(options, "KR 10", 3, arm=False)(np.zeros(6))
-    ask_before_motion({"bind": "127.0.0.1"}, "KR 10", 3, arm=False)(np.zeros(6))
+            ask_before_motion(options, "KR 10", 3, arm=False)
+    ask_before_motion({"bind": "127.0.0.1"}, "KR 10", 3, arm=False)
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.9])
