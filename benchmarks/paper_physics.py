@@ -1,10 +1,10 @@
 """Which left-out physics leaves the paper's signed, nearly constant sphere spacing error, at which size, and which measurement tells.
 
-    python benchmarks/paper_physics.py [--cells 24] [--out docs/paper-physics.svg] [--json FILE]
+    python benchmarks/paper_physics.py [--cells 12] [--out docs/paper-physics.svg] [--json FILE]
 
 Cells have the errors of the paper's Table 1, a KR 10 class arm, a 735 mm bar. Three questions: what the methods leave with no effect at
 all; what each effect adds (same cell, same noise, with and without it) and the size at which it adds 0.394 mm; what other readings the
-candidates then give. Some minutes on one core; every draw is seeded.
+candidates then give. One to ten minutes on one core; every draw is seeded.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ def folded_chance(tries: int = 400_000) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cells", type=int, default=24)
+    parser.add_argument("--cells", type=int, default=12)
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "paper-physics.svg")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
