@@ -12,7 +12,8 @@ from mbcacq.diagnosis.whitening import Noise
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 
-MOST = 0.4  # of a station's centres
+MOST, FEWEST = 0.4, 8  # share of a station's centres, and their number, from which it goes wrong as a whole
+STEP = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # mm, rad: sizes of a station's displacement
 
 
 def start(obs: Observations) -> CellState:
@@ -59,8 +60,9 @@ def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds:
         J, r = whiten(columns), whiten(linear.residual)
         step = ridge_solve(J, r, sigma)
         state = linear.moved(step, layout)
-        left = forward.residual(obs, forward.predict(obs, state))
-        new = keep_after(obs, left)
+        prediction = forward.predict(obs, state)
+        left = forward.residual(obs, prediction)
+        new = judge_stations(obs, keep_after(obs, left), left, prediction)
         now = float(np.sum(whiten(left) ** 2))
         settled = abs(before - now) < 1e-4 * now + 0.1 and np.array_equal(new, keep)
         keep, before = new, now
@@ -90,15 +92,33 @@ def keep_after(obs: Observations, residual: np.ndarray) -> np.ndarray:
         apart = np.linalg.norm(residual[:, :3] - centre[obs.pose], axis=1)
         several = count[obs.pose] >= 3
         keep &= (apart < limit(apart[several])) | ~several
-    return keep | _together(obs, keep)
+    return keep
 
 
-def _together(obs: Observations, keep: np.ndarray) -> np.ndarray:
-    """Centres (M,) of stations of which most would be dropped: outliers come singly, a station that goes wrong as a whole is structure."""
-    station = obs.station[obs.pose]
-    n = len(obs.cell.stations)
-    share = np.bincount(station, ~keep, n) / np.maximum(np.bincount(station, minlength=n), 1)
-    return (share > MOST)[station]
+def judge_stations(obs: Observations, keep: np.ndarray, residual: np.ndarray, prediction: forward.Prediction) -> np.ndarray:
+    """Correct ``keep`` (M,) at stations of which most would be dropped.
+
+    One outlier drags a small station with it; placed by the majority of its centres, the others fit again. Where the majority does not
+    fit any placement, the station goes wrong as a whole: that is structure, not outliers, and is kept.
+    """
+    station, n = obs.station[obs.pose], len(obs.cell.stations)
+    count = np.bincount(station, minlength=n)
+    share = np.bincount(station, ~keep, n) / np.maximum(count, 1)
+    wrong = np.flatnonzero((share > MOST) & (count >= FEWEST))
+    if not len(wrong):
+        return keep
+    keep, far = keep.copy(), limit(np.linalg.norm(residual[:, :3], axis=1))
+    J = forward.station_jacobian(obs, prediction)[:, :3]
+    for s in wrong:
+        rows = station == s
+        A, r, x = J[rows] * STEP, residual[rows, :3], np.zeros(6)
+        for _ in range(30):  # least absolute distances, by reweighting
+            weight = 1.0 / np.maximum(np.linalg.norm(r - A @ x, axis=1), 1e-4)
+            normal = np.einsum("mij,m,mik->jk", A, weight, A) + 1e-9 * np.eye(6)
+            x = np.linalg.solve(normal, np.einsum("mij,m,mi->j", A, weight, r))
+        fits = np.linalg.norm(r - A @ x, axis=1) < far
+        keep[rows] = fits if fits.mean() > MOST else True
+    return keep
 
 
 def limit(sizes: np.ndarray) -> float:
