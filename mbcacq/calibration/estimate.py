@@ -34,6 +34,14 @@ def calibrate(observations: Observations, options: Options | None = None) -> Cal
     Raises CalibrationError naming what the poses leave undetermined, ConfigError for options that do not fit.
     """
     options = options or Options()
+    try:
+        return _calibrate(observations, options)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
+                               "that are not millimetres, and for poses or balls taken for others") from error
+
+
+def _calibrate(observations: Observations, options: Options) -> Calibration:
     if options.method == "paper":
         from mbcacq.calibration.paper import calibrate_paper
 

@@ -119,3 +119,19 @@ def test_unknown_names_are_refused(cell):
         calibrate(cell.observations, Options(hold=("d_9",)))
     with pytest.raises(ConfigError, match="no calibration method"):
         Options(method="magic")
+
+
+def test_an_absurd_coordinate_is_refused_in_one_sentence(tmp_path):
+    """One coordinate of 1e30: too far from everything even for the outlier screen's arithmetic."""
+    from pathlib import Path
+
+    from mbcacq.recording import load
+
+    folder = Path(__file__).parents[3] / "shared" / "data" / "example-none"
+    if not folder.exists():
+        pytest.skip("../shared/data is not here")
+    observations = load(folder)
+    xyz = observations.xyz.copy()
+    xyz[3, 0] = 1e30
+    with pytest.raises(CalibrationError):
+        calibrate(replace(observations, xyz=xyz))
