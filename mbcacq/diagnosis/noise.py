@@ -11,6 +11,7 @@ import numpy as np
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.whitening import Noise
 
+MANY_POSES, WORST_JOINT = 350, 10.0  # of a long recording no joint is taken to repeat worse than this many times what it should
 LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 1.0, 0.35
 
 
@@ -24,12 +25,15 @@ def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Nois
     theta = pack(start, turn)
     centre = pack(prior, turn)
     precision = prior_precision(n, turn, linear.obs.cell.noise_mm is not None)
+    highest = centre + 6.0
+    if linear.obs.n_poses > MANY_POSES:  # unexplained structure must not make one joint pass for pure noise
+        highest[3 : 3 + n] = centre[3 : 3 + n] + np.log(WORST_JOINT)
     for _ in range(rounds):
         noise = unpack(theta, n, turn)
         score, information = _score(linear, columns, sigma, noise, turn)
         score = score - precision @ (theta - centre)
         step = np.linalg.solve(information + precision, score)
-        theta = np.clip(theta + np.clip(step, -1.0, 1.0), centre - 4.0, centre + 6.0)
+        theta = np.clip(theta + np.clip(step, -1.0, 1.0), centre - 4.0, highest)
         if np.abs(step).max() < 0.02:
             break
     return unpack(theta, n, turn)
