@@ -19,19 +19,23 @@ from real_data_figures import COLOURS, page, text
 SLOWEST, FASTEST = 5, 32
 
 
-def coefficients(data: Data) -> np.ndarray:
-    """(n, 2, 32) sine and cosine coefficients (rad) of every joint."""
+def whole(data: Data) -> tuple[np.ndarray, int, np.ndarray]:
+    """Coefficients (z,) of geometry, elasticity, bending and orders 1..32 on all poses; how many are geometry's; their columns."""
     own, linear = np.arange(data.obs.n_poses), data.linear
     columns, sigma, _ = linear.nuisance()
-    gear = data.periodic(1, FASTEST)(own)
-    blocks = data.compliance(own) + data.bending(own) + gear
+    blocks = data.compliance(own) + data.bending(own) + data.periodic(1, FASTEST)(own)
     X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
     sigma = np.concatenate([sigma, *(s for _, s in blocks)])
     ends = np.cumsum([columns.shape[2], *(len(s) for _, s in blocks)])
     weight = 1 / TRAINED_NOISE[linear.width]
     A = (X[linear.keep] * weight[:, None]).reshape(-1, len(sigma)) * sigma
     u = ridge(A, (linear.residual[linear.keep] * weight).reshape(-1), [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)])
-    return (sigma * u)[-2 * FASTEST * data.n:].reshape(data.n, 2, FASTEST)
+    return sigma * u, columns.shape[2], X
+
+
+def coefficients(data: Data) -> np.ndarray:
+    """(n, 2, 32) sine and cosine coefficients (rad) of every joint."""
+    return whole(data)[0][-2 * FASTEST * data.n:].reshape(data.n, 2, FASTEST)
 
 
 def curve(values: np.ndarray, angle: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -1,0 +1,89 @@
+"""The single figures in docs/data that no ladder shows.
+
+    python benchmarks/real_data_checks.py [--data ../shared/data]
+
+1. The diagnosis' own search, repeated on training poses only and judged on the rest (random 30 %, or each place in turn).
+2. Panda: other orders in the place of those found. 3. UR10: what single orders beyond 60 are worth, the orientation, and the
+whole model of one campaign tried on the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from real_data import Data, rms
+from real_data_campaigns import whole
+
+from mbcacq.diagnosis import prove
+from mbcacq.diagnosis.explain import NOTHING
+from mbcacq.diagnosis.finding import find, prepare
+from mbcacq.recording import load
+
+
+def diagnosed(folder: Path) -> None:
+    """Noise and the point of linearisation are those of all poses; effects, orders and coefficients are found in training."""
+    obs = load(folder)
+    setup = prepare(obs)
+    full = find(setup)
+    linear = full.before.linear
+    chance = np.random.default_rng(0).permutation(obs.n_poses) < int(0.3 * obs.n_poses)
+    stations = np.unique(obs.station)
+    for test in [obs.station == k for k in stations] if len(stations) > 1 else [chance]:
+        train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
+        part = find(replace(setup, linear=linear), train, examine=False, structure=full.smooth is not None)
+        before = prove.judge(linear, train, judged, NOTHING, None, full.noise)
+        after = prove.judge(linear, train, judged, part.model, part.smooth, full.noise)
+        print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
+
+
+def single(data: Data, orders: list[int], who: np.ndarray | None = None) -> list:
+    """Columns of these orders at every joint."""
+    q, out = data.obs.q if who is None else data.obs.q[who], []
+    for k in orders:
+        F = np.stack([np.sin(k * q), np.cos(k * q)], axis=2)
+        out += [data.block([("joint", i, 0)], F[:, i], 1e-4) for i in range(data.n)]
+    return out
+
+
+def panda(folder: Path) -> None:
+    data = Data(folder)
+    own, shuffled = np.arange(data.obs.n_poses), np.random.default_rng(1).permutation(data.obs.n_poses)
+    base, found, places = data.compliance(own) + data.bending(own), [80, 120, 160, 240], data.splits()["place"]
+    tries = {"none": [], "80 120 160 240": single(data, found), "the same, shuffled": single(data, found, shuffled)}
+    tries |= {" ".join(map(str, k)): single(data, k) for k in ([120, 240], [80, 160], [100], [101], [200], [202], [77, 113, 151, 229])}
+    for name, extra in tries.items():
+        print(f"panda, elasticity, bending and orders {name}: {rms(data.distance(data.held_out(base + extra, places))):.4f} mm")
+
+
+def ur10(folder: Path) -> None:
+    a, c = (Data(folder / f"ur10-tracker-{s}") for s in "ac")
+    for name, data in (("A", a), ("C", c)):
+        own, tests = np.arange(data.obs.n_poses), data.splits()["random"]
+        base = data.compliance(own) + data.bending(own) + data.periodic(1, 60)(own)
+        for orders in ([], [128], [117], [101, 202]):
+            left = data.held_out(base + single(data, orders), tests)
+            print(f"UR10 series {name}, orders to 60 and {orders}: {rms(data.distance(left)):.4f} mm")
+    own = np.arange(c.obs.n_poses)
+    for name, blocks in (("geometry", []), ("orders to 32", c.compliance(own) + c.bending(own) + c.periodic(1, 32)(own))):
+        left = c.held_out(blocks, c.splits()["random"])[:, 3:]
+        print(f"UR10 series C, orientation, {name}: {np.degrees(np.sqrt(np.nanmean(np.sum(left**2, axis=1)))) * 3600:.0f} arc seconds")
+    (own_a, k_a, X_a), (own_c, k_c, X_c) = whole(a), whole(c)
+    for name, data, X, other, start in (("A on C", c, X_c[:, :, k_c:], own_a, k_a), ("C on A", a, X_a[:, :, k_a:], own_c, k_c)):
+        measured, tests = data.linear.residual, data.splits()["random"]
+        before = rms(data.distance(data.held_out([], tests)))
+        data.linear.residual = measured - X @ other[start:]
+        print(f"UR10, model of {name}: {before:.4f} -> {rms(data.distance(data.held_out([], tests))):.4f} mm")
+        data.linear.residual = measured
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    root = parser.parse_args().data
+    for name in ("ur5-tracker", "panda-sockets", "ur10-tracker-c"):
+        diagnosed(root / name)
+    panda(root / "panda-sockets")
+    ur10(root)
