@@ -12,9 +12,11 @@ from mbcacq.calibration.rank import Undetermined
 from mbcacq.cell import TARGET_IN_BASE
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
+from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.observations import Observations
 
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1   # of a point in the workspace; an arm of this class is as good as the first without calibration
+RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)   # ten times the errors of an arm as it is delivered
 LEAST_TURN = np.radians(4.0)
 
 
@@ -86,3 +88,14 @@ def orientation_range(obs: Observations) -> float:
     first[obs.station[::-1]] = np.arange(obs.n_poses)[::-1]
     turn = np.swapaxes(R[first[obs.station]], 1, 2) @ R
     return float(np.linalg.norm(se3.rotation_log(turn), axis=1).max())
+
+
+def refuse_runaway(chain: Chain, nominal: Chain, options: Options) -> None:
+    """Raise CalibrationError where MD-H parameters went where no arm is built: a method without a noise model cannot tell that itself."""
+    errors = np.abs(chain.rows - nominal.rows)
+    far = errors > np.array([RUNAWAY_RAD, RUNAWAY_MM, RUNAWAY_MM, RUNAWAY_RAD, RUNAWAY_RAD])
+    if not far.any() or not options.refuse:
+        return
+    link, parameter = np.argwhere(far)[0]
+    raise CalibrationError(f"the poses do not hold the arm's size: {PARAMETERS[parameter]}_{link + 1} ran away from its nominal value; "
+                           "let the artefact appear in different corners of the view, and add poses with larger translations")

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.calibration import blocks, variance
 from mbcacq.calibration import start as starting
-from mbcacq.calibration.adequacy import refuse_degenerate, refuse_poor, refuse_undetermined
+from mbcacq.calibration.adequacy import refuse_degenerate, refuse_poor, refuse_runaway, refuse_undetermined
 from mbcacq.calibration.blocks import Estimate, Layout
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
@@ -45,7 +45,10 @@ def _calibrate(observations: Observations, options: Options) -> Calibration:
     if options.method == "paper":
         from mbcacq.calibration.paper import calibrate_paper
 
-        return calibrate_paper(observations, options)
+        result = calibrate_paper(observations, options)
+        refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), result.observations, options)
+        refuse_runaway(result.state.chain, result.observations.cell.robot.chain, options)
+        return result
     obs = select_phases(observations, options)
     refuse_degenerate(obs, options)
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None

@@ -135,3 +135,17 @@ def test_an_absurd_coordinate_is_refused_in_one_sentence(tmp_path):
     xyz[3, 0] = 1e30
     with pytest.raises(CalibrationError):
         calibrate(replace(observations, xyz=xyz))
+
+
+def test_parameters_that_run_away_are_named():
+    from mbcacq.calibration.adequacy import refuse_runaway
+    from mbcacq.geometry.chain import Chain
+
+    nominal = Chain(*np.ones((6, 6)))
+    errors = np.zeros((6, 5))
+    errors[3, 4] = np.radians(0.5)
+    refuse_runaway(nominal.with_errors(errors), nominal, Options())
+    errors[1, 2] = -7.0
+    with pytest.raises(CalibrationError, match="a_2"):
+        refuse_runaway(nominal.with_errors(errors), nominal, Options())
+    refuse_runaway(nominal.with_errors(errors), nominal, Options(refuse=False))
