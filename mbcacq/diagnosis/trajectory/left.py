@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
-from mbcacq.diagnosis.trajectory.select import Explained
+from mbcacq.diagnosis.trajectory.select import Explained, improvement_p
 from mbcacq.physics.trajectory.effect import Run
 
 BINS = 24
+PIECES = 24          # of a channel's residual, taken as independent witnesses
 LEAST_SHARE = 0.15   # of what is left that one variable must explain, on the other part of the data, to be worth saying
 LEAST_CHI2 = 2.0
 
@@ -19,17 +21,18 @@ def structure(explained: Explained, runs: tuple[Run, ...], floor: float) -> list
     total = float(np.mean(np.concatenate(left) ** 2))
     if total < LEAST_CHI2 * floor**2:
         return []
-    best_name, best_share, best_shape = "time", 0.0, None
-    for name, values in _covariates(channel.name, runs, joint).items():
-        share, shape = _cross_validated(values, left)
+    best_name, best_share, best_shape, p = "time", 0.0, None, 1.0
+    covariates = _covariates(channel.name, runs, joint)
+    for name, values in covariates.items():
+        share, shape, one = _cross_validated(values, left)
         if share > best_share:
-            best_name, best_share, best_shape = name, share, shape
-    where = {"at": channel.axis, "channel": channel.name, "depends_on": best_name, "share": best_share, "p_value": 0.0}
+            best_name, best_share, best_shape, p = name, share, shape, min(one * len(covariates), 1.0)
+    where = {"at": channel.axis, "channel": channel.name, "depends_on": best_name, "share": best_share, "p_value": p}
     if best_shape is None or best_share < LEAST_SHARE:
-        where["depends_on"] = "time"
+        where |= {"depends_on": "time", "p_value": float(chi2.sf(PIECES * total / floor**2, PIECES))}
         return [{"kind": "rest", "mismatch": where | {"share": float(total / max(np.mean(np.concatenate(explained.before) ** 2), 1e-300))}}]
     effect = {"name": "unknown", "where": [channel.axis], "channel": channel.name, "depends_on": best_name, "parameters": {},
-              "p_value": 0.0, "held_out_gain": best_share * explained.held_out_after / max(explained.held_out_before, 1e-300),
+              "p_value": p, "held_out_gain": best_share * explained.held_out_after / max(explained.held_out_before, 1e-300),
               "shape": best_shape, "alternatives": []}
     return [{"kind": "smooth", "mismatch": where, "effect": effect}]
 
@@ -43,22 +46,25 @@ def _covariates(name: str, runs: tuple[Run, ...], joint: int) -> dict[str, list[
     return out
 
 
-def _cross_validated(values: list[np.ndarray], left: tuple[np.ndarray, ...]) -> tuple[float, dict | None]:
-    """Share of the mean square that a table over the covariate (quantile bins) predicts on the other half; and the table."""
+def _cross_validated(values: list[np.ndarray], left: tuple[np.ndarray, ...]) -> tuple[float, dict | None, float]:
+    """Share of the mean square that a table over the covariate (quantile bins) predicts on the other half; the table; a p-value of the
+    improvement, from pieces of the residual."""
     v, r = np.concatenate(values), np.concatenate(left)
     half = np.concatenate([np.arange(len(x)) * 4 // len(x) % 2 for x in values]) if len(values) == 1 else \
         np.concatenate([np.full(len(x), k % 2) for k, x in enumerate(values)])
     edges = np.unique(np.quantile(v, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 4:
-        return 0.0, None
+        return 0.0, None, 1.0
     bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
-    sse = 0.0
+    predicted = np.zeros_like(r)
     for test in (0, 1):
         train = half != test
         count = np.bincount(bins[train], minlength=len(edges) - 1)
         mean = np.bincount(bins[train], r[train], minlength=len(edges) - 1) / np.maximum(count, 1)
-        sse += float(((r[~train] - mean[bins[~train]]) ** 2).sum())
+        predicted[~train] = mean[bins[~train]]
+    before, after = (np.array([np.mean(piece**2) for piece in np.array_split(x, PIECES)]) for x in (r, r - predicted))
     count = np.bincount(bins, minlength=len(edges) - 1)
     mean = np.bincount(bins, r, minlength=len(edges) - 1) / np.maximum(count, 1)
     centre = 0.5 * (edges[1:] + edges[:-1])
-    return 1.0 - sse / float((r**2).sum()), {"x": centre.tolist(), "y": mean.tolist()}
+    share = 1.0 - float(((r - predicted) ** 2).sum() / (r**2).sum())
+    return share, {"x": centre.tolist(), "y": mean.tolist()}, improvement_p(before, after)

@@ -146,12 +146,8 @@ def _plain_fit(channel: Channel, runs, chosen, train) -> np.ndarray:
     y = np.concatenate([channel.mismatch[k][keep] for k, keep in train])
     effect = A[:, : A.shape[1] - channel.base[0].shape[1]]
     noise = max(float(np.std(np.diff(y))), 1e-12)
-    fit = solve(y / noise, channel_base(A, effect) / noise, effect / noise, channel.prior)
+    fit = solve(y / noise, A[:, effect.shape[1]:] / noise, effect / noise, channel.prior)
     return np.concatenate([fit.coefficients, fit.base])
-
-
-def channel_base(A: np.ndarray, effect: np.ndarray) -> np.ndarray:
-    return A[:, effect.shape[1]:]
 
 
 def _filter(channel: Channel, runs, chosen) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,7 +67,6 @@ class Candidate:
     several: bool = False
     search: float = 1.0
     shared: bool = False
-    extra: dict = field(default_factory=dict)
 
 
 def value(prefix: str, number: float, variance: float) -> dict:
