@@ -17,7 +17,7 @@ import numpy as np
 from mbcacq_fakes import hidden, recorded
 
 from mbcacq.diagnosis import base_fit, finding
-from mbcacq.diagnosis.diagnose import verdict_of
+from mbcacq.diagnosis.conclude import verdict_of
 from mbcacq.observations import Observations
 from mbcacq.recording import load
 
@@ -61,7 +61,7 @@ def measured(template: Observations, effects: list[dict], seed: int, outliers: f
 
 
 def examine(obs: Observations) -> tuple[str, list[tuple[str, tuple[str, ...]]], finding.Finding]:
-    found = finding.find(finding.prepare(obs), structure=False)
+    found = finding.find(finding.prepare(obs))
     return verdict_of(found), [(c.name, c.where) for c, _ in found.model.members], found
 
 
@@ -97,10 +97,10 @@ def main() -> None:
                 right = verdict != "explained"
             tally["right" if right else "silent" if verdict == "none" else "wrong"] += 1
             if not right or args.what == "outside":
-                spot = found.leftover.spots[0]
+                spot = found.leftover.judged.best()
                 print(
                     f"  {name} seed {args.seed + m} strength {strength:.2f}: {verdict} {named} left {spot.at}({spot.depends_on}) "
-                    f"1e{spot.log10_p:.1f} "
+                    f"log evidence {spot.log_ratio:.1f} "
                     f"truth {truth_line(truth)}",
                     flush=True,
                 )

@@ -46,7 +46,7 @@ class Judged:
 
 def judge(obs, method: str) -> Judged:
     ours = method == "ml"
-    c: Calibration = calibrate(obs, Options(method=method, refuse=False, robust=not ours, noise="given" if ours else "auto"))
+    c: Calibration = calibrate(obs, Options(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto"))
     v = verify(obs, c)
     group = np.array([p.station[0] for p in v.places])
     after = v.errors("after")
@@ -106,7 +106,7 @@ def noise_alone(made, cells: int) -> list[dict[str, Any]]:
 
 def bar_errors(obs, method: str) -> np.ndarray:
     """(10,) mm at the planned places of the bar."""
-    c = calibrate(obs, Options(method=method, refuse=False, robust=False, noise="given"))
+    c = calibrate(obs, Options(method=method, pairs="four", refuse=False, robust=False, noise="given"))
     return np.array([p.after_mm for p in verify(obs, c.state).places if p.station[0] == "b"])
 
 
@@ -138,9 +138,9 @@ def stretch_signal(plan) -> float:
     """rms (um) by which the distances of the paper's constraint change when all lengths of a perfect arm are stretched by WANTED / L,
     angles and hand-eye adjusted to hide it: what the method has to see the arm's size by."""
     from mbcacq.calibration.paper import distance
-    from mbcacq.calibration.paper.method import four_balls
+    from mbcacq.calibration.paper.pairs import several_balls
 
-    obs = four_balls(record(*plan, None, 0.0, 1, errors="none", **EXACT))
+    obs = several_balls(record(*plan, None, 0.0, 1, errors="none", **EXACT), "four")
     obs = obs.select(obs.phase == "position")
     chain, hand_eye = obs.cell.robot.chain, calibrate(obs, Options(kinematics=False)).state.T_flange_scanner
     free = np.ones((chain.n, 5), bool)

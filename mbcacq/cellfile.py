@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,6 +12,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 
 Vector = tuple[float, float, float]
+Size = Annotated[float, Field(ge=0)]
 
 
 class Strict(BaseModel):
@@ -120,8 +121,10 @@ class StationSpec(Strict):
 
 
 class ScannerSpec(Strict):
+    """noise_mm: of one centre along x, y, z; zeros say as little as none."""
+
     name: str = ""
-    noise_mm: Vector | None = None
+    noise_mm: tuple[Size, Size, Size] | None = None
 
 
 class CellSpec(Strict):
@@ -145,7 +148,7 @@ class CellSpec(Strict):
                                         s.pose_in_base.transform() if s.pose_in_base else None,
                                         s.pose_in_base.sigma_mm if s.pose_in_base else None) for s in self.stations),
             scanner_name=self.scanner.name,
-            noise_mm=None if self.scanner.noise_mm is None else np.array(self.scanner.noise_mm),
+            noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
             measurement=self.measurement,
         )
 

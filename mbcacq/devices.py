@@ -107,7 +107,7 @@ class Scan:
     points: (N, 3) float32, mm, scanner frame, valid points only. intensity: (N,) uint8 or None.
     shape: (rows, columns) of the sensor grid, (0, 0) if unorganised. pixel: (N,) int32 index row * columns + column of each
     point in that grid, or None. time_s: the device's clock at the exposure. frame: the device's frame counter.
-    measurements and health: numbers the device sent along, by name.
+    measurements and health: numbers the device sent along, by name. warnings: what an operator should know, one sentence each.
     """
 
     points: np.ndarray
@@ -119,6 +119,7 @@ class Scan:
     exposure_us: float = 0.0
     measurements: Mapping[str, float] = field(default_factory=dict)
     health: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 @runtime_checkable
@@ -150,7 +151,7 @@ class Robot(Device, Protocol):
         """
 
     def state(self) -> RobotState:
-        """The latest state. Raises the error that stopped the robot, if one did."""
+        """The latest state, from any thread. Raises the error that stopped the robot, if one did."""
 
     def cycles(self) -> Cycles:
         """Every cycle received since the last call (possibly none); nothing is dropped silently. Never raises."""
@@ -180,13 +181,17 @@ def available(kind: str) -> dict[str, str]:
 
 
 def load_driver(kind: str, name: str) -> type:
-    """The class registered under ``name``, imported only now. Raises ConfigError naming the choices."""
-    for point in entry_points(group=f"mbcacq.{kind}"):
-        if point.name == name:
-            try:
-                return point.load()
-            except ImportError as error:
-                raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; install what it needs") from error
+    """The class registered under ``name`` (kuka-eki is kuka_eki), imported only now. Raises ConfigError naming the choices."""
+    plain = name.replace("-", "_")
+    points = {point.value: point for point in entry_points(group=f"mbcacq.{kind}") if point.name.replace("-", "_") == plain}
+    if len(points) > 1:
+        raise ConfigError(f"driver '{name}' is registered {len(points)} times among the {kind} ({', '.join(sorted(points))}); uninstall "
+                          "all packages but one of them")
+    for point in points.values():
+        try:
+            return point.load()
+        except ImportError as error:
+            raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; install what it needs") from error
     choices = ", ".join(sorted(available(kind))) or "none"
     raise ConfigError(f"there is no driver '{name}' among the {kind} (installed: {choices}); correct the name or install its package")
 

@@ -19,6 +19,8 @@ class ExitCode(IntEnum):
     ABORTED = 5
     RECORDING_FAILED = 6
     NOT_ACCEPTABLE = 7
+    SAFETY_STOP = 8
+    LOST = 9
     INTERRUPTED = 130
 
 
@@ -27,10 +29,12 @@ EXIT_CODE_MEANING = {
     ExitCode.BUG: "unexpected error: please report it",
     ExitCode.USAGE: "wrong command, plan or input data",
     ExitCode.UNREACHABLE: "a device cannot be reached or is not the one expected",
-    ExitCode.DEVICE_FAULT: "a device reported a fault, or the robot was stopped for safety",
+    ExitCode.DEVICE_FAULT: "a device reported a fault, or its measurement cannot be used",
     ExitCode.ABORTED: "aborted by the operator",
     ExitCode.RECORDING_FAILED: "the recording could not be written or read",
     ExitCode.NOT_ACCEPTABLE: "the calibration is not acceptable",
+    ExitCode.SAFETY_STOP: "the robot was stopped for safety, or a motion was refused",
+    ExitCode.LOST: "a device was lost or fell silent during the run",
     ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
 }
 
@@ -60,7 +64,7 @@ class IdentityError(ConnectError):
 class DeviceTimeout(MbcacqError, TimeoutError):
     """A device that was connected fell silent or did not finish in time."""
 
-    exit_code = ExitCode.DEVICE_FAULT
+    exit_code = ExitCode.LOST
 
 
 class ProtocolError(MbcacqError):
@@ -77,6 +81,8 @@ class DeviceFault(MbcacqError):
 
 class SafetyStop(DeviceFault):
     """The robot was stopped because going on could have been dangerous."""
+
+    exit_code = ExitCode.SAFETY_STOP
 
 
 class Aborted(MbcacqError):

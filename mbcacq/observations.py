@@ -52,6 +52,11 @@ class Observations:
     def n_centres(self) -> int:
         return len(self.xyz)
 
+    @property
+    def sees_target_turn(self) -> bool:
+        """For an external instrument: whether the target's orientation shows, measured or by several reflectors at different places."""
+        return self.rotation is not None or bool(np.ptp(self.cell.ball_centres[np.unique(self.ball)], axis=0).max(initial=0.0) > 1e-6)
+
     def select(self, keep: np.ndarray) -> Observations:
         """The poses where ``keep`` (P,) bool holds, with their centres; stations and balls keep their indices."""
         keep = np.asarray(keep, dtype=bool)

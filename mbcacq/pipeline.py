@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,11 @@ from mbcacq.acquisition.runner import Runner
 from mbcacq.cell import Cell
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+
+if TYPE_CHECKING:
+    from mbcacq.acquisition.runner import Pause
+    from mbcacq.plan.sweep import Swept
+    from mbcacq.recording.progress import Progress
 
 
 def versions() -> dict[str, str]:
@@ -41,19 +47,44 @@ def new_run_folder(out: Path | None, name: str) -> Path:
     return folder
 
 
-def resume_folder(folder: Path, loaded: LoadedPlan) -> tuple[Path, frozenset[int], int]:
-    """The folder of an interrupted run, the numbers of the poses it has, and how many recording parts it holds.
+def fresh() -> Progress:
+    """Of a run that begins."""
+    from mbcacq.recording.progress import Progress
 
-    Raises ConfigError where there is no run, or where it belongs to another plan.
+    return Progress(frozenset(), 0, {})
+
+
+def resume_folder(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
+    """What an interrupted run has measured, its torn recordings made readable.
+
+    Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
-    journal, plan = folder / "journal.jsonl", folder / "plan.yaml"
-    if not journal.exists() or not plan.exists():
-        raise ConfigError(f"{folder} holds no run to resume (no journal.jsonl and plan.yaml); give the folder of the interrupted run")
-    if plan.read_text(encoding="utf-8") != loaded.text:
-        raise ConfigError(f"the plan was changed since {folder} was recorded; resume with {plan} or start a new run")
-    from mbcacq.recording import poses_done
+    from mbcacq.recording import take_stock
+    from mbcacq.recording.run_plan import refuse_change
 
-    return folder, poses_done(folder), len(list(folder.glob("run*.rrd")))
+    refuse_change(folder, loaded.text, loaded.files, cell)
+    return take_stock(folder)
+
+
+def without_partial_stations(poses: Sequence[PlannedPose], before: Progress) -> frozenset[int]:
+    """The poses done, but for those at stations that have others left: their artefact was touched meanwhile."""
+    left = {p.station for p in poses if p.number not in before.done}
+    return before.done - {number for station in left for number in before.stations.get(station, ())}
+
+
+def plan_run(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int], part: int, cell: str) -> Acquisition:
+    """The whole path of what is left to do, looked at from home to home before anything is opened.
+
+    Raises ConfigError or SafetyStop where a limit, the workspace or a clearance would be broken anywhere on it.
+    """
+    from mbcacq.plan import path
+    from mbcacq.plan.route import way_home
+    from mbcacq.plan.sweep import legs, refuse_unsafe
+
+    last = next(p for p in reversed(poses) if p.number not in done)
+    acquisition = Acquisition(loaded, poses, path(loaded, poses, done), way_home(loaded, last), Path(), part, done, cell)
+    refuse_unsafe(loaded, list(legs(loaded, poses, acquisition.paths, acquisition.way_home, done)))
+    return acquisition
 
 
 def solver_cell(loaded: LoadedPlan) -> Cell:
@@ -65,29 +96,40 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
     return replace(loaded.cell, stations=stations, noise_mm=None)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Acquisition:
-    """What to execute, and where it is written. parts: recording files the folder holds already (a resumed run writes a new one)."""
+    """What to execute, and where it is written. part: number of the recording (0, but for a resumed run); done: numbers of the poses to
+    pass over; cell: which cell is driven, in words, so that a resumed run stays with it."""
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
     paths: Sequence[Transit]
     way_home: Sequence[np.ndarray]
     folder: Path
-    parts: int = 0
+    part: int = 0
+    done: frozenset[int] = frozenset()
+    cell: str = ""
+
+    def sweep(self) -> Swept:
+        """What the arm will sweep, and how fast."""
+        from mbcacq.plan.sweep import legs, swept
+
+        return swept(self.loaded, list(legs(self.loaded, self.poses, self.paths, self.way_home, self.done)))
 
     def execute(
         self, overrides: Overrides | None = None, subscribers: Iterable[Subscriber] = (), *, live: bool = False,
-        confirm: Callable[[np.ndarray], None] | None = None, done: frozenset[int] = frozenset(),
-        told: Callable[[str], None] = lambda url: None,
-    ) -> None:
-        """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder.
+        confirm: Callable[[np.ndarray], None] | None = None, told: Callable[[str], None] = lambda url: None, pause: Pause | None = None,
+    ) -> str:
+        """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder. Returns '', or a sentence
+        where all is measured and the parts of a resumed run could not be merged.
 
-        live: serve the recording on 127.0.0.1 while it grows; ``told`` gets the address for the viewer.
+        live: serve the recording on 127.0.0.1 while it grows; ``told`` gets the address for the viewer. pause: asked before each pose.
         """
         from mbcacq.plan.route import check_start
         from mbcacq.recording import Journal, Recorder
         from mbcacq.recording.cell_yaml import cell_to_yaml
+        from mbcacq.recording.recovery import WHOLE
+        from mbcacq.recording.run_plan import keep_plan
         from mbcacq.spheres import find_balls
 
         def gate(q: np.ndarray) -> None:
@@ -95,15 +137,46 @@ class Acquisition:
             if confirm is not None:
                 confirm(q)
 
-        (self.folder / "plan.yaml").write_text(self.loaded.text, encoding="utf-8")
-        with closing(Recorder(self.folder, live=live, part=self.parts)) as recorder, closing(Journal(self.folder)) as journal:
+        (self.folder / WHOLE).unlink(missing_ok=True)    # of an earlier resume; it would lack what comes now
+        known = places_seen(self.folder, self.loaded, self.done) if self.done else {}
+        keep_plan(self.folder, self.loaded.text, self.loaded.files, self.cell)
+        with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
             if recorder.live_url:
                 told(recorder.live_url)
             Runner(
                 self.loaded, self.poses, self.paths, self.way_home, create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]), find_balls, cell_to_yaml(solver_cell(self.loaded)), versions(),
-                gate, done,
+                gate, self.done, pause, known,
             ).run()
+        return merge(self.folder) if self.part else ""
+
+
+def places_seen(folder: Path, loaded: LoadedPlan, done: frozenset[int]) -> dict[str, dict[int, np.ndarray]]:
+    """Where the balls stood at the poses that count as done: station -> ball id -> (3,) mm, mean over its poses, base frame of the nominal
+    arm."""
+    from mbcacq.geometry import se3
+    from mbcacq.recording import load
+
+    obs = load(folder)
+    T = obs.cell.robot.chain.flange(obs.q) @ loaded.cell.T_flange_scanner
+    place = se3.apply(T[obs.pose], obs.xyz)
+    seen: dict[str, dict[int, list[np.ndarray]]] = {}
+    for row, (pose, ball) in enumerate(zip(obs.pose, obs.ball, strict=True)):
+        if int(obs.pose_id[pose]) in done:
+            station = obs.cell.stations[obs.station[pose]].id
+            seen.setdefault(station, {}).setdefault(obs.cell.ball_ids[ball], []).append(place[row])
+    return {station: {ball: np.mean(points, axis=0) for ball, points in balls.items()} for station, balls in seen.items()}
+
+
+def merge(folder: Path) -> str:
+    """The parts of a resumed run as one recording, whole.rrd, beside them. Returns '', or a sentence where the disk does not take it."""
+    from mbcacq.recording import recover
+
+    try:
+        recover(folder)
+    except RecordingError as error:
+        return f"the parts of {folder} were not merged into one recording: {error}; later: mbcacq recover {folder}"
+    return ""
 
 
 def evaluate(run: Path, limit_mm: float | None = None) -> dict:
@@ -114,14 +187,17 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     Returns the result as written, with 'files' naming all of them. limit_mm: the plan's limit of the sphere spacing error.
     """
     from mbcacq.calibration import Options, calibrate, verify
-    from mbcacq.recording import load, log_result
+    from mbcacq.recording import find_gaps, load, log_result
+    from mbcacq.recording.csvfile import write_text
+    from mbcacq.recording.recovery import WHOLE
     from mbcacq.report import write_report
 
     observations = load(run)
     calibration = calibrate(observations, Options(refuse="position" in observations.phase))
     verification = verify(observations, calibration, limit_mm=limit_mm)
-    result = calibration.to_dict() | {"verification": verification.to_dict()}
-    (run / "result.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    result = calibration.to_dict() | {"verification": verification.to_dict(), "gaps": find_gaps(run)}
+    write_text(run / "result.json", json.dumps(result, indent=1))
     report = write_report(run, observations=observations, calibration=calibration, verification=verification)
     log_result(run, observations, calibration.state, calibration.preliminary)
-    return result | {"files": {"recording": str(run / "run.rrd"), "result": str(run / "result.json"), "report": str(report)}}
+    recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
+    return result | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}

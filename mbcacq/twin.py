@@ -15,6 +15,7 @@ from mbcacq.calibration.result_file import state_from_dict
 from mbcacq.errors import ConfigError
 from mbcacq.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.recording.trajectory import Trajectory
 
 
 def simulate(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None = None, noise: bool = False,
@@ -67,3 +68,19 @@ def _noise(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, A
     if not found:
         return stated
     return replace(stated, point=np.array(found["scanner_mm"], dtype=float), joint=np.array(found["joint_rad"], dtype=float))
+
+
+def simulate_motion(trajectory: Trajectory) -> Trajectory:
+    """What an ideal arm would have recorded along the same motion: set point followed at once, rigid gears, torque of rigid bodies alone.
+
+    The motion is the recording's motor side; derivatives by a zero-phase filter. Torque (N m about the joints) only where the robot's
+    masses are known. Raises ConfigError for a recording that is too short or whose times do not rise.
+    """
+    from mbcacq.diagnosis.trajectory.runs import prepare
+
+    run, _ = prepare(replace(trajectory, torque=np.zeros_like(trajectory.q), motor_torque=None))
+    t = trajectory
+    time_s = t.time_s[0] + run.step_s * np.arange(len(run.q))
+    rigid = run.rigid if t.robot.mass.any() else None
+    return replace(t, time_s=time_s, q=run.q, q_set=None if t.q_set is None else run.q, q_joint=None if t.q_joint is None else run.q,
+                   torque=rigid, motor_torque=None, current=None, temperatures={}, extra={})

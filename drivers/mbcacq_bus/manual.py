@@ -26,6 +26,11 @@ class ManualPositioner:
         self._name, self._options = name, parse(ManualOptions, "the manual positioner", options)
         self._stopped = threading.Event()
 
+    @property
+    def asks(self) -> bool:
+        """Whether somebody is there to be asked once more."""
+        return not self._options.assume_yes
+
     def connect(self) -> None:
         """Raises ConfigError where nobody can be asked."""
         self._stopped.clear()

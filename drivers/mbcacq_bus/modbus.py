@@ -24,6 +24,7 @@ class PositionerOptions(Connection):
     """stations: station id -> commanded position. Arrival: ``in_position`` is set, and ``actual`` (where there is one) is near.
 
     A controller lowers its flag only some time after a command: without ``actual``, the flag is believed after ``flag_delay_s``.
+    ready: must be set before a command is sent (drives on, referenced). limits: of the position; a station outside is refused.
     """
 
     stations: dict[str | int, float] = Option(min_length=1)
@@ -32,6 +33,8 @@ class PositionerOptions(Connection):
     actual: Register | None = None
     tolerance: float = Option(default=0.05, gt=0)
     start: Register | None = None
+    ready: Register | None = None
+    limits: tuple[float, float] | None = None
     fault: Register | None = None
     halt: Register | None = None
     move_timeout_s: float = Option(default=120.0, gt=0)
@@ -44,6 +47,9 @@ class PositionerOptions(Connection):
             register = getattr(self, name)
             if register is not None and register.table not in ("holding", "coil"):
                 raise ValueError(f"{name} must be a holding register or a coil, a {register.table} cannot be written")
+        for station, value in self.stations.items():
+            if self.limits is not None and not self.limits[0] <= value <= self.limits[1]:
+                raise ValueError(f"station {station} at {value:g} is outside the limits {self.limits[0]:g}..{self.limits[1]:g}")
         return self
 
 
@@ -99,6 +105,7 @@ class ModbusPositioner(_ModbusDevice):
             raise ConfigError(f"the plan gives no position for station {station}; add it to the positioner's stations")
         target = self._targets[station]
         self._stopped.clear()
+        self._refuse_unready(station)
         try:
             self._link.write(o.position, target)
         except ValueError as error:
@@ -117,6 +124,13 @@ class ModbusPositioner(_ModbusDevice):
                 self._link.write(self._options.halt, 1)
             except Exception:  # stop never raises; the positioner's own watchdog is the last line
                 return
+
+    def _refuse_unready(self, station: str) -> None:
+        o = self._options
+        if o.fault is not None and (code := self._link.read(o.fault)):
+            raise DeviceFault(f"the positioner reports fault {code:g} before it goes to station {station}; clear it at its controller")
+        if o.ready is not None and not self._link.read(o.ready):
+            raise DeviceFault(f"the positioner is not ready to go to station {station}; switch its drive on and reference it")
 
     def _wait(self, station: str, target: float) -> None:
         o, began = self._options, time.monotonic()
@@ -154,6 +168,7 @@ class ModbusSensor(_ModbusDevice):
     def read(self) -> dict[str, float]:
         values = {name: self._link.read(register) for name, register in self._options.values.items()}
         for name, value in values.items():
-            if not math.isfinite(value):
-                raise DeviceFault(f"{self._device} reports {value} for {name}; is its probe connected?")
+            low, high = self._options.values[name].valid or (-math.inf, math.inf)
+            if not math.isfinite(value) or not low <= value <= high:
+                raise DeviceFault(f"{self._device} reports {value:g} for {name}; is its probe connected?")
         return values

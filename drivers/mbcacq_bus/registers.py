@@ -15,7 +15,8 @@ _CODES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "
 
 
 class Register(Options):
-    """value = raw * scale + offset. ``word_order`` big: the high word comes first. ``bit`` picks one bit of a 16-bit register."""
+    """value = raw * scale + offset. ``word_order`` big: the high word comes first. ``bit`` picks one bit of a 16-bit register. ``valid``:
+    what a sensor may read; beyond it its probe is taken to be broken."""
 
     address: int = Field(ge=0, le=65535)
     table: Table = "holding"
@@ -25,6 +26,7 @@ class Register(Options):
     offset: float = 0.0
     bit: int | None = Field(default=None, ge=0, le=15)
     unit: str = ""
+    valid: tuple[float, float] | None = None
 
     @property
     def is_bit(self) -> bool:

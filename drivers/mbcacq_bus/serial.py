@@ -13,10 +13,11 @@ from typing import Any, Literal, Self
 
 from pydantic import Field as Option
 
-from mbcacq.devices import ConfigError, ConnectError, Description, DeviceTimeout, Field, IdentityError, ProtocolError
+from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
 from mbcacq_bus.options import Options, parse
 
 MAX_LINE = 1024
+ASKED = 3    # times, for its identity
 
 
 class SerialIdentity(Options):
@@ -27,7 +28,8 @@ class SerialIdentity(Options):
 
 
 class SerialOptions(Options):
-    """line: regular expression for a whole line; its named groups are the values. ask: sent before each reading, if needed."""
+    """line: regular expression for a whole line; its named groups are the values, each times its ``scale`` plus its ``offset``. ask: sent
+    before each reading, if needed. valid: by name, what may be read; beyond it the probe is taken to be broken."""
 
     port: str
     baudrate: int = 9600
@@ -36,6 +38,9 @@ class SerialOptions(Options):
     line: str
     ask: str | None = None
     units: dict[str, str] = {}
+    scale: dict[str, float] = {}
+    offset: dict[str, float] = {}
+    valid: dict[str, tuple[float, float]] = {}
     timeout_s: float = Option(default=2.0, gt=0)
     identity: SerialIdentity | None = None
 
@@ -48,6 +53,9 @@ class SerialSensor:
         self._pattern = _compile(self._options.line, "line")
         if not self._pattern.groupindex:
             raise ConfigError("options of the serial sensor: line needs named groups, e.g. T=(?P<air_C>[-+0-9.]+); correct the plan")
+        for option in ("units", "scale", "offset", "valid"):
+            if unknown := getattr(self._options, option).keys() - self._pattern.groupindex.keys():
+                raise ConfigError(f"options of the serial sensor: {option} names '{min(unknown)}', which line does not; correct the plan")
         self._identity = None if self._options.identity is None else _compile(self._options.identity.expect, "identity.expect")
         self._device = f"sensor {model}".strip() + f" at {self._options.port}"
         self._model, self._port, self._thread = model, None, None
@@ -89,10 +97,16 @@ class SerialSensor:
         with self._news:
             self._news.wait_for(lambda: self._stamp >= oldest or bool(self._failure), timeout=o.timeout_s)
             if self._stamp >= oldest:
-                return dict(self._values)
+                return self._believed(dict(self._values))
             if self._failure:
                 raise ProtocolError(f"{self._device}: {self._failure}")
         raise DeviceTimeout(f"{self._device} sent nothing that matches '{o.line}' for {o.timeout_s:g} s; is it on, is the baud rate right?")
+
+    def _believed(self, values: dict[str, float]) -> dict[str, float]:
+        for name, (low, high) in self._options.valid.items():
+            if name in values and not low <= values[name] <= high:
+                raise DeviceFault(f"{self._device} reports {values[name]:g} for {name}; is its probe connected?")
+        return values
 
     def stop(self) -> None:
         pass
@@ -104,8 +118,11 @@ class SerialSensor:
             self._thread.join(timeout=2.0)
             self._thread = None
         if port is not None:
+            sock = getattr(port, "_socket", None)    # pyserial leaves the socket of a lost connection open
             with suppress(Exception):
                 port.close()
+            if sock is not None:
+                sock.close()
 
     def __enter__(self) -> Self:
         self.connect()
@@ -123,10 +140,20 @@ class SerialSensor:
     def _identify(self) -> None:
         if self._identity is None:
             return
-        self._send(self._options.identity.ask)
-        deadline, heard = time.monotonic() + self._options.timeout_s, ""
-        while time.monotonic() < deadline:
-            line = self._port.read_until(b"\n", MAX_LINE).decode("ascii", "replace").strip()
+        # A line has no connections: half a question of whoever asked before may spoil ours, so it is asked again.
+        timeout_s, began, asked, heard, pending = self._options.timeout_s, time.monotonic(), 0, "", b""
+        while (elapsed := time.monotonic() - began) < timeout_s:
+            if elapsed >= asked * timeout_s / ASKED:
+                self._send(self._options.identity.ask)
+                asked += 1
+            try:
+                pending += self._port.read_until(b"\n", MAX_LINE)
+            except Exception as error:   # pyserial lets termios.error of a lost terminal through
+                raise ConnectError(f"{self._device} was lost while it was being identified: {error}; check the cable") from error
+            if not pending.endswith(b"\n"):
+                pending = pending[-MAX_LINE:]
+                continue
+            line, pending = pending.decode("ascii", "replace").strip(), b""
             if self._identity.fullmatch(line):
                 return
             heard = line or heard
@@ -153,12 +180,15 @@ class SerialSensor:
                 self._take(line)
             whole = True
 
+    def _scaled(self, name: str, number: float) -> float:
+        return number * self._options.scale.get(name, 1.0) + self._options.offset.get(name, 0.0)
+
     def _take(self, line: str) -> None:
         match = self._pattern.fullmatch(line)
         if match is None:
             return
         try:
-            values = {name: float(text) for name, text in match.groupdict().items() if text is not None}
+            values = {name: self._scaled(name, float(text)) for name, text in match.groupdict().items() if text is not None}
             if not all(map(math.isfinite, values.values())):
                 raise ValueError("not finite")
         except ValueError:

@@ -6,6 +6,8 @@ values) are left out, as the vendor's client leaves them out; the sensor merges 
 
 from __future__ import annotations
 
+import copy
+import math
 from xml.etree import ElementTree
 
 from defusedxml import ElementTree as SafeTree
@@ -30,7 +32,7 @@ class Configuration:
             raise ProtocolError(f"the sensor's configuration has {len(data)} bytes, more than {_MAX_SIZE}")
         try:
             self._root = SafeTree.fromstring(data, forbid_dtd=True)
-        except (ElementTree.ParseError, DefusedXmlException, ValueError) as error:
+        except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:    # LookupError: an encoding nobody knows
             raise ProtocolError(f"the sensor's configuration cannot be read as XML: {error}") from None
         if self._root.tag != "Configuration":
             raise ProtocolError(f"the sensor's configuration starts with <{self._root.tag}> instead of <Configuration>")
@@ -48,9 +50,9 @@ class Configuration:
         """Whether this already is the exposure, to a nanosecond."""
         return self.exposure_us is not None and abs(self.exposure_us - exposure_us) < 1e-3
 
-    def set_exposure(self, exposure_us: float) -> None:
+    def check_exposure(self, exposure_us: float) -> None:
         """Raises ConfigError outside the limits that the sensor states, or if the job chooses its exposure by itself."""
-        mode = int(_float(self._root.findtext(_DEVICE + "/ExposureMode"), 0) or 0)
+        mode = _float(self._root.findtext(_DEVICE + "/ExposureMode"), 0)
         if mode != SINGLE:
             kind = EXPOSURE_MODES.get(mode, "another kind of")
             raise ConfigError(f"the Gocator's job uses {kind} exposure, so {exposure_us:g} us cannot be set; choose single exposure "
@@ -60,11 +62,15 @@ class Configuration:
         if not low <= exposure_us <= high:
             raise ConfigError(f"an exposure of {exposure_us:g} us is outside the {low:g} to {high:g} us that the Gocator allows; "
                               "change it in the plan")
-        node.text = f"{exposure_us:.6f}"
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """Raises ConfigError as ``check_exposure``."""
+        self.check_exposure(exposure_us)
+        self._node(_DEVICE + "/Exposure").text = f"{exposure_us:.6f}"
 
     def values_only(self) -> bytes:
         """The file to write back."""
-        root = SafeTree.fromstring(ElementTree.tostring(self._root), forbid_dtd=True)
+        root = copy.deepcopy(self._root)
         for node in root.iter():
             for name in _TOLD_BY_SENSOR & node.attrib.keys():
                 del node.attrib[name]
@@ -86,6 +92,7 @@ class Configuration:
 
 def _float(value: str | None, default: float | None) -> float | None:
     try:
-        return float(value) if value is not None else default
+        number = float(value) if value is not None else default
     except ValueError:
         return default
+    return number if number is None or math.isfinite(number) or value is None else default

@@ -19,6 +19,7 @@ _REPLY = struct.Struct("<IHi")
 # Readable by old firmware as a 64-bit and by new firmware as a 32-bit frame.
 _PROBE = bytes.fromhex("10000000000000000011000000000000")
 _OLD_PROBE_REPLY = 40
+_FIRST_STEP = 64 * 1024
 
 
 class SensorRefused(DeviceFault):
@@ -135,6 +136,8 @@ def _read_reply(sock: socket.socket, what: str, deadline: float) -> tuple[int, i
     length, identifier, status = _REPLY.unpack(header)
     if not _REPLY.size <= length <= MAX_REPLY:
         raise ProtocolError(f"the {what} announces {length} bytes; no Gocator listens at this port, or the connection is out of step")
-    body = memoryview(bytearray(length - _REPLY.size))
-    wire.receive_exactly(sock, body, what, deadline, started=True)
-    return length, identifier, status, body
+    body, wanted = bytearray(), length - _REPLY.size
+    while (have := len(body)) < wanted:    # space is made as bytes come in, so a wrong length cannot claim memory that nothing fills
+        body.extend(bytes(min(wanted - have, max(_FIRST_STEP, have))))
+        wire.receive_exactly(sock, memoryview(body)[have:], what, deadline, started=True)
+    return length, identifier, status, memoryview(body)

@@ -14,16 +14,22 @@ from mbcacq.devices import ConnectError, ProtocolError
 PORT = 3220
 BROADCAST = "255.255.255.255"
 _SIGNATURE = 0x0000504455494D4C    # "LMIUDP"
-_GET_INFO, _REPLY = 5, 0x1005
+_GET_ADDRESS, _GET_INFO, _REPLY = 1, 5, 0x1000
 _REQUEST = struct.Struct("<QQQQ")
 _HEAD = struct.Struct("<QQqQH")
 _INFO = struct.Struct("<IIQBB4s12sIB4s12s5H")
+_OLD = struct.Struct("<QQqQQQ4x4s4x4s4x4s8x")
+_OLD_PORTS = (3190, 3194, 3196)
+_UNTOLD = (0, 0, 0, 0)
 _MAX_SENSORS = 1000
 
 
 @dataclass(frozen=True)
 class FoundSensor:
-    """A sensor's answer. ``properties`` are its own words: PartNumber, ModelNumber, ModelDisplayName, Family, OpMode..."""
+    """A sensor's answer. ``properties`` are its own words: PartNumber, ModelNumber, ModelDisplayName, Family, OpMode...
+
+    Firmware before 5.1 tells serial and addresses only: its firmware is then (0, 0, 0, 0), its ports are the usual ones.
+    """
 
     serial: int
     firmware: tuple[int, int, int, int]
@@ -51,7 +57,8 @@ def find_sensors(timeout_s: float = 0.5, address: str = BROADCAST, port: int = P
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sock.bind(("", 0))
-        _ask(sock, _REQUEST.pack(_REQUEST.size, _GET_INFO, _SIGNATURE, serial), address, port)
+        for kind in (_GET_INFO, _GET_ADDRESS):    # the second for firmware before 5.1, which knows no other
+            _ask(sock, _REQUEST.pack(_REQUEST.size, kind, _SIGNATURE, serial), address, port)
         deadline = time.monotonic() + timeout_s
         while (remaining := deadline - time.monotonic()) > 0 and len(found) < _MAX_SENSORS:
             sock.settimeout(remaining)
@@ -59,15 +66,18 @@ def find_sensors(timeout_s: float = 0.5, address: str = BROADCAST, port: int = P
                 sensor = parse_reply(sock.recv(65536))
             except (TimeoutError, ProtocolError):
                 continue
-            found[sensor.serial] = sensor
+            if sensor.firmware != _UNTOLD or sensor.serial not in found:
+                found[sensor.serial] = sensor
     return [found[key] for key in sorted(found)]
 
 
 def parse_reply(data: bytes) -> FoundSensor:
     """One reply datagram. Raises ProtocolError."""
+    if len(data) == _OLD.size:
+        return _parse_old(data)
     try:
         length, kind, status, signature, size = _HEAD.unpack_from(data)
-        if (length, kind, status, signature, size) != (len(data), _REPLY, 1, _SIGNATURE, _INFO.size):
+        if (length, kind, status, signature, size) != (len(data), _REPLY + _GET_INFO, 1, _SIGNATURE, _INFO.size):
             raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
         (serial, version, uptime_us, dhcp, _, ip, _, prefix, _, gateway, _, control, _, health, data_port, _
          ) = _INFO.unpack_from(data, _HEAD.size)
@@ -76,6 +86,14 @@ def parse_reply(data: bytes) -> FoundSensor:
         raise ProtocolError(f"a Gocator's discovery reply ends after {len(data)} bytes") from None
     return FoundSensor(serial, tuple(version.to_bytes(4, "big")), socket.inet_ntoa(ip), prefix, socket.inet_ntoa(gateway), bool(dhcp),
                        uptime_us / 1e6, control, health, data_port, properties)
+
+
+def _parse_old(data: bytes) -> FoundSensor:
+    length, kind, status, signature, serial, dhcp, ip, mask, gateway = _OLD.unpack(data)
+    prefix = int.from_bytes(mask, "big").bit_count()
+    if (length, kind, status, signature) != (_OLD.size, _REPLY + _GET_ADDRESS, 1, _SIGNATURE) or serial >= 2**32:
+        raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
+    return FoundSensor(serial, _UNTOLD, socket.inet_ntoa(ip), prefix, socket.inet_ntoa(gateway), bool(dhcp), 0.0, *_OLD_PORTS)
 
 
 def _properties(data: bytes, at: int) -> dict[str, str]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import threading
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
 from mbcacq.devices import (
     Aborted,
+    ConfigError,
     ConnectError,
     Description,
     DeviceTimeout,
@@ -21,10 +23,14 @@ from mbcacq.devices import (
     Scan,
 )
 from mbcacq_gocator import commands
-from mbcacq_gocator.dataset import DataSet, read_set
-from mbcacq_gocator.layouts import SURFACE_INTENSITY
+from mbcacq_gocator.bracket import best, merged
+from mbcacq_gocator.control import ControlChannel
+from mbcacq_gocator.exposure import expose
+from mbcacq_gocator.files import SensorFiles
+from mbcacq_gocator.guard import HealthGuard
+from mbcacq_gocator.jobs import Before
+from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.options import Options
-from mbcacq_gocator.points import intensity_of, surface_points
 from mbcacq_gocator.session import Session
 
 _FIELDS = (
@@ -35,10 +41,15 @@ _FIELDS = (
     Field("health", "", rate_hz=1.0, meaning="temperatures and counters by name"),
 )
 _BACKOFF_S = 0.2
+_RESTORE_CONNECT_S, _RESTORE_REPLY_S = 1.0, 5.0
+_log = logging.getLogger("mbcacq.gocator")
 
 
 class Gocator:
-    """Driver ``gocator``. ``model`` is what the sensor must call itself ('3210', a part number; '' for any)."""
+    """Driver ``gocator``. ``model`` is what the sensor must call itself ('3210', a part number; '' for any).
+
+    Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
+    """
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.name, self.model = name, model
@@ -46,38 +57,46 @@ class Gocator:
         self._cancel = threading.Event()
         self._one_capture = threading.Lock()
         self._session: Session | None = None
-        self._running = False
+        self._wanted = False
+        self._before: Before | None = None
+        self._place = self.options
+        self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
         self._wanted_exposure_us = self.options.exposure_us
         self._description = Description("scanner", model or "LMI Gocator", _FIELDS)
 
     def connect(self) -> None:
         """Raises ConnectError, IdentityError, ConfigError (job, exposure), DeviceFault, DeviceTimeout, ProtocolError."""
-        if self._session is not None:
-            return
-        with _named(self.name):
-            session = Session(self.options, self.model, self._cancel.is_set)
-            session.open()
-        self._session, self._running = session, False
-        assert session.info is not None
-        self._description = Description("scanner", session.info.model, _FIELDS, str(session.info.serial), session.info.firmware_text)
+        self._cancel.clear()
+        self._wanted = True
+        try:
+            self._connect()
+        except BaseException:
+            self._restore()
+            raise
 
     def describe(self) -> Description:
         return self._description
 
     def capture(self, exposure_us: float | None = None) -> Scan:
-        """Expose once. Connects anew after a dropped connection, a few times.
+        """Expose once, or once for each of the option ``exposures_us``. Connects anew after a dropped connection, a few times.
 
         Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the sensor stays away), Aborted (``stop`` was called).
         """
+        if exposure_us is not None and self.options.exposures_us:
+            raise ConfigError(f"scanner '{self.name}': the option exposures_us already says how long to expose; "
+                              "take exposure_us out of the plan")
+        if not self._wanted:
+            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
         with self._one_capture:
-            self._cancel.clear()
             if exposure_us is not None:
                 self._wanted_exposure_us = exposure_us
             for attempt in range(self.options.retries + 1):
+                if self._cancel.is_set():
+                    raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
                 try:
-                    self.connect()
+                    session = self._connect()
                     with _named(self.name):
-                        return self._capture()
+                        return self._bracket(session)
                 except IdentityError:
                     self._drop()
                     raise
@@ -94,7 +113,7 @@ class Gocator:
 
     def stop(self) -> None:
         self._cancel.set()
-        session, self._running = self._session, False
+        session = self._session
         if session is not None:
             try:
                 session.stop()
@@ -102,8 +121,13 @@ class Gocator:
                 session.control.close()
 
     def close(self) -> None:
+        """Stop, put job and settings back as they were found, release everything."""
         self.stop()
-        self._drop()
+        self._wanted = False
+        try:
+            self._restore()
+        finally:
+            self._drop()
 
     def __enter__(self) -> Self:
         self.connect()
@@ -112,72 +136,59 @@ class Gocator:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _capture(self) -> Scan:
-        session = self._session
-        assert session is not None
-        assert session.configuration is not None
-        wanted = self._wanted_exposure_us
-        if wanted is not None and not session.configuration.exposes_for(wanted):
-            if self._running:
-                self._running = False
-                session.stop()
-            session.set_exposure(wanted)
-        if not session.health.alive:
-            with suppress(MbcacqError):
-                session.health.open()
-        if self.options.mode == "trigger" and not self._running:
-            session.start()
-            self._running = True
-        asked = session.time_stamp()
-        session.control.request(commands.TRIGGER if self.options.mode == "trigger" else commands.SNAPSHOT)
-        return self._scan(session, self._wait_for_surface(session, asked))
-
-    def _wait_for_surface(self, session: Session, asked: int) -> DataSet:
-        """The first data set with a surface that was exposed after ``asked`` (ticks)."""
-        assert session.reader is not None
-        deadline = time.monotonic() + self.options.timeout_s
-        stamp_only, early, other = 0, 0, ""
-        while True:
+    def _connect(self) -> Session:
+        if self._session is not None:
+            return self._session
+        with _named(self.name):
+            self._place = located(self.options)
+            session = Session(self._place, self.model, self._cancel.is_set, self._before)
             try:
-                data = read_set(session.reader, deadline)
-            except DeviceTimeout as error:
-                raise self._explained(session, error, stamp_only, early, other) from None
-            if data.stamp is not None and data.stamp.timestamp < asked:
-                early += 1
-            elif data.surface is not None:
-                return data
-            elif data.contents:
-                other = data.contents
-            else:
-                stamp_only += 1
+                session.open()
+            except IdentityError:
+                raise
+            except ConnectError as error:
+                raise elsewhere(error, self._place) from None
+            finally:
+                self._before = session.before
+        self._session = session
+        assert session.info is not None
+        self._description = Description("scanner", session.info.model, _FIELDS, str(session.info.serial), session.info.firmware_text)
+        return session
 
-    def _explained(self, session: Session, error: DeviceTimeout, stamp_only: int, early: int, other: str) -> DeviceTimeout:
-        waited = f"no scan within {self.options.timeout_s:g} s"
-        if stamp_only and not other:
-            return DeviceTimeout(f"{waited}: {stamp_only} data set(s) came with only a stamp; in the job, open Output > Ethernet, choose "
-                                 "the protocol Gocator and tick the surface, then save the job")
-        if other:
-            return DeviceTimeout(f"{waited}: the sensor sent {other} but no surface; set the job's scan mode to Surface and tick the "
-                                 "surface under Output > Ethernet")
-        if early:
-            return DeviceTimeout(f"{waited}: only {early} older data set(s) came; check that nothing else triggers the sensor")
-        return DeviceTimeout(f"{waited}: {error}; in the job, tick the surface under Output > Ethernet > Gocator, and check that "
-                             f"port {self.options.data_port} is not blocked")
+    def _bracket(self, session: Session) -> Scan:
+        """One scan of all exposures of the plan."""
+        if not self.options.exposures_us:
+            return self._expose(session, self._wanted_exposure_us)
+        scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us]
+        return best(scans) if self.options.bracket == "best" else merged(scans)
 
-    def _scan(self, session: Session, data: DataSet) -> Scan:
-        assert data.surface is not None
-        assert session.configuration is not None
-        surface = surface_points(data.surface)
-        grey = data.arrays.get(SURFACE_INTENSITY)
-        return Scan(
-            points=surface.points, pixel=surface.pixel, shape=surface.valid.shape,
-            intensity=None if grey is None else intensity_of(grey, surface),
-            time_s=data.stamp.time_s if data.stamp else 0.0, frame=data.stamp.frame if data.stamp else 0,
-            exposure_us=session.configuration.exposure_us or 0.0, measurements=data.measurements, health=session.health.values(),
-        )
+    def _expose(self, session: Session, exposure_us: float | None) -> Scan:
+        self._guard.look(session.health.values())
+        scan = expose(session, exposure_us)
+        return replace(scan, warnings=self._guard.look(scan.health))
+
+    def _restore(self) -> None:
+        """Over the connection that stands, or a new one where a fault has cut it. What cannot be restored is said, not raised."""
+        before, self._before = self._before, None
+        if before is None or not before.changed or not self.options.restore:
+            return
+        place, session = self._place, self._session
+        limit_s = min(place.reply_limit_s or _RESTORE_REPLY_S, _RESTORE_REPLY_S)
+        spare = ControlChannel(place.address, place.control_port, _RESTORE_CONNECT_S, limit_s)
+        if session is not None and session.control.is_open:
+            with suppress(MbcacqError):
+                return before.restore(session.files)
+        try:
+            spare.open()
+            spare.request(commands.STOP)
+            before.restore(SensorFiles(spare))
+        except MbcacqError as error:
+            _log.warning("scanner '%s': job '%s' and its exposure could not be put back as they were: %s", self.name, before.job, error)
+        finally:
+            spare.close()
 
     def _drop(self) -> None:
-        session, self._session, self._running = self._session, None, False
+        session, self._session = self._session, None
         if session is not None:
             session.close()
 

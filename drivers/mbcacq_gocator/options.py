@@ -9,25 +9,39 @@ from typing import Any
 from mbcacq.devices import ConfigError
 
 MODES = ("snapshot", "trigger")
+BRACKETS = ("merge", "best")
+_MAX_BRACKET = 16
 
 
 @dataclass(frozen=True)
 class Options:
-    """address: host name or IPv4. job: '' keeps the loaded one. timeout_s: longest wait for a scan. reply_limit_s: caps the
-    protocol's own time limit of every command. retries: attempts after a dropped connection.
+    """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
+    store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the
+    protocol's own time limit of every command. retries: attempts after a dropped connection. exposures_us: all of them at every
+    capture, made into one scan as ``bracket`` says.
     """
 
-    address: str
+    address: str = ""
+    serial: int | None = None
     control_port: int = 3190
     health_port: int = 3194
     data_port: int = 3196
     job: str = ""
+    job_file: str = ""
+    replace_job: bool = False
     mode: str = "snapshot"
     exposure_us: float | None = None
+    exposures_us: tuple[float, ...] = ()
+    bracket: str = "merge"
+    temperature_warning_C: float | None = None
+    temperature_stop_C: float | None = None
+    restore: bool = True
     timeout_s: float = 10.0
     connect_timeout_s: float = 3.0
     reply_limit_s: float | None = None
     retries: int = 2
+    broadcast: str = "255.255.255.255"
+    discovery_port: int = 3220
 
     @classmethod
     def read(cls, name: str, given: Mapping[str, Any]) -> Options:
@@ -36,23 +50,55 @@ class Options:
         unknown = sorted(set(given) - set(known))
         if unknown:
             raise ConfigError(f"scanner '{name}': unknown option '{unknown[0]}' (known: {', '.join(known)})")
-        if not isinstance(given.get("address"), str) or not given["address"].strip():
-            raise ConfigError(f"scanner '{name}': the option address is missing; give the Gocator's IP address (192.168.1.10 as delivered)")
-        for key in ("control_port", "health_port", "data_port"):
+        for key in ("address", "job", "job_file", "broadcast"):
+            _text(name, given, key)
+        if not given.get("address", "").strip() and given.get("serial") is None:
+            raise ConfigError(f"scanner '{name}': the option address is missing; give the Gocator's IP address "
+                              "(192.168.1.10 as delivered), or its serial number to have it looked for")
+        for key in ("control_port", "health_port", "data_port", "discovery_port"):
             _number(name, given, key, int, 1, 65535)
         for key in ("exposure_us", "timeout_s", "connect_timeout_s", "reply_limit_s"):
             _number(name, given, key, (int, float), 1e-3, 1e7)
+        for key in ("temperature_warning_C", "temperature_stop_C"):
+            _number(name, given, key, (int, float), -50, 150)
         _number(name, given, "retries", int, 0, 10)
-        if not isinstance(given.get("job", ""), str):
-            raise ConfigError(f"scanner '{name}': job must be the name of a job stored on the sensor, not {given['job']!r}")
-        if given.get("mode", MODES[0]) not in MODES:
-            raise ConfigError(f"scanner '{name}': mode must be one of {', '.join(MODES)}, not {given['mode']!r}")
-        return cls(**given)
+        _number(name, given, "serial", int, 1, 2**32 - 1)
+        _one_of(name, given, "mode", MODES)
+        _one_of(name, given, "bracket", BRACKETS)
+        for key in ("replace_job", "restore"):
+            if not isinstance(given.get(key, False), bool):
+                raise ConfigError(f"scanner '{name}': {key} must be true or false, not {given[key]!r}")
+        exposures = _exposures(name, given.get("exposures_us", ()))
+        if exposures and given.get("exposure_us") is not None:
+            raise ConfigError(f"scanner '{name}': give either exposure_us or exposures_us, not both")
+        return cls(**{**given, "exposures_us": exposures})
+
+
+def _text(name: str, given: Mapping[str, Any], key: str) -> None:
+    if not isinstance(given.get(key, ""), str):
+        kind = {"job": "the name of a job stored on the sensor", "job_file": "the path of a job file"}.get(key, "an address")
+        raise ConfigError(f"scanner '{name}': {key} must be {kind}, not {given[key]!r}")
+
+
+def _one_of(name: str, given: Mapping[str, Any], key: str, choices: tuple[str, ...]) -> None:
+    if given.get(key, choices[0]) not in choices:
+        raise ConfigError(f"scanner '{name}': {key} must be one of {', '.join(choices)}, not {given[key]!r}")
+
+
+def _exposures(name: str, value: Any) -> tuple[float, ...]:
+    right = isinstance(value, list | tuple) and len(value) <= _MAX_BRACKET and all(
+        isinstance(v, int | float) and not isinstance(v, bool) and 1e-3 <= v <= 1e7 for v in value)
+    if not right or len(set(value)) != len(value):
+        raise ConfigError(f"scanner '{name}': exposures_us must be a list of up to {_MAX_BRACKET} different exposures in us, not {value!r}")
+    return tuple(map(float, value))
+
+
+_MAY_BE_EMPTY = ("exposure_us", "reply_limit_s", "serial", "temperature_warning_C", "temperature_stop_C")
 
 
 def _number(name: str, given: Mapping[str, Any], key: str, kind: Any, low: float, high: float) -> None:
     value = given.get(key)
     if value is not None and (isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high):
         raise ConfigError(f"scanner '{name}': {key} must be a number from {low:g} to {high:g}, not {value!r}")
-    if value is None and key in given and key not in ("exposure_us", "reply_limit_s"):
+    if value is None and key in given and key not in _MAY_BE_EMPTY:
         raise ConfigError(f"scanner '{name}': {key} must not be empty")

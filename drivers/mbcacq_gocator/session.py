@@ -3,53 +3,61 @@
 from __future__ import annotations
 
 import socket
-import struct
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceFault, MbcacqError, ProtocolError
-from mbcacq_gocator import commands, information, wire
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, IdentityError, MbcacqError
+from mbcacq_gocator import commands, information, jobs, wire
 from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel, SensorRefused
+from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
 from mbcacq_gocator.health import HealthReader
 from mbcacq_gocator.information import SystemInfo
 from mbcacq_gocator.options import Options
 
-_NAME = struct.Struct("<64s")
 _RECEIVE_BUFFER = 4 * 2**20
 _SNAPSHOT_SINCE = (5, 2, 1)
 _STOP_WAIT_S = 1.0
-LIVE_CONFIGURATION, LIVE_JOB = "_live.cfg", "_live.job"
 
 
 class Session:
-    """Raises from ``open``: ConnectError, IdentityError, ConfigError, DeviceFault, DeviceTimeout, ProtocolError."""
+    """Raises from ``open``: ConnectError, IdentityError, ConfigError, DeviceFault, DeviceTimeout, ProtocolError.
 
-    def __init__(self, options: Options, model: str, cancelled: Callable[[], bool] = lambda: False) -> None:
-        self.options, self._model, self._cancelled = options, model, cancelled
+    ``before``: the sensor as an earlier session of this run found it, None if this is the first.
+    """
+
+    def __init__(self, options: Options, model: str, cancelled: Callable[[], bool] = lambda: False,
+                 before: jobs.Before | None = None) -> None:
+        self.options, self._model, self._cancelled, self.before = options, model, cancelled, before
         self.control = ControlChannel(options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s)
+        self.files = SensorFiles(self.control)
         self.health = HealthReader(options.address, options.health_port, options.connect_timeout_s)
         self._data: socket.socket | None = None
         self.reader: wire.MessageReader | None = None
         self.info: SystemInfo | None = None
         self.configuration: Configuration | None = None
+        self.running = False
         self._settings = threading.Lock()
 
     def open(self) -> None:
+        options = self.options
         try:
             self.control.open()
             self.info = self._identify()
             if self.info.state != information.READY:
                 self.control.request(commands.STOP)
             self.health.open()
-            self._data = wire.connect(self.options.address, self.options.data_port, "data", self.options.connect_timeout_s, _RECEIVE_BUFFER)
+            self._data = wire.connect(options.address, options.data_port, "data", options.connect_timeout_s, _RECEIVE_BUFFER)
             self.reader = wire.MessageReader(self._data, "scan", self._cancelled)
-            if self.options.job:
-                self.load_job(self.options.job)
-            self.configuration = self.read_configuration()
+            self.before = self.before or jobs.Before.of(self.files)
+            self._choose_job(self.before)
+            self.configuration = self._read_configuration()
             self._check_job(self.configuration)
-            if self.options.exposure_us is not None:
-                self.set_exposure(self.options.exposure_us)
+            for exposure_us in options.exposures_us:
+                self.configuration.check_exposure(exposure_us)
+            if options.exposure_us is not None:
+                self.set_exposure(options.exposure_us)
         except BaseException:
             self.close()
             raise
@@ -61,67 +69,52 @@ class Session:
         self._data = self.reader = None
 
     def start(self) -> None:
-        """Let the sensor run, waiting for triggers."""
-        self.control.request(commands.START)
+        """Let the sensor run, waiting for triggers, if it does not already."""
+        if not self.running:
+            self.control.request(commands.START)
+            self.running = True
 
     def stop(self) -> None:
         """Ask for a stop, at most briefly waiting for another command to end."""
+        self.running = False
         self.control.request(commands.STOP, wait_s=_STOP_WAIT_S)
 
     def time_stamp(self) -> int:
         """The sensor's clock, in the unit of a stamp's timestamp."""
-        return _unpack("<Q", self.control.request(commands.TIME_STAMP), "time stamp")[0]
+        return unpack("<Q", self.control.request(commands.TIME_STAMP), "time stamp")[0]
 
     def states(self) -> dict[str, int]:
         return information.parse_states(self.control.request(commands.STATES))
 
-    def loaded_job(self) -> str:
-        return information.text(self.control.request(commands.LOADED_JOB)[:64])
-
-    def jobs(self) -> list[str]:
-        body = self.control.request(commands.LIST_FILES, _NAME.pack(b""))
-        (count,) = _unpack("<I", body, "list of files")
-        if 4 + 64 * count > len(body):
-            raise ProtocolError(f"the Gocator announces {count} files but its list has {len(body)} bytes")
-        names = [information.text(body[4 + 64 * i:68 + 64 * i]) for i in range(count)]
-        return [name for name in names if name.endswith(".job") and not name.startswith("_live")]
-
-    def load_job(self, name: str) -> None:
-        """Make a stored job the live one, unless it is already. Raises ConfigError naming the stored jobs."""
-        wanted = name if name.endswith(".job") else name + ".job"
-        if self.loaded_job() == wanted:
-            return
-        stored = self.jobs()
-        if wanted not in stored:
-            raise ConfigError(f"the Gocator has no job '{wanted}' (stored: {', '.join(stored) or 'none'}); correct the job in the plan "
-                              "or save it on the sensor")
-        self.control.request(commands.COPY_FILE, _file_name(wanted) + _file_name(LIVE_JOB))
-
-    def read_configuration(self) -> Configuration:
-        return Configuration(self.read_file(LIVE_CONFIGURATION))
-
-    def read_file(self, name: str) -> bytes:
-        body = self.control.request(commands.READ_FILE, _file_name(name))
-        (size,) = _unpack("<I", body, f"file {name}")
-        if 4 + size > len(body):
-            raise ProtocolError(f"the Gocator announces {size} bytes of {name} but sends {len(body) - 4}")
-        return bytes(body[4:4 + size])
-
-    def write_file(self, name: str, data: bytes) -> None:
-        self.control.request(commands.WRITE_FILE, _file_name(name) + struct.pack("<I", len(data)) + data)
-
     def set_exposure(self, exposure_us: float) -> None:
-        """Write the exposure into the live job, if it is another one. The sensor must be at rest."""
+        """Write the exposure into the live job, if it is another one; a running sensor is stopped for it."""
         with self._settings:
-            configuration = self.read_configuration()
+            configuration = self._read_configuration()
             if not configuration.exposes_for(exposure_us):
+                if self.running:
+                    self.stop()
                 configuration.set_exposure(exposure_us)
-                self.write_file(LIVE_CONFIGURATION, configuration.values_only())
-                configuration = self.read_configuration()
+                if self.before is not None:
+                    self.before.changed = True
+                self.files.write(LIVE_CONFIGURATION, configuration.values_only())
+                configuration = self._read_configuration()
                 if not configuration.exposes_for(exposure_us):
                     raise DeviceFault(f"the Gocator took an exposure of {configuration.exposure_us} us instead of {exposure_us:g} us; "
                                       "check the exposure settings of the job")
             self.configuration = configuration
+
+    def _read_configuration(self) -> Configuration:
+        return Configuration(self.files.read(LIVE_CONFIGURATION))
+
+    def _choose_job(self, before: jobs.Before) -> None:
+        options = self.options
+        if options.job_file:
+            data = jobs.read_job_file(options.job_file)
+            name = job_name(options.job or Path(options.job_file).name)
+            written = jobs.upload(self.files, name, data, options.replace_job, before)
+            jobs.load(self.files, name, before, fresh=written)
+        elif options.job:
+            jobs.load(self.files, options.job, before)
 
     def _identify(self) -> SystemInfo:
         if self.control.version >= (101, 9):
@@ -129,6 +122,9 @@ class Session:
         else:
             info = information.parse_info_1(self.control.request(commands.SYSTEM_INFO_1))
         info.check_model(self._model)
+        if self.options.serial is not None and info.serial != self.options.serial:
+            raise IdentityError(f"the plan asks for the Gocator with serial {self.options.serial} but the sensor at {self.options.address} "
+                                f"is serial {info.serial}; correct the serial or the address")
         if info.state == information.CONFLICT:
             raise DeviceFault(f"the Gocator {info.model} (serial {info.serial}) reports a conflict; see its web page, and restart it")
         states = self.states()
@@ -139,7 +135,7 @@ class Session:
         return info
 
     def _check_job(self, configuration: Configuration) -> None:
-        (mode,) = _unpack("<i", self.control.request(commands.SCAN_MODE), "scan mode")
+        (mode,) = unpack("<i", self.control.request(commands.SCAN_MODE), "scan mode")
         if mode != SURFACE:
             raise ConfigError(f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; "
                               "choose the scan mode Surface")
@@ -150,20 +146,6 @@ class Session:
 
     def _job_name(self) -> str:
         try:
-            return self.loaded_job()
+            return self.files.loaded_job()
         except (SensorRefused, MbcacqError):
             return "live"
-
-
-def _file_name(name: str) -> bytes:
-    data = name.encode()
-    if len(data) > 63:
-        raise ConfigError(f"the file name '{name}' is longer than the 63 bytes that a Gocator allows")
-    return _NAME.pack(data)
-
-
-def _unpack(code: str, body: memoryview, what: str) -> tuple:
-    try:
-        return struct.unpack_from(code, body)
-    except struct.error:
-        raise ProtocolError(f"the Gocator's {what} has only {len(body)} bytes") from None

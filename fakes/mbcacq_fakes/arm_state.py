@@ -75,12 +75,16 @@ class ArmState:
             if _COUNT.unpack_from(buffer, 0)[0] == count:
                 return ArmReading(v[0], v[1:7], v[7:13], v[13:19], v[19] != 0.0, int(v[20]), FAULTS[int(v[21])])
 
-    def close(self) -> None:
-        """Idempotent; the creator also removes the block."""
-        self._memory.close()
+    def forget(self) -> None:
+        """Take the block's name away once everybody has attached: it then ends with them, whatever kills them."""
         if self._owner:
             self._owner = False
             self._memory.unlink()
+
+    def close(self) -> None:
+        """Idempotent; the creator also removes the block."""
+        self._memory.close()
+        self.forget()
 
     def __enter__(self) -> Self:
         return self

@@ -16,13 +16,12 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes import options as fake_options
 from mbcacq_fakes.arm_state import ArmState
 from mbcacq_fakes.build import check, make_world
+from mbcacq_fakes.cell_controller import CLOCK_START_MS, EKI, RSI, normal, start_controller
 from mbcacq_fakes.cell_faults import CellFaults
-from mbcacq_fakes.cell_ports import ipv4, scanner_place, udp_port
-from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.cell_ports import scanner_place
+from mbcacq_fakes.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.world.description import CellFacts, from_cell
 
-LOOPBACK = "127.0.0.1"
-CLOCK_START_MS = 1_000_000
 PACE_S = 4.0  # robot time from one pose to the next, roughly
 
 
@@ -37,9 +36,9 @@ class FakeCell:
     def __init__(self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0,
                  ports: Literal["free", "plan"] = "free") -> None:
         plan = loaded.plan
-        if plan.robot.driver != "kuka_rsi" or plan.scanner.driver != "gocator":
+        if normal(plan.robot.driver) not in (RSI, EKI) or plan.scanner.driver != "gocator":
             raise ConfigError("the fake cell plays a KUKA controller and a Gocator; for other drivers use their makers' simulators")
-        self._plan, self._robot, self._realtime, self._ports = plan, loaded.cell.robot, realtime, ports
+        self._loaded, self._plan, self._realtime, self._ports = loaded, plan, realtime, ports
         self._options = fake_options.parse(plan.fake)
         self._seed = seed if self._options.seed is None else self._options.seed
         self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, loaded.cell.robot.n)
@@ -49,7 +48,7 @@ class FakeCell:
         make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later
         self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
         self._state: ArmState | None = None
-        self._krc: FakeKrc | None = None
+        self._krc: FakeKrc | FakeEkiController | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
         self._overrides: dict[str, dict[str, Any]] = {}
@@ -67,6 +66,7 @@ class FakeCell:
             self._send(self._job())
             robot = self._start_controller()
             addresses = self._receive()
+            self._state.forget()
         except BaseException:
             self.stop()
             raise
@@ -116,7 +116,7 @@ class FakeCell:
         return self._state
 
     @property
-    def krc(self) -> FakeKrc:
+    def krc(self) -> FakeKrc | FakeEkiController:
         assert self._krc is not None, "the fake cell is not started"
         return self._krc
 
@@ -145,24 +145,9 @@ class FakeCell:
         }
 
     def _start_controller(self) -> dict[str, Any]:
-        plan, robot, given = self._plan, self._robot, dict(self._plan.robot.options)
-        if self._ports == "plan":
-            client = (ipv4(str(given.get("bind", LOOPBACK))), int(given.get("port", 49152)))
-        else:
-            client = (LOOPBACK, udp_port())
-        same = {k: given[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms") if k in given}
-        settings: dict[str, Any] = {
-            "client": client, "realtime": self._realtime, "start_deg": tuple(map(float, plan.robot.home_deg)), "ipoc": CLOCK_START_MS,
-            "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())), "dh": self._nominal_rows(), "seed": self._seed, **same,
-        }
-        if robot.speed is not None:
-            settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
-        try:
-            self._krc = FakeKrc(self._state, **{**settings, **self._options.robot})
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"fake.robot: {error}; correct the plan") from error
-        self._krc.start()
-        return {"bind": client[0], "port": client[1], "controller_ip": "", "eki": ""}  # nor may a dry run speak to the real controller
+        self._krc, options = start_controller(self._loaded, self._state, self._nominal_rows(), self._options.robot,
+                                              realtime=self._realtime, ports=self._ports, seed=self._seed)
+        return options
 
     def _nominal_rows(self) -> tuple[tuple[float, ...], ...]:
         """What the controller believes of its arm: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg."""

@@ -15,7 +15,7 @@ class CellFaults:
         self._cell = cell
 
     def robot(self, **faults: float) -> None:
-        """See mbcacq_fakes.krc.settings.FAULTS."""
+        """See mbcacq_fakes.krc.settings.FAULTS, or for an EKI controller mbcacq_fakes.krc.eki_settings.FAULTS."""
         self._cell.krc.inject(**faults)
 
     def scanner(self, fault: str, value: Any = True, times: int | None = None) -> None:
@@ -28,6 +28,10 @@ class CellFaults:
     def positioner(self, **values: Any) -> None:
         """Set ``stuck`` (bool), ``fault`` (code) or ``silent`` (bool) of a Modbus positioner."""
         self._cell.ask("positioner_fault", **values)
+
+    def sensor(self, number: int, **values: Any) -> None:
+        """Set ``silent`` (bool) of a sensor that the cell plays, counted from 0 in the plan's order."""
+        self._cell.ask("sensor_fault", number=number, **values)
 
     def mishap(self, kind: str, **details: Any) -> None:
         """wrong_artefact (station, artefact), hidden_ball (ball), bumped_tripod (station, shift_mm, rotation_deg), empty_scene."""

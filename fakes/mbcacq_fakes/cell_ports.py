@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
@@ -37,3 +40,15 @@ def scanner_place(options: Mapping[str, Any], ports: str) -> dict[str, Any]:
                           "set the scanner's address to 127.0.0.1 to try the plan against fakes") from error
     return {"host": host, "control_port": int(options.get("control_port", 3190)), "health_port": int(options.get("health_port", 3194)),
             "data_port": int(options.get("data_port", 3196))}
+
+
+def line_place(port: str) -> dict[str, Any]:
+    """Where a fake serial device stands for a plan's ``port``: the TCP port it names, or a pseudo-terminal to which a link of that name
+    leads. Raises ConfigError for a port that is taken by something real."""
+    if port.startswith(f"socket://{LOOPBACK}:"):
+        return {"port": int(port.rsplit(":", 1)[1])}
+    path = Path(port)
+    if sys.platform == "win32" or path.is_symlink() or path.exists() or not path.is_absolute() or not os.access(path.parent, os.W_OK):
+        raise ConfigError(f"the fake serial device cannot play the port {port}; use socket://{LOOPBACK}:PORT, or a name that does not "
+                          "exist yet (/tmp/lift), to try it")
+    return {"pty": True, "link": port}

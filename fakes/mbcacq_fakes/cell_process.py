@@ -15,6 +15,7 @@ from typing import Any
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.arm_state import ArmState
 from mbcacq_fakes.build import make_camera, make_world
+from mbcacq_fakes.cell_ports import line_place
 from mbcacq_fakes.options import FakeOptions, Mishap
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import View
@@ -26,6 +27,7 @@ class Servers:
 
     def __init__(self, job: dict[str, Any], stack: ExitStack) -> None:
         self._job, self._stack, self._positioner, self._bus = job, stack, None, None
+        self._sensors: dict[int, Any] = {}
         options = FakeOptions.model_validate(job["options"])
         state = ArmState.attach(job["state"])
         stack.callback(state.close)
@@ -35,7 +37,7 @@ class Servers:
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}
         self.addresses["positioner"] = self._start_positioner()
         for k, (driver, given) in enumerate(job["sensors"]):
-            self.addresses[f"sensor {k + 1}"] = self._start_sensor(driver, given)
+            self.addresses[f"sensor {k + 1}"] = self._start_sensor(k, driver, given)
 
     def truth(self) -> dict[str, Any]:
         return self._camera.world.truth()
@@ -62,6 +64,10 @@ class Servers:
         for name, value in values.items():
             setattr(self._bus if name == "silent" else self._positioner, name, value)
 
+    def sensor_fault(self, number: int, **values: Any) -> None:
+        for name, value in values.items():
+            setattr(self._sensors[number], name, value)
+
     def _start_scanner(self, options: FakeOptions) -> dict[str, Any]:
         from mbcacq_fakes.gocator import FakeGocator
 
@@ -85,8 +91,13 @@ class Servers:
         driver, given = self._job["positioner"]
         if driver == "manual":
             return {"assume_yes": True} if self._job["ports"] == "free" else {}
-        if driver != "modbus":
-            raise ConfigError(f"the fake cell plays no positioner '{driver}'; use manual or modbus")
+        if driver == "modbus":
+            return self._start_modbus_positioner(given)
+        if driver == "serial":
+            return self._start_serial_positioner(given)
+        raise ConfigError(f"the fake cell plays no positioner '{driver}'; use manual, modbus or serial")
+
+    def _start_modbus_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.modbus import PositionerOptions
         from mbcacq_bus.options import parse
 
@@ -95,17 +106,49 @@ class Servers:
         options = parse(PositionerOptions, "the Modbus positioner", given)
         stations = {str(k): v for k, v in options.stations.items()}
         self._positioner = FakePositioner(stations, options.position, options.in_position, options.actual, options.fault,
-                                          travel_s=1.0 if self._job["realtime"] else 0.02)
+                                          travel_s=self._travel_s())
+        self._stand_on(self._positioner)
+        bus = FakeModbus(self._positioner)
+        if options.ready is not None:
+            bus.values.append((options.ready, lambda: 1.0))
+        return self._serve(bus, options)
+
+    def _start_serial_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
+        from mbcacq_bus.options import parse
+        from mbcacq_bus.serial_positioner import SerialPositionerOptions
+
+        from mbcacq_fakes.serial_positioner import FakeSerialPositioner
+
+        options = parse(SerialPositionerOptions, "the serial positioner", given)
+        try:
+            line = FakeSerialPositioner(options, travel_s=self._travel_s(), **self._line_place(options.port))
+        except ValueError as error:
+            raise ConfigError(f"the fake serial positioner cannot play these patterns: {error}; simplify them for the dry run") from error
+        self._positioner, self._bus = line.motion, line
+        self._stand_on(line.motion)
+        self._stack.callback(line.stop)
+        line.start()
+        return {"port": line.url}
+
+    def _travel_s(self) -> float:
+        return 1.0 if self._job["realtime"] else 0.02
+
+    def _stand_on(self, positioner: Any) -> None:
         ids = self._camera.world.facts.station_ids
 
         def stand() -> int:
-            station = self._positioner.station
+            station = positioner.station
             return ids.index(station) if station in ids else NOBODY
 
         self._camera.follow(stand)
-        return self._serve(FakeModbus(self._positioner), options)
 
-    def _start_sensor(self, driver: str, given: dict[str, Any]) -> dict[str, Any]:
+    def _line_place(self, port: str) -> dict[str, Any]:
+        """Where a serial fake stands: on a pseudo-terminal (a port of this computer where there are none), or at the plan's own place."""
+        if self._job["ports"] == "plan":
+            return line_place(port)
+        return {"pty": sys.platform != "win32"}
+
+    def _start_sensor(self, number: int, driver: str, given: dict[str, Any]) -> dict[str, Any]:
         if driver == "modbus":
             from mbcacq_bus.modbus import SensorOptions
             from mbcacq_bus.options import parse
@@ -113,35 +156,44 @@ class Servers:
             from mbcacq_fakes.modbus import FakeModbus
 
             options = parse(SensorOptions, "the Modbus sensor", given)
-            return self._serve(FakeModbus(values=[(r, self._value(name)) for name, r in options.values.items()]), options)
+            bus = self._sensors[number] = FakeModbus(values=[(r, self._value(name)) for name, r in options.values.items()])
+            return self._serve(bus, options)
         if driver == "serial":
-            return self._start_serial(given)
-        raise ConfigError(f"the fake cell plays no sensor '{driver}'; use modbus or serial")
+            return self._start_serial(number, given)
+        return {}   # one the cell does not play is read where the plan says: reading moves nothing
 
-    def _start_serial(self, given: dict[str, Any]) -> dict[str, Any]:
+    def _start_serial(self, number: int, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.options import parse
         from mbcacq_bus.serial import SerialOptions
 
-        from mbcacq_fakes.line_for import fill, template
-        from mbcacq_fakes.serial_sensor import FakeSerialSensor
+        from mbcacq_fakes.line_for import fill, names, template
+        from mbcacq_fakes.serial_line import SerialLine
 
         options = parse(SerialOptions, "the serial sensor", given)
+        answers = {}
         try:
             line = template(options.line)
+            if options.identity is not None:
+                answers[options.identity.ask.strip()] = template(options.identity.expect)
         except ValueError as error:
             raise ConfigError(f"the fake serial sensor cannot play this pattern: {error}; simplify it for the dry run") from error
-        names = [n for n in ("air_C", "robot_C") if "{" + n + "}" in line]
-        others = {n: 20.0 for n in _names(line) if n not in names}
-        port = 0
-        if self._job["ports"] == "plan":
-            port = _socket_port(options.port)
-        sensor = FakeSerialSensor(lambda: fill(line, {**others, **self._camera.temperatures()}), port=port)
+
+        def say() -> str:
+            now = self._camera.temperatures()
+            return fill(line, {name: (now.get(name, 20.0) - options.offset.get(name, 0.0)) / options.scale.get(name, 1.0)
+                               for name in names(line)})
+
+        asked = options.ask.strip() if options.ask else None
+        sensor = SerialLine(lambda heard: say() if heard == asked else answers.get(heard), None if asked else say,
+                            **self._line_place(options.port))
+        self._sensors[number] = sensor
         self._stack.callback(sensor.stop)
         sensor.start()
-        return {"port": sensor.url, "ask": None, "identity": None} if self._job["ports"] == "free" else {}
+        return {"port": sensor.url}
 
     def _serve(self, bus: Any, options: Any) -> dict[str, Any]:
-        """Start a Modbus server where the plan, or chance, wants it."""
+        """Start a Modbus server where the plan, or chance, wants it; RTU on a pseudo-terminal."""
+        bus.rtu = options.serial is not None and self._job["ports"] == "free"
         if self._job["ports"] == "plan":
             if options.host not in ("127.0.0.1", "localhost"):
                 raise ConfigError(f"the fake Modbus device cannot listen at the plan's address {options.address}; use 127.0.0.1 to try it")
@@ -156,22 +208,16 @@ class Servers:
         self._stack.callback(bus.stop)
         if bus.positioner is not None:
             self._bus = bus
+        if bus.rtu and sys.platform != "win32":
+            from mbcacq_fakes.terminal_bridge import TerminalBridge
+
+            bridge = TerminalBridge(bus.host, bus.port)
+            self._stack.callback(bridge.stop)
+            return {"host": None, "serial": bridge.start().url, "parity": "N"}    # a pseudo-terminal knows no parity
         return {"host": bus.host, "port": bus.port, "serial": None}
 
     def _value(self, name: str) -> Any:
         return lambda: self._camera.temperatures().get(name, 20.0)
-
-
-def _names(line: str) -> list[str]:
-    import string
-
-    return [name for _, name, _, _ in string.Formatter().parse(line) if name]
-
-
-def _socket_port(url: str) -> int:
-    if not url.startswith("socket://127.0.0.1:"):
-        raise ConfigError(f"the fake serial sensor cannot play the port {url}; use socket://127.0.0.1:PORT to try it")
-    return int(url.rsplit(":", 1)[1])
 
 
 def _volume(view: View) -> Any:

@@ -82,6 +82,7 @@ class FakeOptions(Strict):
     climate: Climate = Climate()
     hidden: tuple[HiddenEffect, ...] = ()
     mishaps: tuple[Mishap, ...] = ()
+    draws: Literal["course", "pose"] = "course"     # whether noise follows the course of the run, or belongs to each planned pose
     robot: dict[str, Any] = {}
     scanner: dict[str, Any] = {}
     seed: int | None = None

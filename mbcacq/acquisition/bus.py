@@ -12,7 +12,8 @@ Subscriber = Callable[[Event], None]
 
 
 class EventBus:
-    """Hands each event to every subscriber, one event at a time. An error of a subscriber (a full disk) reaches the emitter."""
+    """Hands each event to every subscriber, one event at a time. An error of one (a full disk) keeps it from no other and then reaches
+    the emitter."""
 
     def __init__(self, subscribers: Iterable[Subscriber] = ()) -> None:
         self._subscribers = list(subscribers)
@@ -27,6 +28,11 @@ class EventBus:
     def emit(self, kind: type[Event], *args, **fields) -> None:
         """Build ``kind(time_s=now, ...)`` and deliver it."""
         with self._lock:
-            event = kind(self.elapsed, *args, **fields)
+            event, failure = kind(self.elapsed, *args, **fields), None
             for subscriber in self._subscribers:
-                subscriber(event)
+                try:
+                    subscriber(event)
+                except Exception as error:
+                    failure = failure or error
+            if failure is not None:
+                raise failure

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mbcacq.devices import ConnectError, Device, Positioner, Robot, Scanner, Sensor, create
+from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, create, load_driver
 from mbcacq.plan import LoadedPlan
 
 Overrides = Mapping[str, Mapping[str, Any]]
@@ -29,17 +29,20 @@ class CellDevices:
         return named | {f"sensor {i + 1}": s for i, s in enumerate(self.sensors)}
 
     def connect(self) -> None:
-        """Connect every device at the same time. Raises ConnectError that names every device that failed, not only the first."""
+        """Connect every device at the same time. Raises ConnectError that names every device that failed, not only the first; a wrong
+        setting (ConfigError) of one ends the wait for the others at once."""
         failures: dict[str, Exception] = {}
         devices = self.all
         with ThreadPoolExecutor(len(devices)) as pool:
             try:
-                for name, future in {n: pool.submit(d.connect) for n, d in devices.items()}.items():
-                    try:
-                        future.result()
-                    except Exception as error:
-                        failures[name] = error
-            except BaseException:  # Ctrl-C: closing ends the wait of those that still connect
+                futures = {pool.submit(device.connect): name for name, device in devices.items()}
+                for future in as_completed(futures):
+                    error = future.exception()
+                    if isinstance(error, ConfigError):
+                        raise error
+                    if error is not None:
+                        failures[futures[future]] = error
+            except BaseException:  # Ctrl-C as well: closing ends the wait of those that still connect
                 self.close()
                 raise
         if not failures:
@@ -47,7 +50,8 @@ class CellDevices:
         self.close()
         if len(failures) == 1:
             raise next(iter(failures.values()))
-        raise ConnectError("; ".join(str(error) if str(error).startswith(name) else f"{name}: {error}" for name, error in failures.items()))
+        named = [(name, str(failures[name])) for name in devices if name in failures]
+        raise ConnectError("; ".join(text if text.startswith(name) else f"{name}: {text}" for name, text in named))
 
     def close(self) -> None:
         """Stop and release everything, the robot first; every device is closed even if another one fails to."""
@@ -66,12 +70,35 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
     def device(kind: str, role: str, driver: str, model: str, options: Mapping[str, Any]) -> Any:
         return create(kind, driver, model, {**options, **overrides.get(role, {})})
 
-    limits = {"limits_deg": np.degrees(robot.limits).tolist()}
-    if robot.speed is not None:
-        limits["speed_deg_s"] = np.degrees(robot.speed).tolist()
-    return CellDevices(
-        robot=device("robots", "robot", plan.robot.driver, robot.name, {**limits, **plan.robot.options}),
+    devices = CellDevices(
+        robot=device("robots", "robot", plan.robot.driver, robot.name, robot_options(loaded)),
         scanner=device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, plan.scanner.options),
         positioner=device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, plan.positioner.options),
         sensors=tuple(device("sensors", f"sensor {i + 1}", s.driver, s.model, s.options) for i, s in enumerate(plan.sensors)),
     )
+    _refuse_equal_names(devices.sensors)
+    return devices
+
+
+def robot_options(loaded: LoadedPlan) -> dict[str, Any]:
+    """What the robot's driver is told: limits_deg (6, 2), speed_deg_s (6,) where known, the plan's options, which win over them; and what
+    else of the model the driver asks for by ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg)."""
+    robot, use = loaded.cell.robot, loaded.plan.robot
+    facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}
+    if robot.speed is not None:
+        facts["speed_deg_s"] = np.degrees(robot.speed).tolist()
+    if "kinematics" in getattr(load_driver("robots", use.driver), "plan_facts", ()):
+        rows = robot.chain.rows.copy()
+        rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
+        facts["kinematics"] = np.column_stack([robot.chain.sign, rows]).tolist()
+    return {**facts, **use.options}
+
+
+def _refuse_equal_names(sensors: Sequence[Sensor]) -> None:
+    owner: dict[str, int] = {}
+    for number, sensor in enumerate(sensors, 1):
+        for field in sensor.describe().fields:
+            if other := owner.get(field.name):
+                raise ConfigError(f"sensor {number} and sensor {other} both deliver '{field.name}', one would overwrite the other; "
+                                  "give every value of a cell a name of its own")
+            owner[field.name] = number

@@ -20,7 +20,8 @@ class Event:
 
 @dataclass(frozen=True)
 class RunStarted(Event):
-    """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC."""
+    """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC. route: number of each
+    pose yet to come -> (k, n) rad, the joint waypoints on the way to it, the pose last. urdf: file that draws the arm, or ''."""
 
     name: str
     started: str
@@ -28,6 +29,8 @@ class RunStarted(Event):
     cell_yaml: str
     n_poses: int
     versions: Mapping[str, str]
+    route: Mapping[int, np.ndarray] = field(default_factory=dict)
+    urdf: str = ""
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,16 @@ class PoseDone(Event):
 class HealthReceived(Event):
     device: str
     values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Gap(Event):
+    """Something the recording lacks. kind: 'pose' (left out), 'sensor', 'cycles', 'scanner' (was away); text: one sentence; pose: number.
+    A Message says the same to whoever looks on."""
+
+    kind: str
+    text: str
+    pose: int | None = None
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from mbcacq.acquisition.pump import CyclePump
-from mbcacq.devices import DeviceTimeout, MotionLimits, Robot, RobotState, SafetyStop
+from mbcacq.devices import MotionLimits, Robot, RobotState, SafetyStop
 from mbcacq.plan import LoadedPlan
 
 POLL_S = 0.003
@@ -65,6 +65,6 @@ class Mover:
             if state.time_s > deadline:
                 self._robot.stop()
                 away = np.degrees(np.max(np.abs(target - state.q)))
-                raise DeviceTimeout(
+                raise SafetyStop(
                     f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the override 100 %?")
             time.sleep(POLL_S)

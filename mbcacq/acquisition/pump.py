@@ -10,6 +10,7 @@ from mbcacq.acquisition.bus import EventBus
 from mbcacq.acquisition.events import CyclesReceived
 from mbcacq.devices import Cycles, Robot
 
+REGULAR = 0.9    # share of equal steps that makes a fixed rate
 PERIOD_S = 0.04  # keeps the loss at a power cut well below 0.1 s
 
 
@@ -23,6 +24,7 @@ class CyclePump:
         self._quit = threading.Event()
         self._error: BaseException | None = None
         self.count, self._delay = 0, [np.nan, np.nan]
+        self._last_time, self._steps = np.nan, []       # robot time between neighbouring cycles
         self._thread = threading.Thread(target=self._work, name="cycle-pump", daemon=True)
 
     def __enter__(self) -> CyclePump:
@@ -46,6 +48,9 @@ class CyclePump:
             if len(cycles):
                 self._span.append(cycles)
                 self.count += len(cycles)
+                times = np.concatenate([[self._last_time], cycles.columns["time_s"]])
+                self._steps.append(np.diff(times))
+                self._last_time = times[-1]
                 delay = cycles.columns.get("delay")
                 if delay is not None:
                     self._delay = [delay[0] if np.isnan(self._delay[0]) else self._delay[0], delay[-1]]
@@ -55,6 +60,16 @@ class CyclePump:
     def late(self) -> int | None:
         """Answers that the controller counted as late, if it counts them."""
         return None if np.isnan(self._delay[0]) else int(self._delay[1] - self._delay[0])
+
+    @property
+    def missing(self) -> int:
+        """Cycles that the robot's clock says there were and that never came; 0 where the robot reports at no fixed rate."""
+        steps = np.concatenate(self._steps) if self._steps else np.zeros(0)
+        steps = steps[np.isfinite(steps)]
+        period = float(np.median(steps)) if len(steps) else 0.0
+        if period <= 0 or np.mean(np.abs(steps - period) < 0.1 * period) < REGULAR:
+            return 0
+        return int(np.sum(np.rint(steps[steps > 1.5 * period] / period) - 1))
 
     def mark(self) -> None:
         """Forget the cycles so far: a new span begins."""

@@ -35,6 +35,15 @@ def refuse_degenerate(obs: Observations, options: Options) -> None:
         raise CalibrationError(f"{obs.n_centres} measured centres give {rows} coordinates for {unknowns} unknowns; measure more poses")
 
 
+def refuse_one_station(obs: Observations) -> None:
+    """Raise CalibrationError where all poses are at one station: its own pose absorbs what the arm does wrong there, and the fit looks
+    better than it is anywhere else. A station whose place in the base is given counts as two."""
+    seen = np.unique(obs.station)
+    if obs.cell.measurement != TARGET_IN_BASE and len(seen) == 1 and obs.cell.stations[seen[0]].T_base_station is None:
+        raise CalibrationError("all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
+                               "more places, at different heights and distances, or identify the hand-eye transform alone")
+
+
 def _refuse_few_balls(obs: Observations) -> None:
     """At least one station must have shown three balls of its artefact, or all where it has fewer."""
     for s in np.unique(obs.station):

@@ -129,7 +129,7 @@ def _hand_eye(obs: Observations) -> Block:
     names = tuple(f"hand_eye.{c}" for c in HAND_EYE)
     block = Block("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
     if obs.cell.measurement == TARGET_IN_BASE:
-        blind = obs.rotation is None
+        blind = not obs.sees_target_turn
         reason = "only the target's position is measured"
     else:
         blind = bool(np.abs(obs.xyz).max(initial=0.0) < 1e-9)
@@ -146,7 +146,7 @@ def _balls(obs: Observations, options: Options) -> Block:
     sigma = np.array([a.uncertainty_mm for a in cell.artefacts])[cell.ball_artefact]
     seen = np.isin(np.arange(len(ids)), obs.ball)
     several = np.bincount(cell.ball_artefact, minlength=len(cell.artefacts))[cell.ball_artefact] > 1
-    free = seen & several & (sigma > 0) & (options.balls and cell.measurement != TARGET_IN_BASE)
+    free = seen & several & (sigma > 0) & options.balls
     return Block("balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.calibration import blocks, variance
 from mbcacq.calibration import start as starting
-from mbcacq.calibration.adequacy import refuse_degenerate, refuse_poor, refuse_runaway, refuse_undetermined
+from mbcacq.calibration.adequacy import refuse_degenerate, refuse_one_station, refuse_poor, refuse_runaway, refuse_undetermined
 from mbcacq.calibration.blocks import Estimate, Layout
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
@@ -51,6 +51,8 @@ def _calibrate(observations: Observations, options: Options) -> Calibration:
         return result
     obs = select_phases(observations, options)
     refuse_degenerate(obs, options)
+    if options.kinematics and options.refuse:
+        refuse_one_station(obs)
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
     fitted = adjust(obs, options, first)
     result = Calibration.of(obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary,

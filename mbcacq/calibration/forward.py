@@ -1,7 +1,8 @@
 """The one forward model: what the scanner should have seen, and how that changes with a small displacement anywhere.
 
 With a scanner on the flange, ball b of station s appears at ``x = inv(T_base_scanner(q)) T_base_station c_b``.
-With an external instrument, the target on the flange appears at ``y = inv(T_base_station) T_base_target(q) 0``.
+With an external instrument, reflector b of the target on the flange appears at ``y = inv(T_base_station) T_base_target(q) c_b``; a single
+reflector is the target's origin.
 
 Every cause of a mismatch displaces the arm, the artefact or the measured point. Displacing everything behind some place of
 the arm by a spatial twist xi (base frame) changes the prediction by ``G xi`` with one matrix G per measured centre,
@@ -108,7 +109,7 @@ def _ball_in_scanner(obs, frames, T_base_scanner, T_base_station, ball):
 
 
 def _target_in_instrument(obs, frames, T_base_target, T_base_station, ball):
-    point = T_base_target[:, :3, 3][obs.pose]
+    point = se3.apply(T_base_target[obs.pose], ball)
     T_station_base = se3.inverse(T_base_station)[obs.pose]
     R = T_station_base[:, :3, :3]
     gradient = np.concatenate([R, -R @ se3.skew(point)], axis=-1)
@@ -136,6 +137,7 @@ def station_jacobian(observations: Observations, prediction: Prediction) -> np.n
 
 
 def ball_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
-    """By a shift of the ball in its artefact's frame: (M, 3, 3). Only for a scanner on the flange."""
-    R = prediction.T_base_station[observations.pose, :3, :3]
-    return -prediction.gradient[:, :3, :3] @ R
+    """By a shift of the ball in its artefact's frame, or of a reflector in the target's: (M, 3, 3)."""
+    if observations.cell.measurement == TARGET_IN_BASE:
+        return prediction.gradient[:, :3, :3] @ prediction.T_base_scanner[observations.pose, :3, :3]
+    return -prediction.gradient[:, :3, :3] @ prediction.T_base_station[observations.pose, :3, :3]

@@ -81,7 +81,8 @@ class Lineariser:
     def _balls(self, prediction: forward.Prediction) -> np.ndarray:
         count = int(self.layout.blocks[2].free.sum())
         jacobian = forward.ball_jacobian(self.obs, prediction)
-        out = np.zeros((self.obs.n_centres, 3, count + 1))  # the last column takes what belongs to held balls
+        width = prediction.gradient.shape[1]  # a measured orientation does not depend on a reflector's place
+        out = np.zeros((self.obs.n_centres, width, count + 1))  # the last column takes what belongs to held balls
         centre = np.arange(self.obs.n_centres)[:, None, None]
         out[centre, np.arange(3)[None, :, None], self.ball_columns[:, None, :]] = jacobian
         return out[..., :count]

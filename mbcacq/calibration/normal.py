@@ -8,6 +8,8 @@ import numpy as np
 
 from mbcacq.calibration.pose_rows import PoseRows
 
+# Share of a station's largest information below which a direction counts as unseen: balls on one line but for a lever 3000 times smaller.
+UNSEEN = 1e-7
 STATION_SCALE = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])
 
 
@@ -54,7 +56,7 @@ class Normal:
         self.cost = float(whole[-1, -1]) + prior.cost
         scaled = STATION_SCALE[:, None] * Hss * STATION_SCALE
         value, vector = np.linalg.eigh(scaled)
-        seen = value > 1e-10 * np.maximum(value[:, -1:], 1e-300)
+        seen = value > UNSEEN * np.maximum(value[:, -1:], 1e-300)
         self.station_rank = seen.sum(axis=1)
         root = np.where(seen, 1.0 / np.sqrt(np.where(seen, value, 1.0)), 0.0)
         self.station_root = STATION_SCALE[:, None] * vector * root[:, None, :]  # F with F F' = pseudo-inverse of Hss

@@ -12,6 +12,7 @@ from mbcacq.errors import ConfigError
 
 METHODS = ("ml", "paper")
 NOISE = ("auto", "given", "estimate")
+PAIRS = ("one", "four", "all")
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,8 @@ class Options:
     """How :func:`mbcacq.calibration.calibrate` works.
 
     method: 'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage).
+    pairs: which balls enter the distance constraint of method 'paper': 'one' pair, as printed; all pairs of the 'four' balls that make the
+    virtual point; 'all' pairs of all balls.
     phases: use only poses of these phases; None: all but 'verification', or all where there is nothing else.
     kinematics: identify MD-H errors; otherwise only hand-eye and stations.
     hold, release: names of parameters to keep at their nominal value, or to free although they would be held ('d_2', 'hand_eye.rz').
@@ -32,6 +35,7 @@ class Options:
     """
 
     method: str = "ml"
+    pairs: str = "one"
     phases: tuple[str, ...] | None = None
     kinematics: bool = True
     hold: tuple[str, ...] = ()
@@ -46,6 +50,8 @@ class Options:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ConfigError(f"there is no calibration method '{self.method}'; give one of {', '.join(METHODS)}")
+        if self.pairs not in PAIRS:
+            raise ConfigError(f"there is no choice of pairs '{self.pairs}'; give one of {', '.join(PAIRS)}")
         if self.noise not in NOISE:
             raise ConfigError(f"there is no noise option '{self.noise}'; give one of {', '.join(NOISE)}")
 

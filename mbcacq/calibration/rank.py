@@ -78,9 +78,9 @@ def workspace_information(obs: Observations, state: CellState, layout: Layout, p
 
 
 def typical_points(obs: Observations) -> np.ndarray:
-    """(k, 3) points of the scanner frame that span what was measured; the target's own origin for an external instrument."""
+    """(k, 3) points of the scanner frame that span what was measured; those of the target for an external instrument."""
     if obs.cell.measurement == TARGET_IN_BASE:
-        return np.zeros((1, 3)) if obs.rotation is None else np.vstack([np.zeros(3), 50 * np.eye(3)])
+        return np.vstack([np.zeros(3), 50 * np.eye(3)]) if obs.rotation is not None else obs.cell.ball_centres[np.unique(obs.ball)]
     middle, spread = obs.xyz.mean(axis=0), obs.xyz.std(axis=0)
     return middle + np.vstack([np.zeros(3), np.diag(spread)]) if spread.max() > 1e-9 else middle[None]
 

@@ -80,7 +80,7 @@ class Calibration:
         """Collect a converged solution."""
         normal, rows, layout = solution.normal, lineariser.rows, lineariser.layout
         scale = layout.gather("scale")
-        C = scale[:, None] * np.linalg.inv(scale[:, None] * normal.information * scale) * scale
+        C = scale[:, None] * positive_inverse(scale[:, None] * normal.information * scale) * scale
         station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
         station_covariance[rows.stations] = normal.station_covariance(C)
         used = (weights.centre > 0) & (weights.pose[obs.pose] > 0)
@@ -156,6 +156,13 @@ class Calibration:
         from mbcacq.calibration.result_file import to_dict
 
         return to_dict(self)
+
+
+def positive_inverse(H: np.ndarray) -> np.ndarray:
+    """Inverse (g, g) of a symmetric matrix that is positive but for rounding: a variance never comes out negative, as it may from a plain
+    inverse where the largest and the smallest information are 16 digits apart. Such directions get the variance of the rounding."""
+    value, vector = np.linalg.eigh(H)
+    return (vector / np.maximum(value, 1e-15 * len(H) * value[-1])) @ vector.T if len(H) else H
 
 
 def _rejected(obs: Observations, solution: Solution, rows, noise: Noise, weights: Weights) -> tuple[Rejected, ...]:

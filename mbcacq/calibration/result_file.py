@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.variance import first_noise
 from mbcacq.cell import Cell
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import PARAMETERS, Chain
@@ -30,6 +31,7 @@ def to_dict(c: Calibration) -> dict[str, Any]:
         "robot": {
             "name": cell.robot.name,
             "sign": nominal.sign.tolist(),
+            "limits": cell.robot.limits.tolist(),
             "nominal": {p: getattr(nominal, p).tolist() for p in PARAMETERS},
             "calibrated": {p: getattr(state.chain, p).tolist() for p in PARAMETERS},
             "errors": {p: c.errors[:, i].tolist() for i, p in enumerate(PARAMETERS)},
@@ -46,11 +48,12 @@ def to_dict(c: Calibration) -> dict[str, Any]:
         "covariance": c.covariance.tolist(),
         "noise": {"scanner_mm": c.noise.point.tolist(), "joint_rad": c.noise.joint.tolist(),
                   **({"turn_rad": c.noise.turn} if c.residual.shape[1] == 6 else {}),
-                  **({"check_factor": (c.noise.point / cell.noise_mm).tolist()} if cell.noise_mm is not None else {})},
+                  **({"check_factor": (c.noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {})},
         "fit": {"poses": len(used_poses), "centres": int(c.used.sum()), "rms_mm": c.rms_mm, "chi2": c.chi2, "dof": c.dof,
                 "chi2_dof": c.chi2 / c.dof if c.dof > 0 else None, "rank": c.rank, "iterations": c.iterations,
                 "expected_accuracy_mm": _expected(c)},
         "observability": _observability(c),
+        "scan_scale": _scan_scale(c),
         "held": c.held,
         "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in c.correlated],
         "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in c.rejected],
@@ -86,6 +89,13 @@ def _transform(rows: Any) -> np.ndarray:
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise ValueError("a transform is not 4 x 4")
     return T
+
+
+def _scan_scale(c: Calibration) -> dict[str, Any] | None:
+    from mbcacq.calibration.scan_scale import scan_scale
+
+    found = scan_scale(c.observations, c.used, c.noise.point)
+    return None if found is None else found.to_dict()
 
 
 def _observability(c: Calibration) -> dict[str, float]:

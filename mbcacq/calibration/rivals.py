@@ -18,6 +18,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 
+LEAST_SECOND_TURN = np.radians(2.0)   # rms turn about a second axis, below which AX = XB leaves the translation along the first open
 OPENCV = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
 
@@ -29,7 +30,7 @@ def nominal(obs: Observations) -> CellState:
 
 def hand_eye_only(obs: Observations) -> CellState:
     """Nominal arm; hand-eye and stations by maximum likelihood."""
-    return calibrate(obs, Options(kinematics=False, refuse=False)).state
+    return calibrate(obs, Options(kinematics=False)).state
 
 
 def opencv(name: str) -> Callable[[Observations], CellState]:
@@ -43,13 +44,18 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
         if not hasattr(cv2, "calibrateHandEye"):
             raise CalibrationError(f"OpenCV {cv2.__version__} has no calibrateHandEye in Python; pip install 'opencv-python-headless<5'")
         where, T_scanner_artefact = artefact_poses(obs)
-        if len(where) < 3:
-            raise CalibrationError("needs three scans of one station that show three balls each")
         station = np.bincount(obs.station[where]).argmax()
         here = obs.station[where] == station
+        if here.sum() < 3:
+            raise CalibrationError("needs three scans of one station that show three balls each, not all on one line")
         T = obs.cell.robot.chain.flange(obs.q[where[here]])
+        turns = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
+        if np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False)[1] < LEAST_SECOND_TURN * np.sqrt(len(T)):
+            raise CalibrationError("the orientations at a station turn too little, or about one axis only, which leaves AX = XB "
+                                   "undetermined; turn about two axes by 10 deg and more")
         seen = T_scanner_artefact[here]
         method = getattr(cv2, f"CALIB_HAND_EYE_{name}")
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)   # the exception says it, or what comes back
         try:
             R, t = cv2.calibrateHandEye(T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3], method=method)
         except cv2.error as error:
@@ -62,47 +68,52 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
     return fit
 
 
-def published(obs: Observations) -> CellState:
-    """The paper's method."""
-    return calibrate(obs, Options(method="paper")).state
+def published(pairs: str) -> Callable[[Observations], CellState]:
+    """The paper's method, with one of the readings of its distance constraint (:data:`mbcacq.calibration.options.PAIRS`)."""
+    return lambda obs: calibrate(obs, Options(method="paper", pairs=pairs)).state
 
 
 def distances_only(obs: Observations) -> CellState:
     """The distance constraint alone, on the measured centres of all balls, redundant parameters held."""
     from mbcacq.calibration import blocks
-    from mbcacq.calibration.paper import distance
+    from mbcacq.calibration.paper import method
+    from mbcacq.calibration.paper.propagation import Measured, scanner_noise
 
     _scanner_of_several_balls(obs)
-    free = np.concatenate([b.free for b in blocks.build(obs, Options()).blocks[:2]])
     first = hand_eye_only(obs)
-    at = distance.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
-    if len(at.a) < 2 * free.sum():
-        raise CalibrationError("too few distances between balls seen from different poses")
-    found = distance.identify(first.chain, first.T_flange_scanner, obs.q, obs.pose, obs.xyz, at, free)
+    found = method.identify(obs, first, method.constraint(obs, "all"), blocks.build(obs, Options(balls=False)), Options(),
+                            Measured(scanner_noise(obs)))
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 
 def ours(obs: Observations) -> CellState:
     """Everything at once by maximum likelihood."""
-    return calibrate(obs, Options(refuse=False)).state
+    return calibrate(obs).state
 
 
 RIVALS: dict[str, Callable[[Observations], CellState]] = {
     "nominal": nominal,
     **{f"AX=XB {name.capitalize()} (OpenCV)": opencv(name) for name in OPENCV},
     "hand-eye only": hand_eye_only,
-    "paper": published,
+    "paper": published("one"),
+    "paper (four balls)": published("four"),
+    "paper (all pairs)": published("all"),
     "distances only": distances_only,
     "maximum likelihood": ours,
 }
 
 
 def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (K,) whose scan shows three balls or more, and T_scanner_artefact (K, 4, 4) of each."""
+    """Poses (K,) whose scan shows three balls or more that are not on one line, and T_scanner_artefact (K, 4, 4) of each."""
     _scanner_of_several_balls(obs)
+    from mbcacq.calibration.paper.pairs import FLAT_MM, width
     from mbcacq.calibration.start import match
 
-    where = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3)
+    enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3)
+    flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
+    where = enough[~np.array(flat, bool)]
+    if not len(where):
+        raise CalibrationError("needs three scans of one station that show three balls each, not all on one line")
     rows = np.isin(obs.pose, where)
     group = np.searchsorted(where, obs.pose[rows])
     return where, match(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))

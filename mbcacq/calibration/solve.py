@@ -14,6 +14,8 @@ from mbcacq.calibration.pose_rows import Whitening
 from mbcacq.cell import Cell
 from mbcacq.geometry import se3
 
+SMALLEST_SHARE = 1e-4
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -67,23 +69,24 @@ def solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weig
     A :class:`Solution` of the same lineariser as start saves evaluating it anew.
     """
     layout = lineariser.layout
-    damping = 0.0
+    damping, share = 0.0, 1.0
     now = reweighted(lineariser, start, noise, weights) if isinstance(start, Solution) else system(lineariser, start, noise, weights)
     for iteration in range(1, limit + 1):
         step = damped(now.normal, layout.gather("scale"), damping)
         promised = now.normal.decrease(step)
-        if promised < tolerance:
+        if promised < tolerance or share < SMALLEST_SHARE:
             break
         station_step = np.zeros((len(now.estimate.state.T_base_station), 6))
         station_step[lineariser.rows.stations] = now.normal.station_step(step)
-        candidate = now.estimate.moved(layout, step, station_step)
+        candidate = now.estimate.moved(layout, share * step, share * station_step)
         trial = system(lineariser, candidate, noise, weights, iteration)
         # The weights depend weakly on the estimate; a step is judged by those it was computed with.
         cost = float(np.sum(now.whitening(trial.linear.X[..., -1:]) ** 2)) + trial.prior.cost
         if cost <= now.cost * (1 + 1e-9) + tolerance:
-            now, damping = trial, damping / 10 if damping > 1e-3 else 0.0
+            now, damping, share = trial, damping / 10 if damping > 1e-3 else 0.0, 1.0
         else:
-            damping = max(10 * damping, 1e-2)
+            # Damping holds back the parameters only; the share holds back the stations as well.
+            damping, share = max(10 * damping, 1e-2), share / 4
     return now
 
 

@@ -68,21 +68,26 @@ def tracker_start(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndar
         rows = obs.station[obs.pose] == s
         T = T_base_flange[obs.pose[rows]]
         y = obs.xyz[rows]
-        # R_bs y + t_bs - R t = t_flange, linear in R_bs (9) and, centred, in the target t (3).
-        columns = np.concatenate([np.kron(np.eye(3), y[:, None, :]).reshape(-1, 3, 9), -T[:, :3, :3]], axis=2)
+        # R_bs y + t_bs - R p_b = t_flange, linear in R_bs (9) and, centred, in the reflectors' places p_b on the flange (3 each).
+        balls, which = np.unique(obs.ball[rows], return_inverse=True)
+        lever = (-T[:, :3, None, :3] * (which[:, None] == np.arange(len(balls)))[:, None, :, None]).reshape(len(y), 3, -1)
+        columns = np.concatenate([np.kron(np.eye(3), y[:, None, :]).reshape(-1, 3, 9), lever], axis=2)
         solution = _linear_l1(columns, T[:, :3, 3], np.zeros(len(y), int))
         if solution is None:
             return None
         R_bs = se3.nearest_rotation(solution[:9].reshape(3, 3))
-        target = _linear_l1(-T[:, :3, :3], T[:, :3, 3] - y @ R_bs.T, np.zeros(len(y), int))
-        if target is None:
+        places = _linear_l1(lever, T[:, :3, 3] - y @ R_bs.T, np.zeros(len(y), int))
+        if places is None:
             return None
-        base = T[:, :3, 3] + T[:, :3, :3] @ target
+        places = places.reshape(-1, 3)
+        base = se3.apply(T, places[which])
         stations[s] = se3.transform(R_bs, np.median(base - y @ R_bs.T, axis=0))
-        R_target = np.eye(3)
+        centres, R_target = obs.cell.ball_centres[balls], obs.cell.T_flange_scanner[:3, :3]
         if obs.rotation is not None:
             R_target = se3.nearest_rotation(np.median(np.swapaxes(T[:, :3, :3], 1, 2) @ R_bs @ obs.rotation[rows], axis=0))
-        targets.append(se3.transform(R_target, target))
+        elif np.linalg.matrix_rank(centres - centres.mean(axis=0), tol=1.0) > 1:
+            R_target = match(centres, places, np.zeros(len(balls), int), 1)[0, :3, :3]
+        targets.append(se3.transform(R_target, (places - centres @ R_target.T).mean(axis=0)))
     return targets[0], stations
 
 
@@ -91,7 +96,7 @@ def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) 
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
     if cell.measurement == TARGET_IN_BASE:
-        here, there = obs.xyz, T_base_scanner[obs.pose, :3, 3]
+        here, there = obs.xyz, se3.apply(T_base_scanner[obs.pose], cell.ball_centres[obs.ball])
     else:
         here, there = cell.ball_centres[obs.ball], se3.apply(T_base_scanner[obs.pose], obs.xyz)
     out = match(here, there, obs.station[obs.pose], len(cell.stations))
@@ -131,7 +136,7 @@ def misfit(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, stations
     T_base_scanner = T_base_flange @ X
     T_station = stations[obs.station[obs.pose]]
     if obs.cell.measurement == TARGET_IN_BASE:
-        off = se3.apply(T_station, obs.xyz) - T_base_scanner[obs.pose, :3, 3]
+        off = se3.apply(T_station, obs.xyz) - se3.apply(T_base_scanner[obs.pose], obs.cell.ball_centres[obs.ball])
     else:
         off = se3.apply(T_base_scanner[obs.pose], obs.xyz) - se3.apply(T_station, obs.cell.ball_centres[obs.ball])
     return float(np.median(np.linalg.norm(off, axis=1)))

@@ -17,6 +17,8 @@ from mbcacq.cell import Cell
 
 # Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is anybody's guess.
 STATED, GUESSED, COMMON, JOINT, EXACT = 1.0, 2.0, 1.5, 0.1, 1e-3
+# No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
+LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,9 @@ class NoisePrior:
 def first_noise(cell: Cell) -> Noise:
     """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach."""
     chain = cell.robot.chain
-    reach = max(float(np.sum(np.hypot(chain.a, chain.d))), 1.0)
-    point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, 1e-5)
+    # The height of the first axis' foot is no lever of anything.
+    reach = max(float(np.abs(chain.a[0]) + np.sum(np.hypot(chain.a[1:], chain.d[1:]))), 1.0)
+    point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, LEAST_POINT)
     repeatability = cell.robot.repeatability_mm or 0.06
     # RP = mean + 3 sigma of a distance, about four times the sigma of one coordinate; half of the reach, on average, is behind a joint.
     return Noise(point, np.full(chain.n, repeatability / 4 / (0.5 * reach)), 1e-4)
@@ -64,8 +67,9 @@ def improve(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Noise,
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
-    step = np.clip(step, -1.0, 1.0)
-    return unpack(theta + step), float(np.abs(step).max())
+    least = np.log(np.concatenate([np.full(3, LEAST_POINT), np.full(len(noise.joint), LEAST_JOINT), [LEAST_TURN]]))
+    moved = np.maximum(theta + np.clip(step, -1.0, 1.0), least)
+    return unpack(moved), float(np.abs(moved - theta).max())
 
 
 def score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray, np.ndarray]:

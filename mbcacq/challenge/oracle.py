@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis import noise, prove
+from mbcacq.diagnosis.compose import columns_of, outliers
 from mbcacq.diagnosis.explain import NOTHING, Model, best_hyper
-from mbcacq.diagnosis.finding import Setup, columns_of, outliers, prepare
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.setup import Setup, prepare
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.observations import Observations
 from mbcacq.physics import payload

@@ -13,7 +13,8 @@ from mbcacq.challenge import made
 from mbcacq.challenge.envelopes import Envelope
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger, plain
-from mbcacq.diagnosis.finding import find, prepare
+from mbcacq.diagnosis.finding import find
+from mbcacq.diagnosis.setup import prepare
 
 LEVEL = 0.01        # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
 WANTED = 0.9

@@ -19,11 +19,14 @@ COMMANDS = {
     "diagnose": "say where simulation and recording part, and what physics was left out",
     "simulate": "write what the calibrated model says a plan would record",
     "challenge": "conceal effects in the fake cell, diagnose blind, score",
+    "report": "write the report of a run: one HTML page",
     "view": "open a recording in the rerun viewer",
     "export": "write results or observations in the formats of other programs",
     "apply": "bring a scan taken at a pose into the base frame",
     "recover": "make a torn recording readable",
     "fakes": "start the fake cell of a plan in the foreground",
+    "controller-files": "write the programs and settings for the robot's controller",
+    "doctor": "say what is missing for a run, and what to do about it",
     "drivers": "list the installed drivers",
     "schema": "print the JSON Schema of a plan",
 }
@@ -36,7 +39,7 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        return importlib.import_module(f"mbcacq.cli.{name}").command
+        return importlib.import_module(f"mbcacq.cli.{name.replace('-', '_')}").command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

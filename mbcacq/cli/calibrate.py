@@ -13,6 +13,8 @@ import click
 @click.argument("data", type=click.Path(path_type=Path))
 @click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", show_default=True,
               help="ml: everything at once by maximum likelihood; paper: the published method, stage by stage.")
+@click.option("--pairs", type=click.Choice(["one", "four", "all"]), default="one", show_default=True,
+              help="Paper's method: balls of the distance constraint; one pair, as printed; all pairs of its four balls; of all balls.")
 @click.option("--held-out", type=click.Choice(["station", "random", "block"]), help="Also refit without some poses and predict those.")
 @click.option("--held-out-size", type=click.IntRange(min=1), help="Poses held out of each random fit [default: 30 %, at most 300].")
 @click.option("--fits", type=click.IntRange(min=1), help="Number of random or block fits [default: 3 random, 5 blocks].")
@@ -29,8 +31,8 @@ import click
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
-def command(data: Path, method: str, held_out: str | None, held_out_size: int | None, fits: int | None, seed: int, phases: tuple[str, ...],
-            hold: tuple[str, ...], release: tuple[str, ...], hand_eye_only: bool, noise: str, keep_outliers: bool,
+def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_size: int | None, fits: int | None, seed: int,
+            phases: tuple[str, ...], hold: tuple[str, ...], release: tuple[str, ...], hand_eye_only: bool, noise: str, keep_outliers: bool,
             even_if_undetermined: bool, with_map: bool, l_curve: Path | None, out: Path | None, as_json: bool) -> None:
     """Calibrate the cell from DATA: a run folder, a recording (.rrd) or an observation set.
 
@@ -44,8 +46,8 @@ def command(data: Path, method: str, held_out: str | None, held_out_size: int | 
     from mbcacq.errors import ConfigError
     from mbcacq.recording import load
 
-    options = Options(method=method, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release, noise=noise,
-                      robust=not keep_outliers, refuse=not even_if_undetermined)
+    options = Options(method=method, pairs=pairs, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release,
+                      noise=noise, robust=not keep_outliers, refuse=not even_if_undetermined)
     observations = load(data)
     calibration = calibrate(observations, options)
     result = calibration.to_dict()
@@ -103,8 +105,8 @@ def print_result(result: dict[str, Any]) -> None:
         repeat = f"; joints repeat within {joints} urad" if any(noise["joint_rad"]) else ""
         console.print(f"Noise: scanner {sigmas} um along x y z{repeat}")
         if result["method"] == "paper":
-            console.print("The paper's method has no noise model: noise is what was left over, and standard deviations are optimistic")
-    for line in [*tables.stages(result), *tables.remarks(result)]:
+            console.print("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
+    for line in [*tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))

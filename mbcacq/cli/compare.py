@@ -14,8 +14,9 @@ import click
 @click.option("--seed", default=0, show_default=True, help="Seed of the split.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
 def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
-    """Calibrate the recording DATA in every way and compare: nominal, AX=XB (OpenCV, where installed), hand-eye only, the paper's method,
-    distance constraint only, maximum likelihood.
+    """Calibrate the recording DATA in every way and compare: nominal, AX=XB (OpenCV, where installed), hand-eye only, the paper's method
+    (as printed, and with more pairs of balls), distance constraint only, maximum likelihood. A method that DATA does not determine is
+    listed with the reason.
 
     \b
     Example:
@@ -42,4 +43,7 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)
-        console.print(f"No result for {names}: {why}", soft_wrap=True)
+        console.print(f"Undetermined: {names}: {why}", soft_wrap=True)
+    for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
+        names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
+        console.print(f"Nothing held out: {names}: without some poses, {why}", soft_wrap=True)

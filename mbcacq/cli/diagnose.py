@@ -15,7 +15,15 @@ import click
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None, rrd: Path | None) -> None:
-    """Diagnose DATA: a run folder, an .rrd, an observation set; or one or several trajectory sets of one robot, together."""
+    """Diagnose DATA: a run folder, an .rrd, an observation set; or one or several trajectory sets of one robot, together.
+
+    In the folder of a run the diagnosis is kept (diagnosis.json, diagnosis.rrd): mbcacq report and mbcacq view show it from then on.
+
+    \b
+    Examples:
+      mbcacq diagnose runs/today
+      mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
+    """
     from mbcacq.errors import ConfigError
     from mbcacq.recording.trajectory import is_trajectory_set
 
@@ -25,6 +33,7 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
         raise ConfigError("several DATA can be diagnosed together only if all are trajectory sets; diagnose the others one by one")
     else:
         content, text = diagnose_poses(data[0], report, rrd)
+        content, text = beside_motion(data[0], content, text)
     print_diagnosis(content, text, json_file)
 
 
@@ -51,8 +60,39 @@ def diagnose_poses(data: Path, report: Path | None, rrd: Path | None) -> tuple[d
     if rrd is not None:
         from mbcacq.diagnosis.figures import write_rrd
 
-        write_rrd(result.evidence, rrd)
+        write_rrd(result, observations, rrd)
+    if is_run(data):
+        from mbcacq.diagnosis.figures import keep_beside
+
+        keep_beside(result, observations, data)
     return result.as_json(), words(result)
+
+
+def beside_motion(data: Path, content: dict, text: str) -> tuple[dict, str]:
+    """What the motion between the poses says, where a run recorded torques or joint-side angles; else the poses' diagnosis as it is."""
+    from mbcacq.diagnosis.trajectory import beside, diagnose_trajectories
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording.trajectory import moves, trajectory_of_run
+
+    if not (is_run(data) or data.suffix == ".rrd"):
+        return content, text
+    try:
+        trajectory = trajectory_of_run(data)
+    except ConfigError:
+        return content, text
+    stretches = moves(trajectory) if trajectory.torque is not None or trajectory.q_joint is not None else []
+    if not stretches:
+        return content, text
+    click.echo("comparing the motion between the poses ...", err=True)
+    content = beside.joined(content, diagnose_trajectories(stretches))
+    return content, beside.words(content, text)
+
+
+def is_run(data: Path) -> bool:
+    """Whether DATA is the folder of a run, where the diagnosis is kept beside the recording."""
+    from mbcacq.recording import layout
+
+    return data.is_dir() and bool(layout.parts(data))
 
 
 def print_diagnosis(content: dict, text: str, json_file: Path | None) -> None:

@@ -6,19 +6,20 @@ import json
 
 import click
 
-from mbcacq.devices import available
-
-KINDS = ("robots", "scanners", "positioners", "sensors", "fakes")
-
 
 @click.command("drivers")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(as_json: bool) -> None:
-    """List the installed drivers by kind, and where each comes from."""
-    found = {kind: available(kind) for kind in KINDS}
+    """List the installed drivers: kind, name, the package each comes from, whether it can be used, whether it was tried on hardware."""
+    from mbcacq.installed import survey
+
+    found = list(survey())
     if as_json:
-        click.echo(json.dumps(found))
+        click.echo(json.dumps({"format": "mbcacq-drivers/1", "drivers": [driver.to_dict() for driver in found]}))
         return
-    for kind, drivers in found.items():
-        for name, target in sorted(drivers.items()):
-            click.echo(f"{kind:12} {name:12} {target}")
+    rows = [("kind", "name", "package", "usable", "tried on hardware", "class")]
+    rows += [(d.kind, d.name, f"{d.package} {d.version}".strip(), f"no: {d.problem}" if d.problem else "yes",
+              "-" if d.kind == "fakes" else d.tried or "not yet", d.target) for d in found]
+    wide = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        click.echo("  ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True)).rstrip())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
@@ -16,15 +17,14 @@ from mbcacq.report.export.cli_options import export_results, result_options
 @click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")
 @click.option("--force", is_flag=True, help="Replace what is already there.")
 @result_options
-def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, **results) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
+def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, as_json: bool, **results) -> None:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
     from mbcacq.errors import ConfigError
     from mbcacq.recording import load
 
-    lines = export_results(run, force=force, **results)
-    for line in lines:
-        click.echo(line)
-    if observations is None and trajectory is None and not lines:
+    written = export_results(run, force=force, **results)
+    if observations is None and trajectory is None and not written:
         raise ConfigError("nothing to export; say what and where, such as --observations DIR or --results DIR")
     for folder in (observations, trajectory):
         if folder is not None and (folder / "cell.yaml").exists() and not force:
@@ -34,12 +34,18 @@ def command(run: Path, observations: Path | None, scans: bool, trajectory: Path 
 
         measured = load(run)
         write_observation_set(measured, observations)
-        click.echo(f"{observations}: {measured.n_poses} poses, {measured.n_centres} centres")
+        written.append({"file": str(observations), "poses": measured.n_poses, "centres": measured.n_centres})
         if scans:
             from mbcacq.recording.scan_folder import write_scans
 
-            click.echo(f"{observations / 'scans'}: {write_scans(run, observations)} clouds")
+            written.append({"file": str(observations / "scans"), "clouds": write_scans(run, observations)})
     if trajectory is not None:
         from mbcacq.recording.trajectory import export_trajectory
 
-        click.echo(f"{trajectory}: {export_trajectory(run, trajectory)} samples")
+        written.append({"file": str(trajectory), "samples": export_trajectory(run, trajectory)})
+    if as_json:
+        click.echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
+        return
+    for one in written:
+        more = ", ".join(f"uncertainty {v:.4f} mm (k = 1)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file")
+        click.echo(one["file"] + (f": {more}" if more else ""))

@@ -40,6 +40,11 @@ class RunProgress:
                 self._line(event.time_s)
             case events.Message(level="warning" | "error"):
                 self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
+            case events.StateChanged(state="waiting" | "paused"):
+                self._bar.stop()   # it would write over the question
+            case events.StateChanged(state="moving"):
+                if self._task is not None:
+                    self._bar.start()
             case events.RunStopped():
                 self._bar.stop()
                 after = "" if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses: "

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import signal
 import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mbcacq.errors import Aborted, CalibrationError, ConfigError
+
+if TYPE_CHECKING:
+    from mbcacq.plan import LoadedPlan, PlannedPose
+    from mbcacq.recording.progress import Progress
 
 
 @click.command("run")
@@ -20,35 +25,58 @@ from mbcacq.errors import Aborted, CalibrationError, ConfigError
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run folder: poses already measured are skipped.")
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
-@click.option("--arm", is_flag=True, help="Allow a real arm to move without asking on the terminal.")
+@click.option("--again", is_flag=True, help="With --resume: measure stations anew that were measured in part (the artefact was touched).")
+@click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
+@click.option("--step", is_flag=True, help="Wait for a key before each pose.")
 @click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
-def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, live: bool, arm: bool, yes: bool, seed: int,
-            as_json: bool) -> None:
-    """Execute PLAN, record it, calibrate the cell and show how good it became."""
+def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, live: bool, again: bool, arm: bool, step: bool, yes: bool,
+            seed: int, as_json: bool) -> None:
+    """Execute PLAN, record it, calibrate the cell and show how good it became.
+
+    \b
+    Examples:
+      mbcacq run plans/kuka.yaml --dry-run
+      mbcacq run my-cell.yaml --arm --step
+      mbcacq run my-cell.yaml --arm --resume runs/2026-11-21T10-00-00_my-cell
+    """
     from mbcacq import pipeline
+    from mbcacq.cli.arming import ask_before_motion
     from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.stepping import KeyPause
     from mbcacq.devices import load_driver
-    from mbcacq.plan import expand, load, path, refuse_errors
-    from mbcacq.plan.route import way_home
+    from mbcacq.plan import expand, load, refuse_errors
 
     end_in_order_when_told()
+    if resume and out:
+        raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
+    pause = KeyPause() if step else None
     loaded = load(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
-    if not dry_run:
-        ask_before_motion(loaded.plan.robot.options, loaded.cell.robot.name, len(poses), arm)
-    if resume and out:
-        raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
-    folder, done, parts = pipeline.resume_folder(resume, loaded) if resume else (pipeline.new_run_folder(out, plan.stem), frozenset(), 0)
-    acquisition = pipeline.Acquisition(loaded, poses, path(loaded, poses, done), way_home(loaded, poses[-1]), folder, parts)
-    fake = load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed) if dry_run else nullcontext()
-    with fake:
-        overrides = fake.overrides() if dry_run else {}
-        if yes and loaded.plan.positioner.driver == "manual":
-            overrides = {**overrides, "positioner": {**overrides.get("positioner", {}), "assume_yes": True}}
-        acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, done=done, told=tell_viewer)
+    cell = f"the fake cell of seed {seed}" if dry_run else "the plan's own devices"
+    before = pipeline.resume_folder(resume, loaded, cell) if resume else pipeline.fresh()
+    for sentence in before.told:
+        click.echo(sentence, err=True)
+    if resume and not again:
+        again = moved_meanwhile(loaded, poses, before, asked=not (dry_run or yes))
+    done = pipeline.without_partial_stations(poses, before) if again else before.done
+    if all(pose.number in done for pose in poses):
+        click.echo(f"all {len(poses)} poses were measured already; nothing moves", err=True)
+        folder = resume
+    else:
+        acquisition = pipeline.plan_run(loaded, poses, done, before.part, cell)
+        if not dry_run:
+            ask_before_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep(), arm)
+        folder = acquisition.folder = resume or pipeline.new_run_folder(out, plan.stem)
+        fake = load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed) if dry_run else nullcontext()
+        with fake:
+            overrides = fake.overrides() if dry_run else {}
+            if yes and loaded.plan.positioner.driver == "manual":
+                overrides = {**overrides, "positioner": {**overrides.get("positioner", {}), "assume_yes": True}}
+            if not_merged := acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, told=tell_viewer, pause=pause):
+                click.echo(not_merged, err=True)
     limit = loaded.plan.accept.sphere_spacing_error_mm
     result = pipeline.evaluate(folder, limit)
     if as_json:
@@ -57,10 +85,22 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
         from mbcacq.cli.calibrate import print_result
 
         print_result(result)
+        for gap in result["gaps"]:
+            click.echo(f"gap: {gap}")
     worst = (result.get("verification") or {}).get("after", {}).get("max_mm")
     if limit is not None and worst is not None and worst > limit:
         raise CalibrationError(f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {limit:g} mm; "
                                f"see {result['files']['report']}")
+
+
+def moved_meanwhile(loaded: LoadedPlan, poses: Sequence[PlannedPose], before: Progress, asked: bool) -> bool:
+    """Whether an artefact was touched at a station that is measured in part: its poses then belong to two places. Asks the operator who
+    moves it; a positioner, and --yes, are taken to have left it alone (what moved far is seen in the first scan)."""
+    left = {p.station for p in poses if p.number not in before.done}
+    partial = sorted(left & set(before.stations))
+    if not partial or not asked or loaded.plan.positioner.driver != "manual" or not sys.stdin.isatty():
+        return False
+    return not click.confirm(f"Station {partial[0]} was measured in part. Does its artefact stand exactly as then, untouched?", err=True)
 
 
 def end_in_order_when_told() -> None:
@@ -79,27 +119,3 @@ def end_in_order_when_told() -> None:
 
 def tell_viewer(url: str) -> None:
     click.echo(f"watch it live: rerun {url}", err=True)
-
-
-def ask_before_motion(options: dict, robot: str, n_poses: int, arm: bool) -> None:
-    """The last question before a real arm moves, and before its drives are switched on. A controller that can only be on this computer is a
-    fake and is not asked about: its driver listens, by its option ``bind``, on a loopback address."""
-    if arm or _loopback(str(options.get("bind", ""))) and "eki" not in options:
-        return
-    if not sys.stdin.isatty():
-        raise ConfigError(f"this would move {robot}; without a terminal to ask on, say so with --arm")
-    click.echo(f"{robot} will move: to its home position, then through {n_poses} poses. "
-               "Is the cell clear and the stop button at hand?", err=True)
-    try:
-        allowed = click.confirm("Move the robot?", err=True)
-    except click.Abort:
-        allowed = False
-    if not allowed:
-        raise Aborted("the operator did not allow the robot to move")
-
-
-def _loopback(address: str) -> bool:
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return address == "localhost"

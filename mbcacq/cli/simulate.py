@@ -1,4 +1,4 @@
-"""``mbcacq simulate``: the twin of a cell, as an observation set."""
+"""``mbcacq simulate``: the twin of a cell, as an observation set; or of an arm in motion, as a trajectory set."""
 
 from __future__ import annotations
 
@@ -20,20 +20,31 @@ from mbcacq.errors import ConfigError
 @click.option("--force", is_flag=True, help="Replace an observation set that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
 def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, force: bool, as_json: bool) -> None:
-    """Write what the calibrated model says PLAN would record, as an observation set.
+    """Write what the calibrated model says PLAN would record, as an observation set; or, for a trajectory set in PLAN's place, what an
+    ideal arm would have recorded along that motion.
 
     \b
     Examples:
       mbcacq simulate plans/kuka.yaml --out twin/                           the nominal cell
       mbcacq simulate plans/kuka.yaml --cell runs/today --out twin/         the cell as calibrated today
       mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/   and with its noise
+      mbcacq simulate recorded-motion/ --out twin/                          set points, joint-side angles and torques of a rigid arm
     """
     from mbcacq.plan import expand, load, refuse_errors
     from mbcacq.recording import write_observation_set
-    from mbcacq.twin import simulate
+    from mbcacq.recording.trajectory import is_trajectory_set, read_trajectory_set, write_trajectory_set
+    from mbcacq.twin import simulate, simulate_motion
 
     if (out / "cell.yaml").exists() and not force:
         raise ConfigError(f"{out} already holds an observation set; give another --out, or --force to replace it")
+    if is_trajectory_set(plan):
+        if result is not None or noise:
+            raise ConfigError(f"{plan} is a trajectory set: --cell and --noise are for plans; leave them out")
+        motion = simulate_motion(read_trajectory_set(plan))
+        write_trajectory_set(motion, out)
+        told = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": len(motion.time_s)}
+        click.echo(json.dumps(told) if as_json else f"{len(motion.time_s)} samples written to {out}")
+        return
     loaded = load(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)

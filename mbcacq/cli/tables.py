@@ -72,6 +72,20 @@ def remarks(result: dict[str, Any]) -> list[str]:
     return out
 
 
+def scan_scale(result: dict[str, Any]) -> list[str]:
+    """The scanner's own scale, and a warning where it differs from the certificate's: no calibration of the arm sees that."""
+    s = result.get("scan_scale")
+    if not s:
+        return []
+    out = [f"Scale within the scans against the certificate: {s['ppm']:+.0f} +- {s['sigma_ppm']:.0f} ppm ({s['scans']} scans)"]
+    if s["significant"]:
+        how, sigmas = "longer" if s["ppm"] > 0 else "shorter", abs(s["ppm"]) / s["sigma_ppm"]
+        out.append(f"Warning: distances within a scan are {how} than certified, at {sigmas:.0f} sigma; the calibration takes this over: "
+                   f"every distance measured with the cell is wrong by about {abs(s['ppm']) / 1e3:.2f} mm a metre. Check the scanner, the "
+                   "certificate and the artefact's temperature; mbcacq diagnose estimates it as scanner_scale")
+    return out
+
+
 def stages(result: dict[str, Any]) -> list[str]:
     """What each stage of the paper's method did."""
     out = []

@@ -9,9 +9,11 @@ from mbcacq.calibration.forward import CellState
 from mbcacq.cell import TARGET_IN_BASE
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.whitening import Noise
+from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
 
+STRANGE_MM = 5.0  # no arm errs by that much once its geometry is free
 MOST, FEWEST = 0.4, 8  # share of a station's centres, and their number, from which it goes wrong as a whole
 STEP = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # mm, rad: sizes of a station's displacement
 
@@ -26,7 +28,7 @@ def start(obs: Observations) -> CellState:
         if station.T_base_station is not None:
             T[s] = station.T_base_station
         elif rows.any() and cell.measurement == TARGET_IN_BASE:
-            T[s] = match(obs.xyz[rows], T_base_scanner[obs.pose[rows], :3, 3])
+            T[s] = match(obs.xyz[rows], se3.apply(T_base_scanner[obs.pose[rows]], cell.ball_centres[obs.ball[rows]]))
         elif rows.any():
             T[s] = match(cell.ball_centres[obs.ball[rows]], se3.apply(T_base_scanner[obs.pose[rows]], obs.xyz[rows]))
     return CellState(cell.robot.chain, cell.T_flange_scanner, T, cell.ball_centres.copy())
@@ -68,7 +70,18 @@ def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds:
         keep, before = new, now
         if settled:
             break
+    refuse_strangers(obs, left, keep)
     return state, keep
+
+
+def refuse_strangers(obs: Observations, left: np.ndarray, keep: np.ndarray) -> None:
+    """Raise CalibrationError where the residual (M, R) after the fit is beyond any arm's errors."""
+    apart = float(np.median(np.linalg.norm(left[keep, :3], axis=1))) if keep.any() else 0.0
+    if not apart < STRANGE_MM:
+        raise CalibrationError(
+            f"after the geometry was fitted the centres are still {apart:.0f} mm off: the recording does not belong to this robot; "
+            f"check unit (deg), order and signs of the joint angles, the links of '{obs.cell.robot.name}' and the certificate"
+        )
 
 
 def ridge_solve(J: np.ndarray, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -18,8 +18,11 @@ from mbcacq.physics.effect import Candidate
 from mbcacq.physics.situation import Situation
 
 FALSE_ALARM = 0.01
+SIGNIFICANT = 0.001  # own p-value beyond which a member is not told, whatever it was found with
 NEW_FAMILY = 4.0
 LONGEST = 20
+FEW = 4  # members up to which exchanging them is tried several times even in a long recording
+APART = 0.02  # share of a member's information that must be left beside the other members
 FAMILIES = 20
 COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # where one is, others are likely
 
@@ -84,20 +87,20 @@ class Search:
 
     def polish(self, screen: Screen, model: Model) -> Model:
         """Drop members that do not pay, exchange members for better ones, until nothing improves."""
-        for _ in range(6 if self.thorough else 1):
+        for _ in range(6 if self.thorough else 3 if len(model.members) <= FEW else 1):
             improved = model
             for j in range(len(model.members)):
-                if self.is_protected(model, j):
-                    continue
+                protected = self.is_protected(model, j)
                 rest = self.solve(screen, model.members[:j] + model.members[j + 1:])
                 if rest is None:
                     continue
-                if rest.score > improved.score:
+                if rest.score > improved.score and not protected:
                     improved = rest
                 candidate, hyper = model.members[j]
                 if len(model.members) > 6 and (candidate.several and hyper > 4.0):
                     continue  # a fast wiggle can be nothing else
-                for scored in self.expand(screen, rest)[:2]:
+                possible = [s for s in self.expand(screen, rest) if not (protected and s.candidate.several)]
+                for scored in possible[:2]:
                     other = self.solve(screen, (*rest.members, (scored.candidate, scored.hyper)))
                     if other is not None and other.score > improved.score + 1e-6:
                         improved = other
@@ -106,8 +109,31 @@ class Search:
             model = improved
         return model
 
+    def pruned(self, screen: Screen, model: Model) -> Model:
+        """Without the members that no longer pay, one by one, under the noise and beside whatever was found in the end.
+
+        screen: may have groups without a name projected out, which can make a name superfluous that was needed before them.
+        """
+        if payload.NAME in model.names:  # elasticity beside a wrong tool is kept on purpose
+            return model
+        model = self.solve(screen, model.members, permit=True)
+        while model.members:
+            rest = [self.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in range(len(model.members))]
+            dead = [m for m, lost in zip(rest, self.lost(model, rest), strict=True) if lost > SIGNIFICANT]
+            free = [m for j, m in enumerate(rest) if not self.is_protected(model, j)]
+            best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)
+            if best is None:
+                break
+            model = best
+        return model
+
+    @staticmethod
+    def lost(model: Model, rest: list[Model]) -> list[float]:
+        """p-value (n,) of each member beside the others: chi2 that is lost without it."""
+        return [float(chi2.sf(max(model.gain - m.gain, 0.0), c.k)) for m, (c, _) in zip(rest, model.members, strict=True)]
+
     def is_protected(self, model: Model, j: int) -> bool:
-        """Members that stay as long as they are significant: elasticity, which every arm has."""
+        """Members that stay as long as they are significant: elasticity, which every arm has, gives way to no periodic error."""
         at = model.parts()[j].start
         return model.members[j][0].key in self.protected and model.coefficients[at] > 3 * np.sqrt(model.covariance[at, at])
 
@@ -174,6 +200,17 @@ class Search:
             out += NEW_FAMILY
         return out + (NEW_FAMILY if names and candidate.name not in names else 0.0)
 
+    def collinear(self, model: Model, S: np.ndarray) -> bool:
+        """Whether two names cancel each other: coefficients far less certain beside the others than they would be alone."""
+        if len(model.names) < 2 or payload.NAME in model.names:
+            return False
+        for p in model.parts():
+            own = S[p, p]
+            other = np.linalg.inv(model.covariance[p, p])
+            if np.linalg.eigvals(np.linalg.solve(own, other)).real.min() < APART:
+                return True
+        return False
+
     def solve(self, screen: Screen, members: tuple[tuple[Candidate, float | None], ...], permit: bool = False) -> Model | None:
         """All members and the geometry together; None where physics forbids the result and ``permit`` does not."""
         if not members:
@@ -195,6 +232,8 @@ class Search:
             sofar = replace(sofar, members=(*sofar.members, (candidate, hyper)))
         model = Model(members, gain, gain - cost, coefficients, covariance)
         if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
+            return None
+        if not permit and self.collinear(model, S):
             return None
         if not permit and payload.NAME in model.names and "joint_compliance" not in model.names:
             return None  # a rigid arm shows no payload

@@ -70,7 +70,7 @@ class Linear:
             return -np.einsum("mrc,mc->mr", prediction.gradient, twist[obs.pose])
         out = np.zeros((obs.n_centres, self.width))
         if place == "ball":
-            out[:, :3] = -np.einsum("mrc,mc->mr", prediction.gradient[:, :3, :3], prediction.T_base_station[obs.pose, :3, component])
+            out[:, :3] = forward.ball_jacobian(obs, prediction)[:, :, component]
         elif place == "point":
             out[:, component] = 1.0
         else:
@@ -99,7 +99,7 @@ class Linear:
         blocks = [self._geometry_columns()]
         sigma = [np.tile(GEOMETRY_PRIOR, n)]
         mount = forward.mount_jacobian(obs, prediction)
-        components = 6 if (obs.cell.measurement != TARGET_IN_BASE or self.width == 6) else 3
+        components = 6 if obs.cell.measurement != TARGET_IN_BASE or obs.sees_target_turn else 3
         blocks.append(mount[:, :, :components])
         sigma.append(MOUNT_PRIOR[:components])
         seen = np.unique(obs.station)
@@ -112,14 +112,14 @@ class Linear:
             sigma.append(STATION_PRIOR if given is None else np.array([given] * 3 + [given / 100.0] * 3))
         blocks.append(station)
         z = 5 * n + components
-        if obs.cell.measurement != TARGET_IN_BASE and len(obs.cell.ball_ids) > 1:
+        if len(obs.cell.ball_ids) > 1:
             balls = forward.ball_jacobian(obs, prediction)
             used = np.unique(obs.ball)
             ball = np.zeros((obs.n_centres, self.width, 3 * len(used)))
             uncertainty = np.array([a.uncertainty_mm for a in obs.cell.artefacts])[obs.cell.ball_artefact]
             for j, b in enumerate(used):
                 rows = obs.ball == b
-                ball[rows, :, 3 * j : 3 * j + 3] = balls[rows]
+                ball[rows, :3, 3 * j : 3 * j + 3] = balls[rows]
                 sigma.append(np.full(3, max(uncertainty[b], 1e-5)))
             blocks.append(ball)
         stations = slice(z, z + 6 * len(seen))

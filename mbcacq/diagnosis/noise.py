@@ -7,10 +7,12 @@ moves all centres of a pose together. Stated figures and the repeatability on th
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.whitening import Noise
 
+WORST_POINT, WORST_STATED = 3.0, 8.0  # times the stated noise of an instrument, and what a stated repeatability means at a joint
 MANY_POSES, WORST_JOINT = 350, 10.0  # of a long recording no joint is taken to repeat worse than this many times what it should
 LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 1.0, 0.35
 
@@ -28,6 +30,11 @@ def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Nois
     highest = centre + 6.0
     if linear.obs.n_poses > MANY_POSES:  # unexplained structure must not make one joint pass for pure noise
         highest[3 : 3 + n] = centre[3 : 3 + n] + np.log(WORST_JOINT)
+    else:  # nor may it pass for an instrument, or an arm, far worse than is stated
+        if linear.obs.cell.noise_mm is not None:
+            highest[:3] = centre[:3] + np.log(WORST_POINT)
+        if linear.obs.cell.robot.repeatability_mm:
+            highest[3 : 3 + n] = centre[3 : 3 + n] + np.log(WORST_STATED)
     for _ in range(rounds):
         noise = unpack(theta, n, turn)
         score, information = _score(linear, columns, sigma, noise, turn)
@@ -37,6 +44,13 @@ def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Nois
         if np.abs(step).max() < 0.02:
             break
     return unpack(theta, n, turn)
+
+
+def log_prior(noise: Noise, prior: Noise, linear: Linear) -> float:
+    """Log density of the noise under its prior, up to a constant."""
+    turn = linear.width == 6
+    off = pack(noise, turn) - pack(prior, turn)
+    return -0.5 * float(off @ prior_precision(len(prior.joint), turn, linear.obs.cell.noise_mm is not None) @ off)
 
 
 def pack(noise: Noise, turn: bool) -> np.ndarray:
@@ -62,15 +76,14 @@ def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
 def _score(linear: Linear, columns: np.ndarray, sigma: np.ndarray, noise: Noise, turn: bool) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and average information of the restricted log likelihood by the log sigmas."""
     whiten = linear.whitener(noise)
-    Z = whiten(columns) * sigma
-    L = np.linalg.cholesky(Z.T @ Z + np.eye(Z.shape[1]))
-    Q = np.linalg.solve(L, Z.T).T
+    Q, _ = orthogonal(whiten(columns) * sigma)
     r = whiten(linear.residual)
     r = r - Q @ (Q.T @ r)
     pose_first, by_pose = pose_sums(linear)
     y, score = [], []
+    back = whiten.transpose(r), whiten.transpose(Q), whiten.row_norms()
     for c in range(3 + turn):
-        value, trace, image = _row_component(linear, whiten, Q, r, c, noise)
+        value, trace, image = _row_component(linear, whiten, back, c, noise)
         score.append(value - trace)
         y.append(image)
     joints = whiten(linear.joint * noise.joint)
@@ -86,17 +99,24 @@ def _score(linear: Linear, columns: np.ndarray, sigma: np.ndarray, noise: Noise,
     return np.array(score), 2 * (Y.T @ Y - taken.T @ taken)
 
 
-def _row_component(linear, whiten, Q, r, c, noise):
-    """r'PKPr, tr(PK) and W K W' r for K = variance of axis c (c = 3: the three rotational rows)."""
+def _row_component(linear, whiten, back, c, noise):
+    """r'PKPr, tr(PK) and W K W' r for K = variance of axis c (c = 3: the three rotational rows). back: W'r, W'Q and the diagonal of W'W."""
     rows = slice(c, c + 1) if c < 3 else slice(3, 6)
     level = noise.point[c] if c < 3 else noise.turn
-    back = whiten.transpose(r)[:, rows] * level
-    value = float(np.sum(back**2))
-    q = whiten.transpose(Q)[:, rows] * level
-    trace = whiten.row_norms()[:, rows].sum() * level**2 - float(np.sum(q**2))
+    r, Q, norms = back
+    value = level**2 * float(np.sum(r[:, rows] ** 2))
+    trace = level**2 * (norms[:, rows].sum() - float(np.sum(Q[:, rows] ** 2)))
     image = np.zeros((linear.obs.n_centres, linear.width))
-    image[:, rows] = back * level
+    image[:, rows] = r[:, rows] * level**2
     return value, trace, whiten(image)
+
+
+def orthogonal(Z: np.ndarray) -> tuple[np.ndarray, float]:
+    """Q (rows, z) with Q Q' = Z (Z'Z + I)^-1 Z', what columns with coefficients of unit prior variance take away, and log det(Z'Z + I)."""
+    normal = Z.T @ Z
+    normal[np.diag_indices_from(normal)] += 1.0
+    factor = np.linalg.cholesky(normal)
+    return Z @ dtrtri(factor, lower=1)[0].T, 2 * float(np.log(np.diag(factor)).sum())
 
 
 def pose_sums(linear: Linear):

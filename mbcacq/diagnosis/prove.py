@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.compose import columns_of
 from mbcacq.diagnosis.explain import NOTHING, Model
-from mbcacq.diagnosis.finding import Finding, Setup, columns_of, find
+from mbcacq.diagnosis.finding import Finding, find
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.setup import Setup
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 
@@ -40,12 +42,20 @@ EMPTY = Quality(0.0, 0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Proof:
-    """before and after on left-out data, how they were left out; without: one effect each left out of the model, by its index."""
+    """before and after on left-out data, how they were left out. without: the same with one effect left out of the model, by its name;
+    of what has no name by 'unknown:PLACE'. picks: names that each fold found.
+    """
 
     before: Quality
     after: Quality
     split: str
+    without: dict[str, Quality]
     picks: tuple[tuple[str, ...], ...]
+
+    def gain(self, key: str) -> float:
+        """Share of the held-out excess over the noise floor that an effect removes."""
+        excess = max(self.before.chi2 - self.before.dof, 1e-9)
+        return float(np.clip((self.without.get(key, self.after).chi2 - self.after.chi2) / excess, 0, 1))
 
 
 def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
@@ -64,19 +74,43 @@ def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def prove(setup: Setup, full: Finding, folds: int = 4, fitted_smooth: bool = True) -> Proof:
+def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
     """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
     linear = full.before.linear
     fold, how = split(linear, folds)
+    nameless = dict.fromkeys(g.at for g in full.smooth.groups) if full.smooth else ()
+    keys = [*full.model.names, *(f"unknown:{at}" for at in nameless)]
     before, after, picks = EMPTY, EMPTY, []
+    without = dict.fromkeys(keys, EMPTY)
     for k in range(int(fold.max()) + 1):
         train = linear.keep & (fold != k)[linear.obs.pose]
         test = linear.keep & (fold == k)[linear.obs.pose]
-        part = find(replace(setup, linear=linear), train, examine=False, structure=full.smooth is not None and fitted_smooth)
+        plain = judge(linear, train, test, NOTHING, None, full.noise)
+        before += plain
+        if not keys:  # nothing is claimed, there is nothing to prove
+            after += plain
+            continue
+        part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
         picks.append(part.model.names)
-        before += judge(linear, train, test, NOTHING, None, full.noise)
-        after += judge(linear, train, test, part.model, part.smooth, full.noise)
-    return Proof(before, after, how, tuple(picks))
+        whole = judge(linear, train, test, part.model, part.smooth, full.noise)
+        after += whole
+        for key in keys:
+            model, rest = less(part, key)
+            same = model is part.model and rest is part.smooth
+            without[key] += whole if same else judge(linear, train, test, model, rest, full.noise)
+    return Proof(before, after, how, without, tuple(picks))
+
+
+def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
+    """A fold's model without one effect."""
+    if key.startswith("unknown:"):
+        at = key.removeprefix("unknown:")
+        there = part.smooth is not None and any(g.at == at for g in part.smooth.groups)
+        return part.model, part.smooth.without(at) if there else part.smooth
+    if key not in part.model.names:
+        return part.model, part.smooth
+    members = tuple(m for m in part.model.members if m[0].name != key)
+    return (replace(part.model, members=members) if members else NOTHING), part.smooth
 
 
 def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:

@@ -10,6 +10,7 @@ from mbcacq.diagnosis.screen import Screen, solve_blocks
 
 SHORTEST = 8.0  # mm
 FINENESS = 0.25  # of a period over the whole width, from one trial to the next
+MOST_WAVES = 16  # over the width of the field
 WAVE = 0.3  # size of a wave beside a polynomial of the same group
 
 
@@ -45,10 +46,11 @@ def scan(screen: Screen, values: np.ndarray, chunk: int = 24) -> Ripple | None:
 
 
 def waves(values: np.ndarray) -> np.ndarray:
-    """(M, K) waves over a field axis down to the shortest period, smaller than the polynomials that they stand beside."""
-    width = float(np.ptp(values))
+    """(M, 2 K) sine and cosine in turns, over a field axis, by half turns down to the shortest period."""
+    low, high = np.quantile(values, [0.05, 0.95])
+    width = float(high - low) / 0.9  # of the field that is used; a few balls far outside do not count
     if width < 2 * SHORTEST:
         return np.zeros((len(values), 0))
-    turns = np.arange(1.0, np.floor(1.15 * width / SHORTEST) + 1)
-    phase = 2 * np.pi * (values - values.min())[:, None] / (1.15 * width) * turns
-    return WAVE * np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
+    turns = 0.5 * np.arange(2, 2 * min(np.floor(1.15 * width / SHORTEST), MOST_WAVES) + 1)
+    phase = 2 * np.pi * (values - low)[:, None] / (1.15 * width) * turns
+    return WAVE * np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(values), -1)

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 
 from mbcacq.diagnosis.linear import Linear
-from mbcacq.diagnosis.noise import pose_sums
+from mbcacq.diagnosis.noise import orthogonal, pose_sums
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.physics.effect import Candidate
 
@@ -34,13 +35,16 @@ class Scored:
 class Screen:
     """Whitened problem under a noise model. adopted() gives a screen that projects out more; it borrows what this one has computed."""
 
-    def __init__(self, linear: Linear, noise: Noise):
+    def __init__(self, linear: Linear, noise: Noise, beside: tuple[np.ndarray, np.ndarray] | None = None):
+        """beside: more columns (M, R, k) with their prior sigma (k,), to be projected out as geometry is."""
         self.linear, self.noise = linear, noise
         self.whiten = linear.whitener(noise)
         columns, sigma, _ = linear.nuisance()
         Z = self.whiten(columns) * sigma
+        if beside is not None:
+            Z = np.concatenate([Z, self.whiten(beside[0]) * beside[1]], axis=1)
         # With priors Q'Q < I, and x'(I - QQ')y is what they allow: the metric of all gains.
-        self.Q = np.linalg.solve(np.linalg.cholesky(Z.T @ Z + np.eye(Z.shape[1])), Z.T).T
+        self.Q, self.log_det = orthogonal(Z)
         self.r0 = self.whiten(linear.residual)
         self.r = self.r0 - self.Q @ (self.Q.T @ self.r0)
         self.pose_of_row, self.by_pose = pose_sums(linear)
@@ -61,7 +65,7 @@ class Screen:
             Y = X - self.Q @ (self.Q.T @ X) - out.more @ (out.more.T @ X)
             S = X.T @ Y + np.diag(weight)
             L = np.linalg.cholesky(S + 1e-12 * np.diag(np.sum(X * X, axis=0)))
-            out.more = np.concatenate([out.more, np.linalg.solve(L, Y.T).T], axis=1)
+            out.more = np.concatenate([out.more, Y @ dtrtri(L, lower=1)[0].T], axis=1)
         out.taken = out.more.T @ self.r0
         out.r = self.r0 - self.Q @ (self.Q.T @ self.r0) - out.more @ out.taken
         return out
@@ -110,17 +114,25 @@ class Screen:
         if components not in self._reduced:
             E = np.stack([self.unit(key) for key in components], axis=1)
             r = self.r0 - self.Q @ (self.Q.T @ self.r0)
-            b = self.by_pose(E * r[:, None])
-            A = self.by_pose(E[:, :, None] * E[:, None, :])
-            C = np.stack([self.by_pose(E[:, c, None] * self.Q) for c in range(E.shape[1])], axis=1)
-            self._reduced[components] = b, A, C
+            products = self.products(E, np.concatenate([self.Q, E, r[:, None]], axis=1))
+            z = self.Q.shape[1]
+            self._reduced[components] = products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
         return self._reduced[components]
 
     def reduced_more(self, components: tuple[tuple[str, int, int], ...]) -> np.ndarray:
         """(P, c, z) of the adopted blocks."""
         if components not in self._reduced_more:
-            self._reduced_more[components] = np.stack([self.by_pose(self.unit(key)[:, None] * self.more) for key in components], axis=1)
+            self._reduced_more[components] = self.products(np.stack([self.unit(key) for key in components], axis=1), self.more)
         return self._reduced_more[components]
+
+    def products(self, E: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        """(P, c, z): E'Y over the rows of each pose; E (rows, c), Y (rows, z)."""
+        linear, out = self.linear, np.zeros((self.linear.obs.n_poses, E.shape[1], Y.shape[1]))
+        E, Y = E.reshape(-1, linear.width, E.shape[1]), Y.reshape(-1, linear.width, Y.shape[1])
+        for index, _ in self.whiten.groups:
+            rows = len(index), index.shape[1] * linear.width, -1
+            out[linear.obs.pose[index[:, 0]]] = np.swapaxes(E[index].reshape(rows), 1, 2) @ Y[index].reshape(rows)
+        return out
 
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
         """Gain (H,) of a separable candidate at each hyper value."""
@@ -135,7 +147,8 @@ class Screen:
         chunk = max(1, int(2e6 // max(self.linear.obs.n_poses, 1)))
         c = len(components)
         for start in range(0, len(values), chunk):
-            flat, S, xr, raw = self._normal(components, functions, values[start:start + chunk], key and (key, start))
+            here = values if len(values) <= chunk else values[start:start + chunk]
+            flat, S, xr, raw = self._normal(components, functions, here, key and (key, start))
             if self.more.shape[1]:
                 H, f = len(S), S.shape[1] // c
                 extra = (flat @ self.reduced_more(components).reshape(len(self.reduced_more(components)), -1)).reshape(H, f, c, -1)

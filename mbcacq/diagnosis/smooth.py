@@ -14,7 +14,6 @@ from scipy.linalg.lapack import dtrtri
 
 from mbcacq.diagnosis import covariates
 from mbcacq.diagnosis.linear import Linear
-from mbcacq.diagnosis.locate import FINE, Spot, attachments
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.physics.situation import Situation
 
@@ -47,6 +46,16 @@ class SmoothModel:
     @property
     def columns(self) -> np.ndarray:
         return np.concatenate([g.columns for g in self.groups], axis=2)
+
+    def without(self, at: str) -> SmoothModel | None:
+        """The groups that are not at a place."""
+        chosen = [g for g, group in enumerate(self.groups) if group.at != at]
+        if not chosen:
+            return None
+        parts = self.parts()
+        index = np.concatenate([np.arange(parts[g].start, parts[g].stop) for g in chosen])
+        groups = tuple(self.groups[g] for g in chosen)
+        return SmoothModel(groups, self.coefficients[index], self.sigma[index], self.sizes[chosen], self.used)
 
     def parts(self) -> list[slice]:
         ends = np.cumsum([0] + [len(g.weight) for g in self.groups])
@@ -93,39 +102,6 @@ def everything(linear: Linear, s: Situation) -> list[Group]:
             for i in range(s.n + 1):
                 at = "base" if i == 0 else "mount" if i == s.n else f"link{i}"
                 group(at, name, [("frame", i, c) for c in range(6)], covariates.standard(T)[:, None], np.ones(1))
-    return out
-
-
-def located(linear: Linear, s: Situation, spots: list[Spot]) -> list[Group]:
-    """Groups at the significant spots of the map, one a place and covariate, at most eight: for a recording with few poses."""
-    places = {a.at: a for a in attachments(s)}
-    poses = {c.name: c for c in covariates.of_poses(s)}
-    centres = {c.name: c for c in covariates.of_centres(s)} if s.scanner_on_flange else {}
-    out, obs = [], linear.obs
-    for spot in spots:
-        if len(out) == 8:
-            break
-        if spot.kind == "constant":
-            ball = obs.cell.ball_ids.index(int(spot.at[4:]))
-            keys, F = [("ball", 0, c) for c in range(3)], (obs.ball == ball)[:, None].astype(float)
-        elif spot.kind == "periodic":
-            i = int(spot.at[1:]) - 1
-            phase = spot.order * obs.q[:, i]
-            keys, F = [("joint", i, 0)], np.stack([np.sin(phase), np.cos(phase)], axis=1)[obs.pose]
-        elif spot.kind == "fine":
-            i = int(spot.at[1:]) - 1
-            keys, F = [("joint", i, 0)], covariates.smooth(spot.depends_on, obs.q[:, i], FINE).functions[obs.pose]
-        elif spot.at.startswith("station"):
-            here = obs.station == places[spot.at].components[0][1]
-            x = np.where(here, s.order - s.order[here].mean(), 0.0)
-            x = x / max(np.abs(x).max(), 1e-9)
-            keys, F = [("station", 0, c) for c in range(3)], np.stack([x, x * x], axis=1)[obs.pose]
-        elif spot.at == "scanner" and spot.depends_on in centres:
-            keys, F = places[spot.at].components, centres[spot.depends_on].functions
-        else:
-            keys, F = places[spot.at].components, poses[spot.depends_on].functions[obs.pose]
-        columns = np.concatenate([linear.unit(*key)[:, :, None] * F[:, None, :] for key in keys], axis=2)
-        out.append(Group(spot.at, spot.depends_on, columns, np.ones(columns.shape[2])))
     return out
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.gravity import STANDARD_GRAVITY
 
+STATED_SHARE = 0.1   # by which public masses and centres of gravity are off
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
@@ -67,6 +68,20 @@ def nominal_parameters(mass: np.ndarray, com: np.ndarray, payload_mass: float = 
     if payload_mass:
         out[-1] += _point_masses(np.array([payload_mass]), np.asarray(payload_com, dtype=float)[None] * 1e-3)[0]
     return out
+
+
+def inertial_sigma(robot) -> np.ndarray:
+    """How far the inertial parameters (n, 10) of a robot's description may be off (one sigma).
+
+    Of masses and centres it states, a share; of inertia tensors, which it does not, as much as the link's size allows; without
+    masses all of it is unknown.
+    """
+    stated = robot.mass.any()
+    mass = np.maximum(robot.mass, 0.05 * max(robot.mass.sum(), 20.0))
+    size = np.maximum(np.abs(robot.chain.a) + np.abs(robot.chain.d), 100.0) * 1e-3
+    lever = np.maximum(np.linalg.norm(robot.com, axis=1) * 1e-3, 0.25 * size)
+    share = STATED_SHARE if stated else 3.0
+    return mass[:, None] * np.stack([np.full_like(size, share), *[share * lever] * 3, *[0.1 * size**2] * 6], axis=1)
 
 
 def _point_masses(mass: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -24,9 +24,7 @@ def candidates(s: Situation) -> list[Candidate]:
         preferred = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
         hyper = Hyper("order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred)
 
-        def functions(values, q=q):
-            phase = values[:, None] * q
-            return np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+        functions = waves(q, hyper.values)
 
         out.append(
             Candidate(
@@ -43,6 +41,22 @@ def candidates(s: Situation) -> list[Candidate]:
             )
         )
     return out
+
+
+def waves(q: np.ndarray, grid: np.ndarray):
+    """sin, cos of order times angle: (H,) -> (H, P, 2). The grid is scanned again and again: its waves are kept."""
+    kept = []
+
+    def functions(values: np.ndarray) -> np.ndarray:
+        if values is grid and kept:
+            return kept[0]
+        phase = values[:, None] * q
+        out = np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+        if values is grid:
+            kept.append(out)
+        return out
+
+    return functions
 
 
 def report_for(joint: str, q: np.ndarray):

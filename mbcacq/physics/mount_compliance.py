@@ -33,7 +33,7 @@ def candidates(s: Situation) -> list[Candidate]:
 
     typical_tilt, typical_shift = 2e-5, 1e-3
     return [
-        Candidate(NAME, ("mount",), "gravity", lambda _: tilt, report_tilt, np.array([typical_tilt]), variant="tilt"),
-        Candidate(NAME, ("mount",), "gravity", lambda _: shift, report_shift, np.array([typical_shift]), variant="shift"),
-        Candidate(NAME, ("mount",), "gravity", lambda _: both, report, np.array([typical_tilt, typical_shift])),
+        Candidate(NAME, ("mount",), f"gravity_torque_{s.n}", lambda _: tilt, report_tilt, np.array([typical_tilt]), variant="tilt"),
+        Candidate(NAME, ("mount",), f"gravity_torque_{s.n}", lambda _: shift, report_shift, np.array([typical_shift]), variant="shift"),
+        Candidate(NAME, ("mount",), f"gravity_torque_{s.n}", lambda _: both, report, np.array([typical_tilt, typical_shift])),
     ]

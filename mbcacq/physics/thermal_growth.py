@@ -25,7 +25,7 @@ def direction(s: Situation, i: int) -> np.ndarray:
     chain = s.obs.cell.robot.chain
     one = chain.link_transforms(np.zeros((1, s.n)))[0, i]
     along = one[:3, :3].T @ one[:3, 3]
-    return along / np.linalg.norm(along)
+    return along / max(float(np.linalg.norm(along)), 1e-12)
 
 
 def make(s: Situation, i: int, column: str, temperature: np.ndarray) -> Candidate:

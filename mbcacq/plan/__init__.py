@@ -19,7 +19,8 @@ from mbcacq.plan.schema import Plan
 class LoadedPlan:
     """A plan with the files it names. cell: robot, artefacts and stations (T_base_station as planned; not for the solver).
 
-    text: the plan's YAML as read. lines: path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages.
+    text: the plan's YAML as read. lines: path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages. files: names of the robot
+    and artefact files as the plan gives them -> their texts.
     """
 
     path: Path
@@ -27,6 +28,7 @@ class LoadedPlan:
     cell: Cell
     text: str
     lines: dict[tuple[str | int, ...], int]
+    files: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

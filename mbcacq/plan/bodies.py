@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ LINK_RADIUS = (0.07, 0.07, 0.05, 0.05, 0.04)
 PLATE_MM = 40.0         # what carries the balls, below the lowest of them
 SIDE_MM = 8.0           # around the outermost balls
 SHORTEST_MM = 5.0
+WALL_MM = 5000.0        # thicker than any arm reaches
 DEEPEST_MM = 400.0      # of a tripod, where the plan names no floor
 
 
@@ -47,11 +49,36 @@ def arm_bodies(loaded: LoadedPlan) -> list[Body]:
     if plan.scanner.field_of_view.body_mm is not None:
         low, high = np.array(plan.scanner.field_of_view.body_mm)
         bodies.append(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high))
+        bodies += _bracket(loaded, low, high)
     return bodies
 
 
+def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[Body]:
+    """What carries the scanner: from the flange to the nearest point of its housing, where there is room between."""
+    T = loaded.cell.T_flange_scanner
+    flange = se3.inverse(T)[:3, 3]
+    end = se3.apply(T, np.clip(flange, low, high))
+    if np.linalg.norm(end) > SHORTEST_MM:
+        radius = reach(loaded) * LINK_RADIUS[-1]
+        yield _capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius)
+
+
 def surrounding_bodies(loaded: LoadedPlan) -> list[Body]:
-    return [_box(o.name, 0, np.eye(4), np.array(o.min_mm), np.array(o.max_mm)) for o in loaded.plan.obstacles]
+    """Obstacles, and the workspace's limits as walls around it."""
+    boxes = [_box(o.name, 0, np.eye(4), np.array(o.min_mm), np.array(o.max_mm)) for o in loaded.plan.obstacles]
+    return boxes + list(_walls(loaded))
+
+
+def _walls(loaded: LoadedPlan) -> Iterator[Body]:
+    space = loaded.plan.workspace
+    if space is None:
+        return
+    low, high = np.array(space.min_mm) - WALL_MM, np.array(space.max_mm) + WALL_MM
+    for axis, name in enumerate("xyz"):
+        for side, at in (("lower", space.min_mm[axis]), ("upper", space.max_mm[axis])):
+            near, far = low.copy(), high.copy()
+            (far if side == "lower" else near)[axis] = at
+            yield _box(f"the workspace's {side} {name} limit", 0, np.eye(4), near, far)
 
 
 def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:

@@ -25,9 +25,9 @@ def draw(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Tr
 
     cell = loaded.cell
     rec = rr.RecordingStream("mbcacq_plan")
-    eye, target = camera(cell.robot.chain, np.array([s.T_base_station[:3, 3] for s in cell.stations]))
+    at = camera(cell.robot.chain, np.array([s.T_base_station[:3, 3] for s in cell.stations]))
     view = rrb.Spatial3DView(name="Plan", origin=layout.WORLD, line_grid=rrb.LineGrid3D(visible=False), eye_controls=rrb.EyeControls3D(
-        position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)))
+        position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)))
     try:
         rec.save(str(file), default_blueprint=rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1])))
     except (OSError, RuntimeError) as error:

@@ -34,7 +34,8 @@ def load(path: str | Path) -> LoadedPlan:
         scanner_name=scanner.model or scanner.driver,
         noise_mm=None if scanner.noise_mm is None else np.array(scanner.noise_mm),
     )
-    return LoadedPlan(file.path, plan, described, file.text, file.lines)
+    named = (plan.robot.model, *plan.artefacts)
+    return LoadedPlan(file.path, plan, described, file.text, file.lines, {name: read(file.path.parent / name).text for name in named})
 
 
 def _beside(file: YamlFile, where: Path_, name: str, role: str) -> YamlFile:
@@ -48,6 +49,8 @@ def _beside(file: YamlFile, where: Path_, name: str, role: str) -> YamlFile:
 def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     use = plan.robot
     source = _beside(file, ("robot", "model"), use.model, "robot")
+    if use.urdf is not None and not (urdf := file.path.parent / use.urdf).is_file():
+        raise file.error(("robot", "urdf"), f"there is no URDF {urdf}; correct the path (it is relative to the plan)")
     spec = source.validate(RobotSpec)
     for index, link in enumerate(spec.links):
         if link.limits_deg[0] >= link.limits_deg[1]:
@@ -106,6 +109,9 @@ def _check_frames(file: YamlFile, plan: Plan) -> None:
     for index, box in enumerate(plan.obstacles):
         if any(low >= high for low, high in zip(box.min_mm, box.max_mm, strict=True)):
             raise file.error(("obstacles", index), f"obstacle '{box.name}': each number of min_mm must be below that of max_mm")
+    space = plan.workspace
+    if space is not None and any(low >= high for low, high in zip(space.min_mm, space.max_mm, strict=True)):
+        raise file.error(("workspace",), "workspace: each number of min_mm must be below that of max_mm")
 
 
 def _check_stations(file: YamlFile, plan: Plan, artefacts: tuple[cell.Artefact, ...]) -> None:

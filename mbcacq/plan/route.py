@@ -28,13 +28,21 @@ class Obstructed:
 
 def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] = frozenset()) -> list[Transit]:
     """One transit a pose; where the station changes, by way of home, so that the artefact can be moved. The way to the first pose that is
-    not done starts at home. Raises ConfigError naming the step of the first pose to which no free way was found."""
-    left = [p for p in poses if p.number not in done]
+    not done starts at home, and every pose is come to from the one before it, even if that is done: gears then arrive from the same side
+    as in an undisturbed run. Raises ConfigError naming the step of the first pose to which no free way was found."""
+    through = {a.number for a, b in pairwise(poses) if a.number in done and b.number not in done and a.station == b.station}
+    left = [p for p in poses if p.number not in done or p.number in through]
     transits, obstructed = find_paths(loaded, left)
     if obstructed:
         raise ConfigError(obstructed_sentence(loaded, left, obstructed[0]))
-    ways = iter(transits)
-    return [Transit() if p.number in done else next(ways) for p in poses]
+    ways, by_number = dict(zip((p.number for p in left), transits, strict=True)), []
+    for before, pose in zip([None, *poses[:-1]], poses, strict=True):
+        way = ways[pose.number] if pose.number not in done else Transit()
+        if before is not None and before.number in through and pose.number not in done:
+            first = ways[before.number]
+            way = Transit([*first.leave, *way.leave], [*first.approach, before.q, *way.approach])
+        by_number.append(way)
+    return by_number
 
 
 def way_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:

@@ -14,6 +14,7 @@ class RobotUse(Strict):
 
     driver: str
     model: str                                              # robot YAML, relative to the plan
+    urdf: str | None = None                                 # draws the arm in the viewer; relative to the plan
     options: dict[str, Any] = {}                            # the driver's own
     speed: float = Field(default=0.3, gt=0, le=1)           # share of the model's largest joint speed
     acceleration_time_s: float = Field(default=0.3, gt=0)   # time to reach that speed
@@ -44,12 +45,17 @@ class ScannerUse(Strict):
     exposure_us: float | None = None
     noise_mm: Vector | None = None                          # of one fitted ball centre along x, y, z
     scan_time_s: float = Field(default=1.0, ge=0)           # of one exposure with its transfer, for the estimate of the duration
+    reconnect_s: float = Field(default=90.0, ge=0)          # how long a scanner that went away (a reboot, a cable) is tried again
 
 
 class DeviceUse(Strict):
     driver: str
     model: str = ""
     options: dict[str, Any] = {}
+
+
+class SensorUse(DeviceUse):
+    required: bool = False                                  # a run ends where its value is missing; else the pose is without it
 
 
 class StationPlace(Strict):
@@ -115,6 +121,13 @@ class Obstacle(Strict):
     max_mm: Vector
 
 
+class Workspace(Strict):
+    """A box along the axes of the base frame that the arm from its second link on, with flange and scanner, must stay in."""
+
+    min_mm: Vector
+    max_mm: Vector
+
+
 class Acceptance(Strict):
     """Limits of the verification. A run that misses one ends with its own exit code."""
 
@@ -128,12 +141,14 @@ class Plan(Strict):
     robot: RobotUse
     scanner: ScannerUse
     positioner: DeviceUse = DeviceUse(driver="manual")
-    sensors: tuple[DeviceUse, ...] = ()
+    sensors: tuple[SensorUse, ...] = ()
     hand_eye: PoseSpec
     artefacts: tuple[str, ...] = Field(min_length=1)        # artefact YAML files, relative to the plan
     stations: tuple[StationPlace, ...] = Field(min_length=1)
     exposures: int = Field(default=3, ge=1)
+    station_tolerance_mm: float = Field(default=30.0, gt=0)     # an artefact seen farther from its planned place ends the run
     obstacles: tuple[Obstacle, ...] = ()
+    workspace: Workspace | None = None                      # nothing of the arm that moves may leave it
     clearance_mm: float = Field(default=10.0, ge=0)         # closer than this counts as a collision
     tripod_radius_mm: float = Field(default=40.0, ge=0)     # of the stand below each station, down to the lowest obstacle; 0: none
     steps: tuple[AnyStep, ...] = Field(min_length=1)

@@ -51,6 +51,9 @@ class YamlFile:
 
 def read(path: Path, role: str = "file") -> YamlFile:
     """Read a YAML file. Raises ConfigError for a missing, oversized, broken or ambiguous one."""
+    if path.exists() and not path.is_file():  # opening a pipe would wait for ever
+        what = "folder" if path.is_dir() else "pipe or a device"
+        raise ConfigError(f"{path}: the {role} cannot be read (it is a {what}); correct the path")
     try:
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)

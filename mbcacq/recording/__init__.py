@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     from mbcacq.observations import Observations
 
 _LAZY = {
-    "Journal": "journal", "Recorder": "writer", "Recording": "reader", "Trajectory": "trajectory", "log_result": "result",
-    "poses_done": "progress", "read_observation_set": "observation_set", "read_trajectory_set": "trajectory",
-    "recover": "recovery", "write_comparison": "comparison", "write_observation_set": "observation_set",
+    "Journal": "journal", "Recorder": "writer", "Recording": "reader", "Trajectory": "trajectory", "find_gaps": "gaps",
+    "log_result": "result", "poses_done": "progress", "read_observation_set": "observation_set", "read_trajectory_set": "trajectory",
+    "recover": "recovery", "take_stock": "progress", "write_diagnosis": "diagnosis_file", "write_observation_set": "observation_set",
 }
 __all__ = ["ACCEPTED", "load", *_LAZY]
 

@@ -1,6 +1,8 @@
-"""How a recording is shown: the cell in 3D on the left; curves, quality, state and log on the right."""
+"""How a recording is shown: five tabs, from what happens in the cell to why simulation and reality differ."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -8,68 +10,140 @@ import yaml
 
 from mbcacq.geometry.chain import Chain
 from mbcacq.recording import layout
+from mbcacq.recording.eye import RANGE_MM
 
 Point = tuple[float, float, float]
+NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
+ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white 0, orange +{1e3 * RANGE_MM:.0f} um"
 
 
-def blueprint(eye: Point = (1900.0, -1900.0, 1500.0), target: Point = (450.0, 0.0, 450.0)) -> rrb.Blueprint:
-    """eye, target: where the camera of the cell stands and looks, mm in the base frame."""
-    cell = rrb.Spatial3DView(
-        name="Cell", origin=layout.WORLD, background=rrb.Background(color=[18, 21, 27]),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=100.0, color=[70, 78, 92, 90]),
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),
-    )
-    scan = rrb.Spatial3DView(
-        name="Scan", origin=layout.SCAN, contents=[f"/{layout.SCAN}"], background=rrb.Background(color=[12, 14, 18]),
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=(22.0, -70.0, 68.0), look_target=(0.0, 0.0, -10.0), eye_up=(0.0, 0.0, 1.0)),
-    )
-    joints = rrb.Tabs(
-        rrb.TimeSeriesView(name="Joints, deg", origin=layout.JOINTS),
-        rrb.TimeSeriesView(name="Set point minus measured, deg", origin=layout.FOLLOWING),
-        rrb.TimeSeriesView(name="Motor current, %", origin=layout.CURRENT),
-        rrb.TimeSeriesView(name="Health", origin=layout.HEALTH),
-    )
-    quality = rrb.Tabs(
-        rrb.TimeSeriesView(name="Sphere fit, um", contents=[f"/{layout.FIT_RMS}", f"/{layout.SCATTER}"]),
-        rrb.TimeSeriesView(name="Balls found", origin=layout.BALLS_FOUND),
-        rrb.TimeSeriesView(name="Residuals, um", contents=[f"/{layout.RESIDUAL}/**"]),
-    )
-    state = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
-    texts = rrb.Tabs(
-        rrb.TextLogView(name="Log", origin=layout.LOG),
-        rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
-        rrb.TextDocumentView(name="Cell description", origin=layout.CELL),
-    )
+@dataclass(frozen=True)
+class Enlarged:
+    """How many times longer than they are arrows are drawn; None where there are none yet."""
+
+    pose: float | None = None        # of the current pose, after calibration
+    all: float | None = None         # of all poses, before and after
+    diagnosis: float | None = None
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where it stands and where it looks, mm in the base frame."""
+
+    eye: Point = (1900.0, -1900.0, 1500.0)
+    target: Point = (450.0, 0.0, 450.0)
+
+
+def blueprint(at: Camera = Camera(), enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
+    """The five tabs. live: follow what comes."""
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(cell, state, row_shares=[9, 2]),
-            rrb.Vertical(scan, joints, quality, texts, row_shares=[5, 4, 3, 3]),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(state="collapsed", timeline=layout.TIME),
+        rrb.Tabs(*(build(at, enlarged) for build in (_cell, _motion, _spheres, _calibration, _diagnosis)), active_tab=0, name="mbcacq"),
+        rrb.TimePanel(state="collapsed", timeline=layout.TIME, play_state="following" if live else "paused"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
-def for_cell(chain: Chain, plan_yaml: str) -> rrb.Blueprint:
+def _cell(at: Camera, enlarged: Enlarged) -> rrb.Container:
+    arrows = "" if enlarged.pose is None else f", arrows: error after calibration, {enlarged.pose:g} times enlarged"
+    cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], at)
+    states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
+    texts = rrb.Tabs(rrb.TextLogView(name="Log", origin=layout.LOG), rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
+                     rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
+    found = _curves("Balls found", [layout.BALLS_FOUND])
+    return rrb.Horizontal(rrb.Vertical(cell, states, row_shares=[8, 2.3]), rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
+                          column_shares=[3, 2], name="Cell")
+
+
+def _motion(at: Camera, enlarged: Enlarged) -> rrb.Container:
+    return rrb.Vertical(
+        _curves("Axes in deg: set (broad), actual (thin)", [layout.SET, layout.JOINTS]),
+        rrb.Horizontal(_curves("Set minus actual, deg", [layout.FOLLOWING]), _curves("Motor current, %", [layout.CURRENT])),
+        rrb.Horizontal(_curves("Cycle period, ms", [layout.PERIOD]), _curves("Answers late, count", [layout.DELAY]),
+                       _curves("Temperatures, deg C", [f"{layout.WARMTH}/**"])),
+        row_shares=[15, 8, 6], name="Motion")
+
+
+def _spheres(at: Camera, enlarged: Enlarged) -> rrb.Container:
+    return rrb.Horizontal(
+        rrb.Vertical(_scan(), _curves("Scatter between exposures and fit, um", [layout.SCATTER, layout.FIT_RMS]), row_shares=[3, 1]),
+        rrb.Vertical(_curves("Fit residual of each ball (rms), um", [layout.BALL_RMS]),
+                     _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False),
+                     _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE], legend=False),
+                     _curves("Points on each ball", [layout.BALL_POINTS], legend=False), row_shares=[5, 3, 3, 3]),
+        column_shares=[2, 3], name="Spheres")
+
+
+def _calibration(at: Camera, enlarged: Enlarged) -> rrb.Container:
+    times = "" if enlarged.all is None else f", {enlarged.all:g} times enlarged"
+    errors = _space(f"Errors before (orange) and after (blue){times}", [
+        f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], at)
+    return rrb.Horizontal(
+        rrb.Vertical(errors, rrb.TextDocumentView(name="Result", origin=layout.SUMMARY), row_shares=[3, 2]),
+        rrb.Vertical(_curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"]),
+                     _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False),
+                     _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
+                     rrb.Horizontal(*(_bars(f"Balls in their order, {when}: 3D rms, um", f"{layout.RMS_BALL}/{when}")
+                                      for when in ("before", "after"))), row_shares=[4, 3, 4, 3]),
+        column_shares=[1, 1], name="Calibration")
+
+
+def _diagnosis(at: Camera, enlarged: Enlarged) -> rrb.Container:
+    times = "" if enlarged.diagnosis is None else f", {enlarged.diagnosis:g} times enlarged"
+    cell = _space(f"Recorded (white); from where it was simulated, before (orange) and after (blue){times}", [
+        f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], at)
+    return rrb.Horizontal(
+        rrb.Vertical(cell, rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT), row_shares=[3, 2]),
+        rrb.Vertical(_curves("Difference of simulation and recording at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
+                     _curves("What is held responsible", [f"{layout.CAUSE}/**"])),
+        column_shares=[1, 1], name="Diagnosis")
+
+
+def _space(name: str, contents: list[str], at: Camera) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        name=name, origin=layout.WORLD, contents=contents, background=rrb.Background(color=NIGHT),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=100.0, color=GRID),
+        eye_controls=rrb.EyeControls3D(position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)))
+
+
+def _scan() -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        name=ON_SPHERE, origin=layout.SCAN, contents=[f"+ /{layout.ON_BALLS}", f"+ /{layout.BESIDE}"],
+        background=rrb.Background(color=NIGHT), line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(position=(22.0, -85.0, 90.0), look_target=(0.0, 0.0, -5.0), eye_up=(0.0, 0.0, 1.0)))
+
+
+def _curves(name: str, entities: list[str], legend: bool = True) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, contents=[f"+ /{e}" for e in entities], plot_legend=rrb.PlotLegend(visible=legend))
+
+
+def _bars(name: str, entity: str) -> rrb.BarChartView:
+    return rrb.BarChartView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
+
+
+def alone(at: Camera, diagnosis: float) -> rrb.Blueprint:
+    """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
+    return rrb.Blueprint(_diagnosis(at, Enlarged(diagnosis=diagnosis)), rrb.TimePanel(state="collapsed", timeline=layout.POSE),
+                         rrb.SelectionPanel(state="collapsed"), rrb.BlueprintPanel(state="collapsed"))
+
+
+def for_cell(chain: Chain, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
     """The blueprint with its camera placed so that the arm and the planned stations fill the view."""
-    return blueprint(*camera(chain, _stations(plan_yaml)))
+    return blueprint(camera(chain, stations(plan_yaml)), enlarged, live)
 
 
-def camera(chain: Chain, places: np.ndarray) -> tuple[Point, Point]:
-    """Where to stand and where to look (mm, base frame) to have the arm and some places (S, 3) in view."""
+def camera(chain: Chain, places: np.ndarray) -> Camera:
+    """Where to stand and where to look to have the arm and some places (S, 3) mm in view."""
     reach = float(np.sum(np.hypot(chain.a, chain.d)))
     aim = places.mean(axis=0) if len(places) else np.array([0.5 * reach, 0.0, 0.3 * reach])
     target = 0.5 * aim + np.array([0.0, 0.0, 0.22 * reach])
     side = -1.0 if aim[1] <= 0 else 1.0
-    size = max(0.75 * reach, float(np.ptp(places, axis=0).max()) if len(places) else 0.0)
+    size = max(0.66 * reach, float(np.ptp(places, axis=0).max()) if len(places) else 0.0)
     eye = target + size * np.array([0.95, side * 1.25, 0.7])
-    return tuple(eye.tolist()), tuple(target.tolist())
+    return Camera(tuple(eye.tolist()), tuple(target.tolist()))
 
 
-def _stations(plan_yaml: str) -> np.ndarray:
+def stations(plan_yaml: str) -> np.ndarray:
     """(S, 3) planned places, none where the run has no plan of that form."""
     try:
         places = [station["pose_in_base"]["translation_mm"] for station in yaml.safe_load(plan_yaml)["stations"]]

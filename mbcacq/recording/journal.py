@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import singledispatchmethod
 from pathlib import Path
@@ -16,7 +17,7 @@ from mbcacq.recording import layout
 
 
 class Journal:
-    """Event subscriber: ``journal.jsonl`` (run started, pose done, run stopped; fsync each) and ``log.jsonl`` (messages, states)."""
+    """Event subscriber: ``journal.jsonl`` (run started, pose done, gap, run stopped; fsync each) and ``log.jsonl`` (messages, states)."""
 
     def __init__(self, folder: Path | str) -> None:
         folder = Path(folder)
@@ -33,8 +34,9 @@ class Journal:
 
     def close(self) -> None:
         with self._lock:
-            self._journal.close()
-            self._log.close()
+            for file in (self._journal, self._log):
+                with suppress(OSError):   # what a full disk did not take was said when it was written
+                    file.close()
 
     def __enter__(self) -> Journal:
         return self
@@ -57,6 +59,10 @@ class Journal:
                    balls=len(event.ball), robot_time_s=float(event.robot_time_s))
 
     @_write.register
+    def _(self, event: events.Gap) -> None:
+        self._note(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
+
+    @_write.register
     def _(self, event: events.RunStopped) -> None:
         self._note(event.time_s, event="run_stopped", exit_status=event.exit_status, reason=event.reason)
         self._say(event, "info" if event.exit_status == "success" else "error", "mbcacq", f"run ended: {event.exit_status}: {event.reason}")
@@ -74,18 +80,19 @@ class Journal:
         self._say(event, "info", "mbcacq", f"artefact {event.artefact} at station {event.station}")
 
     def _note(self, time_s: float, **entry: Any) -> None:
-        self._put(self._journal, layout.JOURNAL_FILE, {"time_s": round(time_s, 4), **entry})
-        os.fsync(self._journal.fileno())
+        self._put(self._journal, layout.JOURNAL_FILE, {"time_s": round(time_s, 4), **entry}, sync=True)
 
     def _say(self, event: events.Event, level: str, source: str, text: str) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         entry = {"time": now, "time_s": round(event.time_s, 4), "level": level, "source": source, "text": text}
         self._put(self._log, layout.LOG_FILE, entry)
 
-    def _put(self, file, name: str, entry: dict[str, Any]) -> None:
+    def _put(self, file, name: str, entry: dict[str, Any], sync: bool = False) -> None:
         try:
             file.write(json.dumps(entry, ensure_ascii=False) + "\n")
             file.flush()
+            if sync:
+                os.fsync(file.fileno())
         except OSError as error:
             raise RecordingError(f"{name} can no longer be written: {error.strerror}; free the disk and resume the run") from error
 

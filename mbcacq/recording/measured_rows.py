@@ -35,14 +35,6 @@ def observation_rows(event: events.PoseDone, part: int, time_s: float) -> tuple[
     return pose, centres
 
 
-def grey(intensity: np.ndarray | None) -> np.ndarray | list:
-    """Colours of the points, 0xRRGGBBAA: the intensity as a warm grey."""
-    if intensity is None:
-        return [(170, 190, 210)]
-    level = 40 + intensity.astype(np.uint32) * 215 // 255
-    return level << 24 | level << 16 | (level * 15 // 16) << 8 | 0xFF
-
-
 def _float(values: np.ndarray) -> np.ndarray:
     return np.asarray(values, dtype=np.float64)
 

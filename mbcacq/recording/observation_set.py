@@ -84,7 +84,8 @@ def _read_centres(table: Table, cell: Cell, poses: dict) -> dict:
     out = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
     if table.has(["n_points"]):
         values = table.number("n_points")
-        out["n_points"] = values.astype(np.int64) if np.array_equal(values, np.rint(values)) else values
+        whole = np.array_equal(values, np.rint(values)) and np.abs(values).max(initial=0.0) < 2.0**53
+        out["n_points"] = values.astype(np.int64) if whole else values
     if table.has(["rms_mm"]):
         out["rms_mm"] = table.number("rms_mm")
     extra = {}

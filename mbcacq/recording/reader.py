@@ -69,6 +69,16 @@ class Recording:
         joined = {name: np.concatenate(parts) for name, parts in found.items()}
         return {name: values[:, 0] if values.shape[1] == 1 else values for name, values in joined.items()}
 
+    def scalars(self, entities: str) -> dict[str, list[float]]:
+        """All curves below an entity ('health/**'): entity path -> values in the order they were logged."""
+        found: dict[str, list[float]] = {}
+        for batch in self._batches(entities):
+            path = (batch.schema.metadata or {}).get(b"rerun:entity_path", b"").decode()
+            for i in range(batch.num_columns):
+                if _short_name(batch.schema.field(i)) == "scalars":
+                    found.setdefault(path, []).extend(batch.column(i).flatten().to_pylist())
+        return found
+
     def text(self, entity: str) -> str:
         """A document: the plan or the cell. Raises RecordingError if the recording was cut before it."""
         for row in self.rows(entity):

@@ -16,24 +16,64 @@ from mbcacq.recording import layout, quaternions
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
 HOUSING, VIEW, BALL, BAR = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168)
 CURVES = [(86, 180, 233), (230, 159, 0), (0, 190, 140), (213, 94, 0), (204, 121, 167), (240, 228, 66), (150, 160, 255), (180, 180, 180)]
+MARKERS = ["circle", "diamond", "square", "up", "cross", "plus"]
+LARGEST_BOX = 2000.0       # mm
 SHAFT = 1e-6  # mm; a shorter offset is no link to draw
 
 
-def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: bool = True) -> None:
-    """Everything that does not change: axes, arm, scanner housing and field of view (if it has one), curve names and colours."""
+def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: bool = True, links: bool = True) -> None:
+    """Everything that does not change: axes, arm, scanner housing and field of view (if it has one), curve names and colours.
+
+    links: draw the arm from its MD-H rows; not where a URDF draws it.
+    """
     rec.log(layout.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_arm(rec, cell.robot.chain)
+    if links:
+        _log_arm(rec, cell.robot.chain)
     if view:
         _log_scanner(rec, _field_of_view(plan_yaml))
-    axes = [f"A{i + 1}" for i in range(cell.robot.n)]
-    for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
-        rec.log(entity, rr.SeriesLines(names=axes, colors=(CURVES * 2)[: len(axes)], widths=[1.5]), static=True)
-    for entity, name, colour in ((layout.BALLS_FOUND, "balls found", CURVES[2]), (layout.FIT_RMS, "sphere fit rms, um", CURVES[0]),
-                                 (layout.SCATTER, "scatter between exposures, um", CURVES[1])):
-        rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+    log_series(rec, cell.robot.n)
     states = {"connecting": (130, 130, 130), "moving": (86, 180, 233), "settling": (240, 228, 66), "scanning": (0, 190, 140),
               "waiting": (204, 121, 167), "paused": (230, 159, 0), "stopped": (120, 60, 60)}
     rec.log(layout.STATE, rr.StateConfiguration(values=list(states), colors=list(states.values())), static=True)
+
+
+def log_series(rec: rr.RecordingStream, n: int) -> None:
+    """Names and colours of the curves. Set points are broad and pale, what was measured is thin on top of them."""
+    axes = [f"A{i + 1}" for i in range(n)]
+    colours = (CURVES * 2)[:n]
+    for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
+        rec.log(entity, rr.SeriesLines(names=axes, colors=colours, widths=[1.3]), static=True)
+    rec.log(layout.SET, rr.SeriesLines(names=[f"{a} set" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True)
+    rec.log(layout.PERIOD, rr.SeriesLines(names=["controller, ms", "this computer, ms"], colors=[CURVES[0], CURVES[1]], widths=[1.3]),
+            static=True)
+    rec.log(layout.DELAY, rr.SeriesLines(names=["late answers"], colors=[CURVES[3]], widths=[1.3]), static=True)
+    for entity, name, colour in ((layout.BALLS_FOUND, "balls found", CURVES[2]), (layout.FIT_RMS, "sphere fit rms, um", CURVES[0]),
+                                 (layout.SCATTER, "scatter between exposures, um", CURVES[1])):
+        rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+
+
+def log_ball_series(rec: rr.RecordingStream, cell: Cell) -> None:
+    """Names, colours and markers of the curves that have one value a ball."""
+    names = [f"ball {b}" for b in cell.ball_ids]
+    k = len(names)
+    colours = [CURVES[i % len(CURVES)] for i in range(k)]
+    markers = [MARKERS[i // len(CURVES) % len(MARKERS)] for i in range(k)]
+    for entity in (layout.BALL_POINTS, layout.BALL_RMS, layout.BALL_FORM, layout.BALL_SIZE):
+        rec.log(entity, rr.SeriesPoints(names=names, colors=colours, markers=markers, marker_sizes=[2.5] * k), static=True)
+
+
+def log_obstacles(rec: rr.RecordingStream, plan_yaml: str) -> None:
+    """The plan's boxes, as outlines; those that would only frame the whole scene (a floor) are left to the grid."""
+    try:
+        given = yaml.safe_load(plan_yaml)["obstacles"]
+        boxes = [(str(o["name"]), np.array(o["min_mm"], float), np.array(o["max_mm"], float)) for o in given]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError):
+        return
+    boxes = [(name, low, high) for name, low, high in boxes if np.max(high - low) <= LARGEST_BOX]
+    if boxes:
+        rec.log(layout.OBSTACLES, rr.Boxes3D(
+            centers=[(low + high) / 2 for _, low, high in boxes], half_sizes=[(high - low) / 2 for _, low, high in boxes],
+            labels=[name for name, _, _ in boxes], show_labels=False, colors=[BASE], radii=[rr.Radius.ui_points(1.0)]), static=True)
 
 
 def transforms(T: np.ndarray) -> dict[str, np.ndarray]:
@@ -107,6 +147,10 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
              for half, z in ((view["near_half_mm"], near), (view["far_half_mm"], far))]
     edges = [np.vstack([face, face[:1]]) for face in faces] + [np.stack([faces[0][k], faces[1][k]]) for k in range(4)]
     rec.log(f"{layout.SCANNER}/view", rr.LineStrips3D(edges, colors=[VIEW], radii=[rr.Radius.ui_points(1.0)]), static=True)
+    if body := view.get("body_mm"):
+        window = np.append(np.mean(np.array(body, dtype=float), axis=0)[:2], np.min(np.array(body, dtype=float)[:, 2]))
+        rays = [np.stack([window, corner]) for corner in faces[0]]
+        rec.log(f"{layout.SCANNER}/rays", rr.LineStrips3D(rays, colors=[(*VIEW, 90)], radii=[rr.Radius.ui_points(0.5)]), static=True)
     if body := view.get("body_mm"):
         low, high = np.array(body, dtype=float)
         rec.log(f"{layout.SCANNER}/housing", rr.Boxes3D(centers=[(low + high) / 2], half_sizes=[(high - low) / 2], colors=[HOUSING],

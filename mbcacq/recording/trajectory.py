@@ -20,6 +20,9 @@ from mbcacq.recording.csvfile import Table, numbers, read_table, write_table, wr
 from mbcacq.recording.yaml_text import load_yaml, read_yaml_text, validate
 
 FORMAT = "mbcacq-trajectory-set/1"
+MOVING_RAD_S, MARGIN_S = 2e-3, 0.25   # an axis moves; what is kept before and after
+SHORTEST = 250                        # samples of a move worth keeping
+TORQUE, JOINT_SIDE = "GearTorque", "AJPos"   # elements a controller may send: torque about the joints, N m; joint-side encoders, deg
 
 
 @dataclass(frozen=True)
@@ -122,8 +125,46 @@ def trajectory_of_run(path: Path | str) -> Trajectory:
     time_s, first = np.unique(joined["time_s"], return_index=True)
     taken = {name: values[first] for name, values in joined.items()}
     robot = parse_cell(recordings[0].text(layout.CELL), f"{path} (its cell description)").robot
-    return Trajectory(robot, time_s, taken["q"], q_set=taken.get("q_set"), current=taken.get("current_percent"), current_unit="percent",
-                      name=str(path))
+    return Trajectory(robot, time_s, taken["q"], q_set=_command(taken), q_joint=_joint_side(taken), torque=taken.get(TORQUE),
+                      current=taken.get("current_percent"), current_unit="percent", name=str(path))
+
+
+def _command(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """What the axes were asked for: the path with its corrections, where the driver says it; else the controller's own set point."""
+    for name in ("q_command", "q_set"):
+        values = columns.get(name)
+        if values is not None and np.isfinite(values).all():
+            return values
+    return None
+
+
+def _joint_side(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    values = columns.get(JOINT_SIDE)
+    return None if values is None else np.radians(values)
+
+
+def moves(trajectory: Trajectory, samples: int = 15000) -> list[Trajectory]:
+    """The stretches in which the arm moves, with what is before and after, each from rest to rest; of a long recording so many, evenly
+    chosen, that about ``samples`` remain. A recording without rest is one stretch."""
+    t = trajectory
+    step = float(np.median(np.diff(t.time_s)))
+    speed = np.abs(np.gradient(t.q, t.time_s, axis=0)).max(axis=1)
+    margin = int(MARGIN_S / step)
+    near = np.convolve(speed > MOVING_RAD_S, np.ones(2 * margin + 1), mode="same") > 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(int), [0]])))
+    found = [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SHORTEST]
+    total = sum(s.stop - s.start for s in found)
+    if total > samples:
+        keep = np.unique(np.linspace(0, len(found) - 1, max(int(len(found) * samples / total), 1)).astype(int))
+        found = [found[i] for i in keep]
+    return [_part(t, s) for s in found]
+
+
+def _part(t: Trajectory, where: slice) -> Trajectory:
+    signals = {name: None if getattr(t, name) is None else getattr(t, name)[where]
+               for name in ("q", "q_set", "q_joint", "torque", "motor_torque", "current")}
+    return replace(t, time_s=t.time_s[where], **signals, temperatures={k: v[where] for k, v in t.temperatures.items()},
+                   extra={k: v[where] for k, v in t.extra.items()})
 
 
 def export_trajectory(path: Path | str, folder: Path | str) -> int:

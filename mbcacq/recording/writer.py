@@ -15,15 +15,17 @@ import rerun as rr
 
 from mbcacq.acquisition import events
 from mbcacq.cell import Cell
-from mbcacq.errors import MbcacqError, RecordingError
+from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.geometry import se3
 from mbcacq.recording import layout, rows, scene
 from mbcacq.recording.blueprint import blueprint, for_cell
 from mbcacq.recording.cell_yaml import parse_cell
 from mbcacq.recording.cycles import CycleWriter
-from mbcacq.recording.measured_rows import exposure_row, grey, observation_rows, scan_row
+from mbcacq.recording.drawing import Drawing
+from mbcacq.recording.measured_rows import exposure_row, observation_rows, scan_row
 from mbcacq.recording.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.sink import Sink
+from mbcacq.recording.urdf_arm import UrdfArm
 
 START_FREE_BYTES = 256 << 20
 FORECAST_AFTER = 3         # poses whose size says how large the run will become
@@ -54,16 +56,19 @@ class Recorder:
         header = read_run_header(folder) if part else None
         self._first_start = datetime.fromisoformat(header.started) if header else None
         self.recording_id = header.recording_id if header else str(uuid.uuid4())
-        self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint())
+        self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint(live=live))
         self._rec = self._sink.stream
         self._cycles = CycleWriter(self._rec)
         self._lock = threading.RLock()
         self._offset = 0.0                         # of this part's clock to the run's
         self._clock = np.inf                       # time.monotonic() at the start of this part
         self._pose: int | None = None
+        self._step: int | None = None
+        self._started_s: float | None = None       # POSIX time of run time 0
         self._cell: Cell | None = None
         self._T_base_scanner = np.eye(4)
         self._balls: dict[str, dict[int, np.ndarray]] = {}
+        self._drawing = Drawing(self._rec)
         self._n_poses, self._done = 0, 0
         self._failed = False
 
@@ -102,6 +107,10 @@ class Recorder:
 
     def _set_times(self, time_s: float) -> None:
         self._rec.set_time(layout.TIME, duration=time_s + self._offset)
+        if self._started_s is not None:
+            self._rec.set_time(layout.CLOCK, timestamp=self._started_s + time_s + self._offset)
+        if self._step is not None:
+            self._rec.set_time(layout.STEP_INDEX, sequence=self._step)
         if self._pose is not None:
             self._rec.set_time(layout.POSE, sequence=self._pose)
 
@@ -116,6 +125,8 @@ class Recorder:
             self._offset = (datetime.fromisoformat(event.started) - self._first_start).total_seconds()
         else:
             write_run_header(self.path.parent, RunHeader(self.recording_id, event.started, event.name))
+        self._started_s = (self._first_start or datetime.fromisoformat(event.started)).timestamp()
+        self._cycles.started(self._started_s)
         self._set_times(event.time_s)
         rec = self._rec
         rec.send_recording_name(event.name)
@@ -124,10 +135,27 @@ class Recorder:
         about = rows.row(layout.RUN_ARCHETYPE, layout=layout.VERSION, name=event.name, started=event.started, n_poses=event.n_poses,
                          offset_s=self._offset, versions_names=list(event.versions), versions_values=list(event.versions.values()))
         rec.log(layout.RUN, about, static=True)
-        rec.send_blueprint(for_cell(self._cell.robot.chain, event.plan_yaml), make_active=False, make_default=True)
-        scene.log_static(rec, self._cell, event.plan_yaml)
-        scene.log_arm(rec, self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
+        shown = for_cell(self._cell.robot.chain, event.plan_yaml, live=bool(self.live_url))
+        rec.send_blueprint(shown, make_active=False, make_default=True)
+        self._draw_from_urdf(event.urdf)
+        scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
+        self._log_arm(scene.home(event.plan_yaml, self._cell.robot.n))
+        self._drawing.start(self._cell, event)
         self._sink.flush()
+
+    def _draw_from_urdf(self, path: str) -> None:
+        """A URDF that does not fit is no reason not to measure: it is said, and the arm is drawn from its links."""
+        if path:
+            try:
+                self._cycles.urdf = UrdfArm(path, self._cell)
+                self._cycles.urdf.start(self._rec)
+            except ConfigError as error:
+                self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: {error}", level="WARN"))
+
+    def _log_arm(self, q: np.ndarray) -> None:
+        scene.log_arm(self._rec, self._cell, q)
+        if self._cycles.urdf is not None:
+            self._cycles.urdf.pose(self._rec, q[None])
 
     @_write.register
     def _(self, event: events.StateChanged) -> None:
@@ -135,10 +163,13 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.StepStarted) -> None:
+        self._step = event.index
+        self._set_times(event.time_s)
         self._rec.log(layout.STEP, rr.StateChange(state=event.name))
 
     @_write.register
     def _(self, event: events.StationReached) -> None:
+        self._drawing.station(event)
         self._rec.log(layout.STATION, rr.StateChange(state=f"{event.station}: {event.artefact}"))
 
     @_write.register
@@ -151,6 +182,7 @@ class Recorder:
         for name, value in event.values.items():
             entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
             self._rec.log(entity, rr.Scalars(float(value)))
+        self._drawing.warmth(event.values)
 
     @_write.register
     def _(self, event: events.CyclesReceived) -> None:
@@ -165,23 +197,27 @@ class Recorder:
         self._cycles.show(self._cell)
         if self._cell is not None:
             self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
-            scene.log_arm(self._rec, self._cell, event.q)
+            self._log_arm(event.q)
+            self._drawing.reached(event)
 
     @_write.register
     def _(self, event: events.ScanTaken) -> None:
         self._sink.need(event.scan.points.nbytes + 9 * len(event.scan.points))
         move = scene.transforms(self._T_base_scanner[None])
         self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
-        points = rr.Points3D(event.scan.points, colors=grey(event.scan.intensity), radii=rr.Radius.ui_points(1.2))
+        points = rr.Points3D(event.scan.points)
         self._rec.log(layout.SCAN, points, scan_row(event))
+        self._drawing.taken(event)
 
     @_write.register
     def _(self, event: events.CentresFound) -> None:
         self._rec.log(layout.EXPOSURE, exposure_row(event))
+        self._drawing.found(event)
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:
         self._rec.log(layout.OBSERVATION, *observation_rows(event, self._part, event.time_s + self._offset))
+        self._drawing.done(event)
         self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
         if len(event.ball):
             self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))

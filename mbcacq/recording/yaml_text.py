@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -66,14 +66,30 @@ def _refuse_repeated_keys(root: yaml.Node | None, name: str) -> None:
 
 
 def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str) -> Spec:
-    """The data checked against a pydantic model; the first fault becomes a ConfigError with its line."""
+    """The data checked against a pydantic model; the first fault becomes a ConfigError with its line.
+
+    Keys that the model does not know are left out, at every level: these are open formats, and other programs add what they need.
+    """
     try:
-        return model.model_validate(data)
+        return model.model_validate(known_only(model, data))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise ConfigError(f"{name}:{line_of(node, first['loc'])}: {place}: {first['msg']}{more}; correct it") from None
+
+
+def known_only(kind: Any, data: Any) -> Any:
+    """Data (mappings, lists) without the keys that a pydantic model or an annotation made of such models does not know."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if not isinstance(data, dict):
+            return data
+        fields = kind.model_fields
+        return {key: known_only(fields[key].annotation, value) for key, value in data.items() if key in fields}
+    parts = [part for part in get_args(kind) if part is not type(None)]
+    if isinstance(data, list) and parts:
+        return [known_only(parts[0], entry) for entry in data]
+    return known_only(parts[0], data) if len(parts) == 1 and isinstance(data, dict) else data
 
 
 def line_of(node: yaml.Node, path: tuple[int | str, ...]) -> int:

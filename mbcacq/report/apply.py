@@ -16,6 +16,7 @@ from mbcacq.geometry.chain import PARAMETERS, Chain
 
 _HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
 CHUNK = 200_000
+ROUNDING = np.radians(1e-3)   # a controller prints that much more than its limit when it stands on it
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Placement:
 def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, Placement]:
     """Points (N, 3) mm in the scanner frame, seen from joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
 
-    Raises ConfigError for a wrong number of joints, or a damaged result.
+    Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result tells them), or a damaged result.
     """
     state = state_from_dict(dict(result))
     q = np.asarray(q, dtype=float)
@@ -44,6 +45,7 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
         raise ConfigError(f"the arm has {state.chain.n} axes, {q.size} joint angles were given; give one for each axis, in degrees")
     if not np.isfinite(q).all():
         raise ConfigError("a joint angle is not a finite number; give one for each axis, in degrees")
+    _within_limits(result, q)
     T = state.chain.flange(q[None])[0] @ state.T_flange_scanner
     out = np.empty((len(points), 3))
     for start in range(0, len(points), CHUNK):
@@ -55,6 +57,16 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
     sigma = [np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints)]
     return out, Placement(T, *sigma, float(total[0]), float(total.max()))
+
+
+def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
+    """Raise ConfigError where the arm cannot have stood as it is said to."""
+    limits = result["robot"].get("limits")
+    for i, (angle, (low, high)) in enumerate(zip(q, limits or [], strict=bool(limits))):
+        if not low - ROUNDING <= angle <= high + ROUNDING:
+            allowed = f"{np.degrees(low):g} to {np.degrees(high):g} deg"
+            raise ConfigError(f"joint {i + 1} at {np.degrees(angle):g} deg is outside its limits {allowed}; "
+                              "give the angles in degrees as the controller reported them at the exposure")
 
 
 def base_covariance(result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray,

@@ -7,9 +7,12 @@ import plotly.graph_objects as go
 
 from mbcacq.report.content import Coverage, Residuals, Spacing
 
-BEFORE, AFTER, LINE, LIMIT = "#b8b8b8", "#1f5f8b", "#444444", "#b03a2e"
-AXES = {"x": "#1f5f8b", "y": "#c77f1a", "z": "#4b8b3b"}
-PHASES = ["#1f5f8b", "#c77f1a", "#4b8b3b", "#8a4f9e", "#b03a2e", "#777777"]
+# Okabe and Ito's colours, which all eyes tell apart; markers differ as well.
+BEFORE, AFTER, LINE, LIMIT = "#E69F00", "#0072B2", "#444444", "#8A2B0B"
+AXES = {"x": "#0072B2", "y": "#E69F00", "z": "#009E73"}
+PHASES = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#777777"]
+SYMBOLS = ["circle", "diamond", "square", "cross", "triangle-up", "x"]
+MOST = 2500                # points drawn of a cloud of points; the largest all, the rest evenly
 # axis titles are drawn as HTML by plotly; names from files are plain text
 ESCAPES = str.maketrans({"<": "&lt;", ">": "&gt;", "&": "&amp;"})
 
@@ -27,7 +30,7 @@ def spacing(data: Spacing) -> go.Figure:
             figure.add_hline(sign * data.limit, line={"color": LIMIT, "width": 1.2, "dash": "dash"})
     figure.update_xaxes(title="place", type="category")
     figure.update_yaxes(title="sphere spacing error / mm")
-    return _look(figure, 330)
+    return look(figure, 330)
 
 
 def residual_per_pose(data: Residuals) -> go.Figure:
@@ -37,15 +40,31 @@ def residual_per_pose(data: Residuals) -> go.Figure:
     rms = np.sqrt(np.bincount(index, np.sum(data.xyz**2, axis=1)) / count)
     phase = np.empty(len(pose), dtype=object)
     phase[index] = data.phase
+    out = np.zeros(len(pose), bool)
+    if data.outlier is not None:
+        np.logical_or.at(out, index, data.outlier)
+    keep = thinned(rms)
+    pose, rms, count, phase, out = pose[keep], rms[keep], count[keep], phase[keep], out[keep]
     figure = go.Figure()
     for k, name in enumerate(dict.fromkeys(data.phase)):
         mine = phase == name
         figure.add_scatter(x=pose[mine], y=1e3 * rms[mine], mode="markers", name=str(name).translate(ESCAPES) or "all poses",
-                           marker={"color": PHASES[k % len(PHASES)], "size": 6},
+                           marker={"color": PHASES[k % len(PHASES)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 6},
                            customdata=count[mine], hovertemplate="pose %{x}: %{y:.1f} µm, %{customdata} balls<extra></extra>")
+    if out.any():
+        figure.add_scatter(x=pose[out], y=1e3 * rms[out], mode="markers", name="with centres left out of the fit", hoverinfo="skip",
+                           marker={"color": LIMIT, "symbol": "circle-open", "size": 13, "line": {"width": 1.8}})
     figure.update_xaxes(title="pose")
     figure.update_yaxes(title="3D residual rms / µm", rangemode="tozero")
-    return _look(figure, 290)
+    return look(figure, 290)
+
+
+def thinned(size: np.ndarray) -> np.ndarray:
+    """Indices of what is drawn of many points: those of the largest size (k,) all, the rest evenly, in their order."""
+    if len(size) <= MOST:
+        return np.arange(len(size))
+    largest = np.argsort(-np.nan_to_num(size))[: MOST // 5]
+    return np.union1d(largest, np.arange(0, len(size), len(size) // (MOST - MOST // 5) + 1))
 
 
 def residual_per_ball(data: Residuals) -> go.Figure:
@@ -59,7 +78,7 @@ def residual_per_ball(data: Residuals) -> go.Figure:
         figure.add_bar(x=labels, y=rms, name=name, marker_color=colour)
     figure.update_xaxes(title="ball", type="category")
     figure.update_yaxes(title="residual rms / µm")
-    return _look(figure, 290)
+    return look(figure, 290)
 
 
 def residual_mean_per_ball(data: Residuals) -> go.Figure:
@@ -74,7 +93,7 @@ def residual_mean_per_ball(data: Residuals) -> go.Figure:
     figure.update_xaxes(title="ball", type="category")
     figure.update_yaxes(title="mean residual / µm", zeroline=True, zerolinecolor=LINE)
     figure.update_layout(scattermode="group")
-    return _look(figure, 290)
+    return look(figure, 290)
 
 
 def histogram(data: Residuals) -> go.Figure:
@@ -88,9 +107,9 @@ def histogram(data: Residuals) -> go.Figure:
         go.Bar(x=middle, y=density, width=0.2, name="observed", marker_color=AFTER, marker_line_width=0),
         go.Scatter(x=t, y=np.exp(-t * t / 2) / np.sqrt(2 * np.pi), mode="lines", name="expected", line={"color": LIMIT, "width": 2}),
     ])
-    figure.update_xaxes(title="residual / expected standard deviation", range=[-5, 5])
+    figure.update_xaxes(title="residual / expected σ", range=[-5, 5])
     figure.update_yaxes(title="density")
-    return _look(figure, 290)
+    return look(figure, 290)
 
 
 def correlation(names: list[str], matrix: np.ndarray) -> go.Figure:
@@ -98,10 +117,13 @@ def correlation(names: list[str], matrix: np.ndarray) -> go.Figure:
     figure = go.Figure(go.Heatmap(z=matrix, x=labels, y=labels, zmin=-1, zmax=1, colorscale="RdBu", reversescale=True,
                                   colorbar={"title": "", "thickness": 12, "outlinewidth": 0}, xgap=0.5, ygap=0.5,
                                   hovertemplate="%{y} · %{x}: %{z:.3f}<extra></extra>"))
-    figure.update_xaxes(tickangle=-60, tickfont={"size": 9}, showgrid=False, dtick=1)
-    figure.update_yaxes(autorange="reversed", tickfont={"size": 9}, showgrid=False, scaleanchor="x", constrain="domain", dtick=1)
+    figure.update_xaxes(tickangle=-60, tickfont={"size": 9}, showgrid=False, dtick=1, title="parameter")
+    figure.update_yaxes(autorange="reversed", title="parameter",
+                        tickfont={"size": 9}, showgrid=False, scaleanchor="x", constrain="domain", dtick=1)
     figure.update_xaxes(constrain="domain")
-    return _look(figure, 640)
+    figure = look(figure, 640)
+    figure.update_layout(meta={"narrow": {"height": 420, "tick": 6}})
+    return figure
 
 
 def joint_coverage(data: Coverage) -> go.Figure:
@@ -118,29 +140,42 @@ def joint_coverage(data: Coverage) -> go.Figure:
                            name=str(name).translate(ESCAPES) or "all poses",
                            marker={"color": colour, "size": 8, "symbol": "line-ns", "line": {"width": 1.2, "color": colour}},
                            hovertemplate="%{x:.1f}°<extra></extra>")
-    figure.update_xaxes(title="joint angle / deg, over the axis' range")
-    figure.update_yaxes(tickvals=list(range(1, n + 1)), ticktext=[f"A{i}" for i in range(1, n + 1)], autorange="reversed", showgrid=False)
-    return _look(figure, 70 + 44 * n)
+    figure.update_xaxes(title="joint angle / deg")
+    figure.update_yaxes(tickvals=list(range(1, n + 1)), ticktext=[f"A{i}" for i in range(1, n + 1)],
+                        autorange="reversed", showgrid=False, title="axis")
+    return look(figure, 70 + 44 * n)
 
 
-def place_coverage(data: Coverage) -> go.Figure:
-    """Where the flange stood, seen from above and from the side."""
-    from plotly.subplots import make_subplots
+def place_coverage(data: Coverage, axis: int) -> go.Figure:
+    """Where the flange stood, from above (axis 1) or from the side (axis 2), with the robot's foot."""
+    return places({str(name): data.flange[data.phase == name] for name in dict.fromkeys(data.phase)}, axis)
 
-    figure = make_subplots(1, 2, horizontal_spacing=0.1)
-    for k, name in enumerate(dict.fromkeys(data.phase)):
-        mine = data.phase == name
-        for column, axis in ((1, 1), (2, 2)):
-            figure.add_scatter(x=data.flange[mine, 0], y=data.flange[mine, axis], mode="markers", row=1, col=column, showlegend=column == 1,
-                               name=str(name).translate(ESCAPES) or "all poses", legendgroup=str(k),
-                               marker={"color": PHASES[k % len(PHASES)], "size": 5})
+
+def ball_coverage(data: Coverage, axis: int) -> go.Figure:
+    """Where balls were measured, likewise."""
+    return places({str(name): data.balls[data.ball_phase == name] for name in dict.fromkeys(data.ball_phase)}, axis)
+
+
+def places(of_phase: dict[str, np.ndarray], axis: int) -> go.Figure:
+    figure = go.Figure()
+    for k, (name, place) in enumerate(of_phase.items()):
+        place = place[thinned(np.zeros(len(place)))]
+        figure.add_scatter(x=place[:, 0], y=place[:, axis], mode="markers", name=name.translate(ESCAPES) or "all poses",
+                           marker={"color": PHASES[k % len(PHASES)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 5, "opacity": 0.75},
+                           hovertemplate="%{x:.0f}, %{y:.0f} mm<extra></extra>")
+    add_base(figure)
     figure.update_xaxes(title="X / mm")
-    figure.update_yaxes(title="Y / mm", row=1, col=1, scaleanchor="x")
-    figure.update_yaxes(title="Z / mm", row=1, col=2, scaleanchor="x2")
-    return _look(figure, 380)
+    figure.update_yaxes(title=("Y / mm, from above", "Z / mm, from the side")[axis - 1], scaleanchor="x")
+    return look(figure, 400)
 
 
-def _look(figure: go.Figure, height: int) -> go.Figure:
+def add_base(figure: go.Figure) -> None:
+    """The foot of the robot."""
+    figure.add_scatter(x=[0], y=[0], mode="markers", name="robot base", hoverinfo="skip",
+                       marker={"color": "#222222", "symbol": "circle-x-open", "size": 13, "line": {"width": 2}})
+
+
+def look(figure: go.Figure, height: int) -> go.Figure:
     figure.update_layout(
         template="none", height=height, margin={"l": 62, "r": 16, "t": 26, "b": 48}, barmode="group", bargap=0.28,
         font={"family": "Helvetica, Arial, sans-serif", "size": 12, "color": "#222222"},

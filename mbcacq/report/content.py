@@ -1,8 +1,13 @@
-"""What a report says, as plain values: between the result file and the page. Lengths mm, angles deg; None or empty is left out."""
+"""What a report says, as plain values: between the result file and the page. Lengths mm, angles deg; None or empty is left out.
+
+``Content``: figures are those of the verification (name, value, uncertainty, limit, verdict); headlines the numbers of the first screen
+(label, value with unit, what it is compared with); diagnosis is a ``told.Told`` or None.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +19,15 @@ class Verdict:
     level: str
     headline: str
     reason: str
+
+
+@dataclass(frozen=True)
+class Action:
+    """The one thing to do next: what, why, and the command for it, or ''."""
+
+    what: str
+    why: str
+    command: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,7 @@ class Parameter:
 @dataclass(frozen=True)
 class Residuals:
     """Measured minus predicted. pose, ball: (M,) ids; phase: (M,) str; xyz: (M, 3) mm; weighted: (M, r), of unit variance if all is well,
-    or None; outlier: (M,) bool, left out of the fit, or None."""
+    or None; outlier: (M,) bool, left out of the fit, or None. station: (M,) str; q_deg: (M, n) joint angles of the pose."""
 
     pose: np.ndarray
     ball: np.ndarray
@@ -62,16 +76,63 @@ class Residuals:
     xyz: np.ndarray
     weighted: np.ndarray | None = None
     outlier: np.ndarray | None = None
+    station: np.ndarray | None = None
+    q_deg: np.ndarray | None = None
+
+    def used(self) -> Residuals:
+        """Without what was left out of the fit, unless nothing would remain."""
+        if self.outlier is None or not self.outlier.any() or self.outlier.all():
+            return self
+        keep = ~self.outlier
+        return Residuals(*(None if (v := getattr(self, f.name)) is None else v[keep] for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Quality of the sphere fits: pose, ball (M,) ids, n_points (M,), rms_um (M,); scatter_um (M,) between exposures, or None."""
+
+    pose: np.ndarray
+    ball: np.ndarray
+    n_points: np.ndarray
+    rms_um: np.ndarray
+    scatter_um: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class AccuracyGrid:
+    """Expected accuracy: centres (C, 3) mm of cells of edge cell_mm in the base, sigma_mm (C,) standard uncertainty of a point there."""
+
+    centres: np.ndarray
+    sigma_mm: np.ndarray
+    cell_mm: float
+
+
+@dataclass(frozen=True)
+class Devices:
+    """How the devices did. late: (k,) late answers counted by the controller at each cycle; period_ms: (k,) from cycle to cycle on this
+    computer; exposure_s: (e,) from one exposure to the next at a pose; state_s: state -> seconds spent in it; lost: sentences on what the
+    recording lacks; health: (quantity, lowest, highest, last)."""
+
+    late: np.ndarray | None = None
+    period_ms: np.ndarray | None = None
+    nominal_ms: float | None = None
+    exposure_s: np.ndarray | None = None
+    state_s: list[tuple[str, float]] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    health: list[tuple[str, str, str, str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None."""
+    """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
+    with ball_phase (M,) str, or None."""
 
     q_deg: np.ndarray
     limits_deg: np.ndarray | None
     phase: np.ndarray
     flange: np.ndarray | None = None
+    balls: np.ndarray | None = None
+    ball_phase: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +143,10 @@ class Content:
     instrument: str = "scanner"
     facts: list[tuple[str, str]] = field(default_factory=list)
     fit: list[tuple[str, str]] = field(default_factory=list)
+    figures: list[tuple[str, str, str, str, str]] = field(default_factory=list)
     spacing: Spacing | None = None
+    next: Action | None = None
+    headlines: list[tuple[str, str, str]] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
     hand_eye: np.ndarray | None = None
     residuals: Residuals | None = None
@@ -91,6 +155,11 @@ class Content:
     not_separable: list[tuple[str, float]] = field(default_factory=list)
     correlation: tuple[list[str], np.ndarray] | None = None
     coverage: Coverage | None = None
+    spheres: Spheres | None = None
+    accuracy: AccuracyGrid | None = None
+    devices: Devices | None = None
+    diagnosis: Any = None
     warnings: list[str] = field(default_factory=list)
     versions: list[tuple[str, str]] = field(default_factory=list)
+    hashes: list[tuple[str, str, str]] = field(default_factory=list)
     plan_yaml: str = ""

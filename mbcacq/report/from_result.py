@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ import numpy as np
 from mbcacq import __version__
 from mbcacq.errors import ConfigError
 from mbcacq.observations import Observations
-from mbcacq.report.content import Content, Parameter, Spacing, Verdict
+from mbcacq.report.content import AccuracyGrid, Content, Parameter, Spacing
+from mbcacq.report.told import told
+from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
 
 FORMAT = "mbcacq-result/1"
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
@@ -40,18 +43,24 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
         found["residuals"] = measured.residuals(used, state, result["noise"]["scanner_mm"], result["noise"]["joint_rad"], rejected)
         found["coverage"] = measured.coverage(observations, state)
+        found["spheres"] = measured.spheres(observations)
     spacing = _spacing(result.get("verification"), {str(s["id"]) for s in result["stations"]})
+    verdict = verdict_of(spacing, result, _certificate(observations))
+    diagnosis = run_info.get("diagnosis")
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
-        subtitle=" · ".join(str(run_info[k]) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
-        verdict=_verdict(spacing, result, _certificate(observations)), instrument=_instrument(result),
-        facts=_facts(result, run_info), fit=_fit(result), spacing=spacing, parameters=_parameters(result),
+        subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
+        verdict=verdict, instrument=_instrument(result), headlines=headlines(spacing, result),
+        next=next_action(verdict, spacing, result, diagnosis, str(run_info.get("folder") or "RUN")),
+        facts=_facts(result, run_info), fit=_fit(result), spacing=spacing, figures=_figures(result.get("verification")),
+        parameters=_parameters(result), accuracy=_accuracy(result.get("accuracy_map")), devices=run_info.get("devices"),
+        diagnosis=None if diagnosis is None else told(diagnosis, run_info.get("pictures")),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         noise=_noise(result), observability=_observability(result), correlation=_correlation(result),
         not_separable=[(" and ".join(c["parameters"]), float(c["correlation"])) for c in result.get("correlated", ())][:20],
         warnings=_warnings(result),
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
-        plan_yaml=str(run_info.get("plan_yaml") or ""), **found,
+        hashes=list(run_info.get("hashes") or ()), plan_yaml=str(run_info.get("plan_yaml") or ""), **found,
     )
 
 
@@ -73,6 +82,36 @@ def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacin
         independent=not any(str(p["station"]) in fitted for p in places))
 
 
+def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str, str, str]]:
+    """(name, value, standard uncertainty, limit, verdict) of the figures after the guideline, as texts."""
+    words = {"pass": "passed", "fail": "not passed", "undecided": "undecided", "none": "not judged"}
+
+    def mm(value: Any) -> str:
+        return "–" if value is None else f"{float(value):.4f}"
+
+    def name(figure: Mapping[str, Any]) -> str:
+        return figure["name"] + (f", largest of {figure['count']}" if figure["count"] > 1 else "")
+
+    return [(name(f), mm(f["value_mm"]), mm(f["uncertainty_mm"]), mm(f["limit_mm"]), words[f["verdict"]])
+            for f in (verification or {}).get("figures", ()) if f["value_mm"] is not None]
+
+
+def _accuracy(data: Mapping[str, Any] | None) -> AccuracyGrid | None:
+    if not data or not data["centres_mm"]:
+        return None
+    centres = np.array(data["centres_mm"], dtype=float).reshape(-1, 3)
+    return AccuracyGrid(centres, np.array(data["sigma_mm"], dtype=float), float(data["cell_mm"]))
+
+
+def _when(text: str) -> str:
+    """A time of ISO 8601 as people read it; any other text as it is."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        return text
+    return f"{when:%Y-%m-%d %H:%M} {when.tzname() or ''}".strip()
+
+
 def _certificate(observations: Observations | None) -> float:
     """Standard uncertainty (mm) of a certified distance, worst of the artefacts; 0 where it is not known."""
     if observations is None:
@@ -82,25 +121,6 @@ def _certificate(observations: Observations | None) -> float:
 
 def _instrument(result: Mapping[str, Any]) -> str:
     return "instrument" if result.get("measurement") == "target_in_base" else "scanner"
-
-
-def _verdict(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> Verdict:
-    fit = result["fit"]
-    if spacing is None:
-        return Verdict("none", "Calibrated, not verified",
-                       f"No verification artefact was measured. What the calibration leaves on its own poses: {fit['rms_mm']:.4f} mm rms.")
-    before, after = np.abs(spacing.before), np.abs(spacing.after)
-    told = (f"Mean sphere spacing error {after.mean():.3f} mm (before {before.mean():.3f} mm), "
-            f"largest {after.max():.3f} mm at place {spacing.place[int(after.argmax())]}")
-    if spacing.limit is None:
-        return Verdict("none", "Calibrated and verified", f"{told}. The plan sets no limit.")
-    U = 2 * certificate
-    against = f"{told}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified distance {U:.4f} mm."
-    if after.max() + U <= spacing.limit:
-        return Verdict("pass", "Passed: every place is within the limit", against)
-    if after.max() - U > spacing.limit:
-        return Verdict("fail", "Not passed: the limit is exceeded", against)
-    return Verdict("undecided", "Neither proven nor disproven: within the uncertainty of the limit", against)
 
 
 def _facts(result: Mapping[str, Any], run_info: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -158,7 +178,7 @@ def _observability(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     out = [("rank", f"{result['fit']['rank']} (free parameters and station poses)")]
     indices = result.get("observability")
     if isinstance(indices, Mapping):
-        out += [(str(k), f"{v:.4g}" if isinstance(v, int | float) else str(v)) for k, v in indices.items()]
+        out += [(f"observability index {k}", f"{v:.4g}" if isinstance(v, int | float) else str(v)) for k, v in indices.items()]
     return out
 
 
@@ -177,7 +197,7 @@ def _correlation(result: Mapping[str, Any]) -> tuple[list[str], np.ndarray] | No
 def _warnings(result: Mapping[str, Any]) -> list[str]:
     out = []
     factor = result["noise"].get("check_factor")
-    if factor and max(factor) > 1.5:
+    if factor and max(factor) > SUSPICIOUS:
         out.append(f"The residuals need {max(factor):.1f} times the noise that was stated for the {_instrument(result)}: "
                    "something is not in the model. mbcacq diagnose looks for it.")
     rejected = result.get("rejected", ())

@@ -1,12 +1,14 @@
-"""What a report needs of the recording itself: residuals of the calibrated cell, and where the arm stood."""
+"""What a report needs of the observations themselves: residuals of the calibrated cell, where the arm stood, how well the spheres fit."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mbcacq.calibration.forward import CellState, arm_jacobian, predict, residual
+from mbcacq.cell import TARGET_IN_BASE
+from mbcacq.geometry import se3
 from mbcacq.observations import Observations
-from mbcacq.report.content import Coverage, Residuals
+from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
 def residuals(observations: Observations, state: CellState, point_mm: np.ndarray | None, joint_rad: np.ndarray | None,
@@ -25,12 +27,26 @@ def residuals(observations: Observations, state: CellState, point_mm: np.ndarray
         weighted = left / sigma
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
-    return Residuals(pose, ball, _phase(obs)[obs.pose], left, weighted, out)
+    station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
+    return Residuals(pose, ball, _phase(obs)[obs.pose], left, weighted, out, station, np.degrees(obs.q)[obs.pose])
 
 
 def coverage(observations: Observations, state: CellState) -> Coverage:
     obs = observations
-    return Coverage(np.degrees(obs.q), np.degrees(obs.cell.robot.limits), _phase(obs), state.chain.flange(obs.q)[:, :3, 3])
+    T = state.chain.flange(obs.q)
+    balls, phase = None, None
+    if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
+        balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
+    return Coverage(np.degrees(obs.q), np.degrees(obs.cell.robot.limits), _phase(obs), T[:, :3, 3], balls, phase)
+
+
+def spheres(observations: Observations) -> Spheres | None:
+    """None where the observations carry no quality of their fits."""
+    obs = observations
+    if obs.rms_mm is None or obs.n_points is None or not obs.n_centres or not np.any(np.isfinite(obs.rms_mm)):
+        return None
+    ball = np.array(obs.cell.ball_ids)[obs.ball]
+    return Spheres(obs.pose_id[obs.pose], ball, np.asarray(obs.n_points, dtype=float), 1e3 * np.asarray(obs.rms_mm, dtype=float))
 
 
 def calibrated_poses(observations: Observations, result: dict) -> Observations:

@@ -3,38 +3,57 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mbcacq.errors import RecordingError
 from mbcacq.report.content import Content
 from mbcacq.report.tables import groups, held, matrices
+from mbcacq.report.told import Told
+from mbcacq.report.verdict import readable
+
+HERE = Path(__file__).parent
 
 
 def render(content: Content) -> str:
     """HTML of a report. Every text is escaped; the plotting library is inlined once."""
+    from markupsafe import Markup
+
+    from mbcacq.report.picture import spacing_picture
+
+    picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
+    figures = _figures(content) | ({} if content.diagnosis is None else _of_diagnosis(content.diagnosis))
+    return _template("page.html.j2", c=content, figures=figures, np=np, picture=picture, groups=groups(content), matrices=matrices(content),
+                     held=held(content), d=content.diagnosis)
+
+
+def render_diagnosis(told: Told, title: str) -> str:
+    """HTML of a diagnosis by itself."""
+    return _template("diagnosis_page.html.j2", d=told, title=title, figures=_of_diagnosis(told))
+
+
+def write(html: str, path: str | Path) -> Path:
+    """Write a page; the folder is made where it is missing. Raises RecordingError where it cannot be written."""
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: the report cannot be written: {error.strerror}; free space or give another folder") from error
+    return path
+
+
+def _template(name: str, **values: Any) -> str:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
 
-    environment = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
-                              trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"number": number, "signed": signed}
-    return environment.get_template("page.html.j2").render(
-        c=content, figures=_figures(content), plotly=Markup(get_plotlyjs()), np=np,
-        groups=groups(content), matrices=matrices(content), held=held(content),
-    )
-
-
-def write(content: Content, path: str | Path) -> Path:
-    """Write the page; the folder is made where it is missing. Raises RecordingError where it cannot be written."""
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(render(content), encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path}: the report cannot be written: {error.strerror}; free space or give another folder") from error
-    return path
+    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                              lstrip_blocks=True)
+    environment.filters |= {"number": number, "signed": signed, "shape_title": shape_title}
+    kept = {key: Markup((HERE / file).read_text(encoding="utf-8")) for key, file in (("css", "page.css"), ("js", "page.js"))}
+    return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -49,30 +68,70 @@ def signed(value: float | None, digits: int = 3) -> str:
     return text if text in "–" or text.startswith("−") else f"+{text}"
 
 
-def _figures(content: Content) -> dict:
-    from mbcacq.report import charts
+def shape_title(effect: str, at: str) -> str:
+    return f"{'Effect without a name' if effect == 'unknown' else readable(effect).capitalize()} at {at}"
 
-    figures = {}
+
+def _figures(content: Content) -> dict[str, Any]:
+    from mbcacq.report import charts, charts_more
+
+    figures: dict[str, Any] = {}
     if content.spacing is not None:
         figures["spacing"] = charts.spacing(content.spacing)
-    if content.residuals is not None and len(content.residuals.xyz):
-        figures["pose"] = charts.residual_per_pose(content.residuals)
-        figures["ball"] = charts.residual_per_ball(content.residuals)
-        figures["ball_mean"] = charts.residual_mean_per_ball(content.residuals)
-        if content.residuals.weighted is not None:
-            figures["histogram"] = charts.histogram(content.residuals)
+    if (data := content.residuals) is not None and len(data.xyz):
+        figures["pose"] = charts.residual_per_pose(data)
+        data = data.used()
+        figures |= {"ball": charts.residual_per_ball(data), "ball_mean": charts.residual_mean_per_ball(data)}
+        if data.station is not None:
+            figures["station"] = charts_more.residual_per_station(data)
+        if data.q_deg is not None:
+            figures |= {f"axis_{i}": charts_more.residual_over_axis(data, i) for i in range(data.q_deg.shape[1])}
+        if data.weighted is not None:
+            figures["histogram"] = charts.histogram(data)
+    if content.spheres is not None:
+        figures |= {"sphere_rms": charts_more.sphere_quality(content.spheres), "sphere_points": charts_more.sphere_points(content.spheres)}
     if content.correlation is not None and len(content.correlation[0]) > 1:
         figures["correlation"] = charts.correlation(*content.correlation)
+    if content.accuracy is not None:
+        figures |= {"accuracy_top": charts_more.accuracy(content.accuracy, 1), "accuracy_side": charts_more.accuracy(content.accuracy, 2)}
     if content.coverage is not None and len(content.coverage.q_deg):
         figures["joints"] = charts.joint_coverage(content.coverage)
+        draw = charts.ball_coverage if content.coverage.balls is not None else charts.place_coverage
         if content.coverage.flange is not None:
-            figures["places"] = charts.place_coverage(content.coverage)
+            figures |= {"places_top": draw(content.coverage, 1), "places_side": draw(content.coverage, 2)}
+    figures |= _of_devices(content)
     return {name: _div(name, figure) for name, figure in figures.items()}
 
 
-def _div(name: str, figure):
+def _of_devices(content: Content) -> dict[str, Any]:
+    from mbcacq.report import charts_more
+
+    out: dict[str, Any] = {}
+    if (devices := content.devices) is None:
+        return out
+    if devices.state_s:
+        out["states"] = charts_more.time_spent(devices)
+    for name, data, draw in (("late", devices.late, charts_more.late_answers), ("period", devices.period_ms, charts_more.periods),
+                             ("exposure", devices.exposure_s, charts_more.exposure_times)):
+        if data is not None and len(data) and (name != "late" or data.any()):
+            out[name] = draw(devices)
+    return out
+
+
+def _of_diagnosis(told: Told) -> dict[str, Any]:
+    from mbcacq.report import charts_diagnosis as charts
+
+    figures: dict[str, Any] = {} if told.map is None else {"map": charts.heat_map(told)}
+    figures |= {f"shape_{k}": charts.shape(curve) for k, curve in enumerate(told.curves)}
+    figures |= {f"along_{k}": charts.along(told, cause) for k, cause in enumerate(told.causes)} if told.centres else {}
+    return {name: _div(name, figure) for name, figure in figures.items()}
+
+
+def _div(name: str, figure: Any) -> Any:
+    """The figure as data beside its place: drawn by page.js. What could end a script element is written as an escape."""
     from markupsafe import Markup
 
-    text = figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"figure-{name}",
-                          config={"displayModeBar": False, "responsive": True})
-    return Markup(text)
+    data = figure.to_json().replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+    height = figure.layout.height or 300
+    return Markup(f'<div class="plot" id="figure-{name}" data-figure="data-{name}" style="height:{height:g}px"></div>'
+                  f'<script type="application/json" id="data-{name}">{data}</script>')

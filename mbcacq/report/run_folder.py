@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
+from mbcacq.recording import layout
+
 MAX_LINES = 5
 MAX_BYTES = 1 << 20
+KEPT = ("plan.yaml", "result.json", "diagnosis.json")
 
 
 def about_run(folder: str | Path) -> dict[str, Any]:
@@ -28,3 +32,37 @@ def about_run(folder: str | Path) -> dict[str, Any]:
     except OSError:
         pass
     return info
+
+
+def everything_about(folder: str | Path) -> dict[str, Any]:
+    """``about_run`` with devices, diagnosis (where one was made) and hashes: all that the whole report wants beside the result."""
+    from mbcacq.report.devices import devices_of
+
+    folder = Path(folder)
+    info = about_run(folder) | {"folder": str(folder), "hashes": hashes(folder)}
+    if (devices := devices_of(folder)) is not None:
+        info["devices"] = devices
+    diagnosis, pictures = _json(folder / "diagnosis.json"), _json(folder / "diagnosis-pictures.json")
+    if diagnosis is not None:
+        info |= {"diagnosis": diagnosis, "pictures": pictures}
+    return info
+
+
+def hashes(folder: Path) -> list[tuple[str, str, str]]:
+    """(file, bytes, SHA-256) of the recordings and of what was made from them."""
+    out = []
+    for path in [*layout.parts(folder), *(folder / name for name in KEPT)]:
+        try:
+            with path.open("rb") as file:
+                out.append((path.name, f"{path.stat().st_size:,}".replace(",", " "), hashlib.file_digest(file, "sha256").hexdigest()))
+        except OSError:
+            continue
+    return out
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None

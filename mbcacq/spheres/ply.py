@@ -12,6 +12,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.lazy import open3d
 from mbcacq.spheres.extract import find_balls
 from mbcacq.spheres.found import BallOptions, FoundBalls
+from mbcacq.spheres.ply_header import check_header
 
 MAX_BYTES = 4 * 2**30
 
@@ -25,6 +26,8 @@ def read_tensor_cloud(path: str | Path):
         raise ConfigError(f"{path}: a cloud must be a .ply or .pcd file")
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
+    if path.suffix.lower() == ".ply":
+        check_header(path)
     o3d = open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         try:

@@ -1,5 +1,6 @@
 """What the runner promises: order of events, means, and a robot at rest whatever happens."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -201,7 +202,7 @@ def test_an_arm_that_never_arrives_is_stopped(world):
     robot = JumpingRobot()
     robot.arrives = False
     runner, _, _ = make(world, robot=robot)
-    with pytest.raises(devices.DeviceTimeout, match="did not arrive"):
+    with pytest.raises(devices.SafetyStop, match="did not arrive"):
         runner.run()
     assert robot.log[-2:] == ["stop", "close"]
 
@@ -237,3 +238,37 @@ def test_an_error_while_recording_reaches_the_runner(world):
     with pytest.raises(devices.MbcacqError, match="disk full"):
         runner.run()
     assert "stop" in parts["robot"].log
+
+
+def test_a_failing_subscriber_keeps_the_event_from_no_other():
+    seen = Recorded()
+
+    def full(event):
+        raise devices.MbcacqError("disk full")
+
+    bus = EventBus([full, seen])
+    with pytest.raises(devices.MbcacqError, match="disk full"):
+        bus.emit(events.StateChanged, "moving")
+    assert [e.state for e in seen.events] == ["moving"]
+
+
+def test_a_wrong_setting_ends_the_wait_for_the_other_devices(world):
+    closed = threading.Event()
+
+    class Waiting(JumpingRobot):
+        def connect(self):
+            if not closed.wait(30):
+                raise AssertionError("nobody ended the wait")
+            raise devices.ConnectError("closed while connecting")
+
+        def close(self):
+            closed.set()
+
+    class Unasked(Placer):
+        def connect(self):
+            raise devices.ConfigError("standard input is not a terminal")
+
+    runner, _, _ = make(world, robot=Waiting(), positioner=Unasked())
+    with pytest.raises(devices.ConfigError, match="not a terminal"):
+        runner.run()
+    assert closed.is_set()

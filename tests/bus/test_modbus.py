@@ -1,3 +1,4 @@
+import sys
 import threading
 
 import pytest
@@ -124,6 +125,49 @@ def test_the_wrong_box_is_refused():
             assert sensor.read() == {"t": 4711.0}
         with pytest.raises(IdentityError, match="4711, not as 12"):
             ModbusSensor("s", "", {**link, "identity": {**good, "equals": 12}}).connect()
+
+
+def test_a_drive_that_is_off_is_not_sent_anywhere():
+    ready = Register(address=6, table="coil")
+    with fake() as server, ModbusPositioner("p", "", options(server, ready=ready.model_dump())) as positioner:
+        with pytest.raises(DeviceFault, match="not ready to go to station 1; switch its drive on"):
+            positioner.go_to("1", "")
+        assert server.positioner.target is None
+        server.values.append((ready, lambda: 1.0))
+        positioner.go_to("1", "")
+        assert server.positioner.station == "1"
+
+
+def test_a_station_beyond_the_limits_is_refused_before_connecting():
+    with pytest.raises(ConfigError, match=r"station 2 at 152\.5 is outside the limits 0\.\.150"):
+        ModbusPositioner("p", "", {"host": "h", "stations": {1: 1.0, 2: 152.5}, "position": POSITION, "in_position": FLAG, "limits": [0, 150]})
+
+
+def test_a_probe_beyond_what_it_can_read_is_broken():
+    arm = {"address": 4, "type": "int16", "scale": 0.1, "valid": [-20, 80]}
+    with FakeModbus(values=[(Register(**arm), lambda: 850.0)]) as server:
+        with ModbusSensor("s", "", {"host": server.host, "port": server.port, "values": {"robot_C": arm}}) as sensor:
+            with pytest.raises(DeviceFault, match="850 for robot_C"):
+                sensor.read()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
+def test_rtu_over_a_terminal_device_and_the_cable_pulled():
+    with fake() as server:
+        server.stop()
+    with FakeModbus(server.positioner, rtu=True) as server:
+        from mbcacq_fakes.terminal_bridge import TerminalBridge
+
+        with TerminalBridge(server.host, server.port) as cable:
+            link = {k: v for k, v in options(server).items() if k not in ("host", "port")}
+            with ModbusPositioner("p", "", {**link, "serial": cable.url, "parity": "N", "baudrate": 115200}) as positioner:
+                positioner.go_to("2", "")
+                # unit 1 | write 16, address 10, 2 registers, 4 bytes, 152.5 as IEEE 754 | CRC
+                assert server.received[0][:11] == bytes.fromhex("01 10 000a 0002 04 43188000")
+                assert server.positioner.station == "2"
+                cable.unplug()
+                with pytest.raises(DeviceTimeout, match=r"broke the connection|was lost|gave no valid answer"):
+                    positioner.go_to("1", "")
 
 
 @pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu"])

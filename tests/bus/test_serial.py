@@ -1,11 +1,12 @@
 import socket
 import threading
+import time
 
 import pytest
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_fakes.serial_sensor import FakeSerialSensor
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, IdentityError, ProtocolError
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
 
 LINE = r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)"
 
@@ -15,6 +16,24 @@ def test_streamed_lines_become_named_values():
         with SerialSensor("s", "probe", {"port": fake.url, "line": LINE, "units": {"air_C": "C"}}) as sensor:
             assert sensor.read() == {"air_C": 21.5, "robot_C": 28.0}
             assert [(f.name, f.unit) for f in sensor.describe().fields] == [("air_C", "C"), ("robot_C", "")]
+
+
+def test_raw_numbers_are_scaled_and_a_broken_probe_is_named_on_a_terminal_device():
+    spec = {"line": r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)", "scale": {"air_C": 0.1}, "offset": {"air_C": -5.0},
+            "valid": {"robot_C": [-20, 80]}}
+    said = ["T=255 R=31"]
+    with FakeSerialSensor(lambda: said[0], pty=True) as fake:
+        assert fake.url.startswith("/dev/")
+        with SerialSensor("s", "", {"port": fake.url, **spec}) as sensor:
+            assert sensor.read() == pytest.approx({"air_C": 20.5, "robot_C": 31.0})
+            said[0] = "T=255 R=850"
+            deadline = time.monotonic() + 10
+            while time.monotonic() < deadline and sensor._values["robot_C"] != 850:
+                time.sleep(0.01)
+            with pytest.raises(DeviceFault, match="850 for robot_C; is its probe connected"):
+                sensor.read()
+    with pytest.raises(ConfigError, match="scale names 'air', which line does not"):
+        SerialSensor("s", "", {"port": "x", "line": LINE, "scale": {"air": 0.1}})
 
 
 def test_a_line_cut_in_half_is_not_taken():

@@ -28,6 +28,21 @@ def test_truth_is_recovered_without_noise():
     assert found.rank == 24 + 6 * 8
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("options", [Options(), Options(method="paper", pairs="all")], ids=["ml", "paper"])
+def test_data_without_any_noise_give_no_negative_variance(options):
+    """The information then spans more digits than a double has; what is stated for the noise ends at 10 nm and 1 nrad."""
+    cell = scanner_cell(np.random.default_rng(1), noise=(0, 0, 0), joint_rad=0, preliminary=True)
+    found = calibrate(cell.observations, options)
+    assert np.all(np.diag(found.covariance) >= 0)
+    result = found.to_dict()
+    assert all(np.isfinite(p["std"]) for p in result["parameters"] if p["std"] is not None)
+    assert all(abs(c["correlation"]) <= 1 + 1e-9 for c in result["correlated"])
+    np.testing.assert_allclose(found.noise.point, 1e-5, rtol=1e-6)
+    if options.method == "ml":
+        np.testing.assert_allclose(found.errors, cell.errors, atol=1e-7)
+
+
 def test_normalised_errors_follow_chi_square(cell):
     """Monte Carlo: d' inv(C) d of all free parameters has mean g, within its sampling error."""
     rng = np.random.default_rng(2)

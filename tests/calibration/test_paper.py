@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import HAND_EYE, MBC, scanner_cell, tracker_cell
+from cells import HAND_EYE, MBC, measure, scanner_cell, tracker_cell
 
 from mbcacq.calibration import Options, calibrate, verify
 from mbcacq.calibration.paper import angles, distance, hand_eye, method
+from mbcacq.calibration.paper.propagation import scanner_noise
+from mbcacq.calibration.uncertainty import distance_uncertainty
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 
@@ -50,7 +52,7 @@ def test_adjustment_restores_the_shape_but_not_the_scale():
     T = se3.exp(rng.normal(size=(20, 6)) * np.array([50, 50, 50, 0.5, 0.5, 0.5]))
     true = 1.002 * se3.apply(T[:, None], MBC[None])
     measured = true + rng.normal(size=true.shape) * 0.05
-    corrected, curve = angles.adjust(measured, MBC)
+    corrected, curve, _ = angles.adjust(measured, MBC)
 
     def shape(points):
         d = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
@@ -68,7 +70,7 @@ def test_adjustment_restores_the_shape_but_not_the_scale():
 
 
 def test_l_curve_can_be_drawn(tmp_path):
-    _, curve = angles.adjust(MBC[None] + np.random.default_rng(3).normal(size=(4, 8, 3)) * 0.01, MBC)
+    _, curve, _ = angles.adjust(MBC[None] + np.random.default_rng(3).normal(size=(4, 8, 3)) * 0.01, MBC)
     curve.plot(tmp_path / "curve.html")
     assert "ridge parameter" in (tmp_path / "curve.html").read_text()
 
@@ -117,7 +119,7 @@ def test_distance_constraint_identifies_arm_and_hand_eye_without_noise():
 
 def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(cell):
     obs = cell.observations
-    published, ours = calibrate(obs, Options(method="paper")), calibrate(obs)
+    published, ours = calibrate(obs, Options(method="paper", pairs="four")), calibrate(obs)
     theirs = verify(obs, published).to_dict()
     assert theirs["after"]["mean_mm"] < theirs["before"]["mean_mm"]
     assert verify(obs, ours).to_dict()["after"]["mean_mm"] < 0.5 * theirs["after"]["mean_mm"]
@@ -130,10 +132,47 @@ def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(c
     assert "theta_1" not in published.held
 
 
+def test_one_pair_of_balls_is_what_is_printed(cell):
+    """64 poses at eight places: 8 x 8 x 7 / 2 pairs of poses, each with ball a in one and b in the other, both ways: 448 distances of one length."""
+    found = {how: calibrate(cell.observations, Options(method="paper", pairs=how)) for how in ("one", "four", "all")}
+    assert [c.extra["stages"][-1]["distances"] for c in found.values()] == [448, 6 * 448, 28 * 448]
+    obs = cell.observations.select(cell.observations.phase == "position")
+    at = method.constraint(obs, "one")
+    four = method.constraint(method.several_balls(obs, "four"), "one")
+    assert np.ptp(at.certified) < 1e-9
+    assert at.certified[0] == pytest.approx(max(np.linalg.norm(a - b) for a in MBC for b in MBC))
+    assert four.certified[0] <= at.certified[0]
+
+
+@pytest.mark.parametrize(("how", "draws"), [("one", 60), ("four", 60), ("all", 30)])
+def test_stated_uncertainty_is_the_scatter_of_repetitions(how, draws):
+    """Nearly centred artefact (3 mm): distances share centres, scans and joints. The bars' errors are nearly one
+    number a draw, so that the rms of error over sigma is 1 within 3 / sqrt(2 draws)."""
+    rng = np.random.default_rng(44)
+    cell = scanner_cell(rng, stations=8, per_station=8, bars=4, preliminary=True, tilt_deg=25)
+    ends = cell.observations.select(cell.observations.phase == "verification")
+    used = cell.observations.select(cell.observations.phase != "verification")
+    exact = measure(ends, cell.truth, rng, (0, 0, 0), 0)
+    ratio = []
+    for _ in range(draws):
+        found = calibrate(measure(used, cell.truth, rng, (0.005, 0.005, 0.009), 8e-6), Options(method="paper", pairs=how, refuse=False))
+        places = verify(exact, found.state).places
+        a, b = (np.array([np.flatnonzero((exact.station[exact.pose] == s) & (exact.ball == ball))[0] for s in range(8, 12)]) for ball in (8, 9))
+        sigma = distance_uncertainty(found, exact.q[exact.pose[a]], exact.xyz[a], exact.q[exact.pose[b]], exact.xyz[b])
+        ratio.append(np.array([p.after_mm for p in places]) / sigma)
+    assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1, abs=3 / np.sqrt(2 * draws))
+
+
+def test_scanner_noise_is_read_off_the_shape_of_the_scans(cell):
+    np.testing.assert_allclose(scanner_noise(cell.observations), [0.005, 0.005, 0.009], rtol=0.05)
+    noise = calibrate(cell.observations, Options(method="paper", pairs="all")).noise
+    np.testing.assert_allclose(noise.joint, 8e-6, rtol=0.4)
+
+
 def test_refusals(cell):
     with pytest.raises(CalibrationError, match="scanner on the flange"):
         calibrate(tracker_cell(np.random.default_rng(1)).observations, Options(method="paper"))
     obs = cell.observations
     two = obs.ball < 2
-    with pytest.raises(CalibrationError, match="same four balls"):
+    with pytest.raises(CalibrationError, match="needs four balls"):
         calibrate(replace(obs, pose=obs.pose[two], ball=obs.ball[two], xyz=obs.xyz[two]), Options(method="paper"))

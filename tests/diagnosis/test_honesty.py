@@ -8,7 +8,8 @@ import pytest
 
 from mbcacq.calibration.forward import Displacements
 from mbcacq.diagnosis import finding
-from mbcacq.diagnosis.diagnose import diagnose, verdict_of
+from mbcacq.diagnosis.conclude import verdict_of
+from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.errors import CalibrationError
 
 
@@ -29,7 +30,7 @@ def test_clean_cells_with_outliers_are_clean(plan):
 def test_noise_is_estimated_whatever_the_cell_file_says(plan):
     told = replace(plan, cell=replace(plan.cell, noise_mm=None))
 
-    found = finding.find(finding.prepare(made.observe(told, 106)), structure=False)
+    found = finding.find(finding.prepare(made.observe(told, 106)))
 
     np.testing.assert_allclose(found.noise.point, made.POINT_NOISE, rtol=0.15)
     np.testing.assert_allclose(np.exp(np.mean(np.log(found.noise.joint))), made.JOINT_NOISE, rtol=0.25)
@@ -68,8 +69,7 @@ def test_an_unnamed_scanner_error_is_located_in_the_scanner(plan):
     found = finding.find(finding.prepare(made.observe(plan, 109, [cubic_lens])))
 
     assert verdict_of(found) == "unexplained"
-    assert found.leftover.spots[0].at == "scanner"
-    assert found.leftover.spots[0].depends_on == "x"
+    assert (found.cells[0].at, found.cells[0].depends_on) == ("scanner", "x")
 
 
 def test_too_few_poses_are_refused(plan):

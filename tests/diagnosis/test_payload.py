@@ -8,7 +8,7 @@ import pytest
 from mbcacq.challenge import made as concealed
 from mbcacq.challenge.envelopes import Envelope
 from mbcacq.diagnosis import base_fit, finding
-from mbcacq.diagnosis.diagnose import verdict_of
+from mbcacq.diagnosis.conclude import verdict_of
 from mbcacq.geometry import gravity
 from mbcacq.physics import payload
 from mbcacq.physics.situation import Situation
@@ -48,7 +48,7 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
 def test_elastic_joints_under_the_declared_tool_are_not_told_as_a_wrong_tool(seeing):
     hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
 
-    found = finding.find(finding.prepare(observed(seeing, 103, hidden)), structure=False)
+    found = finding.find(finding.prepare(observed(seeing, 103, hidden)))
 
     assert {c.name for c, _ in found.model.members} == {"joint_compliance"}
 

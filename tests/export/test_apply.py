@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mbcacq.cli.app import app
 from mbcacq.cli.apply import command
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
@@ -14,6 +15,7 @@ from mbcacq.lazy import open3d
 from mbcacq.report.apply import place_scan
 from mbcacq.report.export.folder import chains
 
+ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])
 
 
@@ -59,6 +61,36 @@ def test_wrong_joints_are_refused(solved):
         place_scan(solved[0], Q[:5], np.zeros((1, 3)))
     with pytest.raises(ConfigError, match="not a finite number"):
         place_scan(solved[0], Q * np.nan, np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize(("joint", "angle"), [(0, 170.1), (2, -171.0), (5, 361.0)])
+def test_joints_the_arm_cannot_reach_are_refused(solved, result_file, tmp_path, joint, angle):
+    """Limits of this arm: -170 to 170 deg on every axis."""
+    q = np.degrees(Q)
+    q[joint] = angle
+    with pytest.raises(ConfigError, match=f"joint {joint + 1} at {angle:g} deg is outside its limits -170 to 170 deg"):
+        place_scan(solved[0], np.radians(q), np.zeros((1, 3)))
+    (tmp_path / "scan.ply").write_text(ONE_POINT)
+    outcome = CliRunner().invoke(app, ["apply", str(result_file), "--joints", ",".join(map(str, q)), str(tmp_path / "scan.ply")])
+    assert outcome.exit_code == 2
+    assert not (tmp_path / "scan_base.ply").exists()
+
+
+def test_an_angle_on_its_limit_and_a_result_without_limits_are_taken(solved):
+    on = np.radians([170.0, -60, 95, 15, 35, 20])
+    place_scan(solved[0], on, np.zeros((1, 3)))
+    older = {**solved[0], "robot": {k: v for k, v in solved[0]["robot"].items() if k != "limits"}}
+    place_scan(older, on + 0.2, np.zeros((1, 3)))
+
+
+def test_the_uncertainty_of_the_cloud_is_printed(solved, result_file, tmp_path):
+    (tmp_path / "scan.ply").write_text(ONE_POINT)
+    outcome = CliRunner().invoke(app, ["apply", str(result_file), "--joints", ",".join(map(str, np.degrees(Q))), str(tmp_path / "scan.ply")])
+    _, placed = place_scan(solved[0], Q, np.array([[1.0, 2, 3]]))
+    assert outcome.exit_code == 0
+    assert f"3D {placed.rms_mm:.4f} mm" in outcome.stdout
+    for sigma in placed.total_mm:
+        assert f"{sigma:.4f}" in outcome.stdout
 
 
 def test_the_command_keeps_what_the_cloud_carries(solved, result_file, tmp_path):

@@ -1,28 +1,17 @@
 """All formats of one result, through the command line's options."""
 
-import click
+import json
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from test_urdf import CHAIN, URDF, follow
 
+from mbcacq.cli.export import command
 from mbcacq.errors import ConfigError
-from mbcacq.geometry import se3
 from mbcacq.report.export import kuka, ros
-from mbcacq.report.export.cli_options import export_results, result_options
 from mbcacq.report.export.folder import chains
 from mbcacq.report.export.result_json import load_result
-
-
-@click.command()
-@click.argument("run")
-@click.option("--force", is_flag=True)
-@result_options
-def command(run, force, **options):
-    from pathlib import Path
-
-    for line in export_results(Path(run), force=force, **options):
-        click.echo(line)
 
 
 def run(*arguments):
@@ -56,8 +45,8 @@ def test_the_patched_urdf_is_the_calibrated_arm(solved, result_file, tmp_path):
     _, calibrated = chains(solved[0])
     q = np.random.default_rng(0).uniform(-1, 1, 6)
     np.testing.assert_allclose(follow(patched, q) @ tool, calibrated.flange(q[None])[0], atol=2e-5)
-    in_urdf = follow(patched, np.zeros(6), last="tool0-scanner_frame")
-    np.testing.assert_allclose(se3.inverse(follow(patched, np.zeros(6))) @ in_urdf, solved[0]["T_flange_scanner"], atol=2e-5)
+    in_urdf = follow(patched, q, last="tool0-scanner_frame")
+    np.testing.assert_allclose(in_urdf, calibrated.flange(q[None])[0] @ solved[0]["T_flange_scanner"], atol=2e-5)
 
 
 def test_a_diff_against_the_controllers_file(result_file, tmp_path):
@@ -90,7 +79,17 @@ def test_a_certificate_becomes_an_artefact_file(tmp_path):
 
 
 def test_nothing_asked_for_nothing_done(result_file):
-    assert run(result_file).output == ""
+    with pytest.raises(ConfigError, match="nothing to export"):
+        run(result_file)
+
+
+def test_what_was_written_is_said_to_machines_too(result_file, tmp_path):
+    said = json.loads(run(result_file, "--results", tmp_path / "out", "--json").stdout)
+    assert said["format"] == "mbcacq-export/1"
+    assert {w["file"] for w in said["written"]} == {str(p) for p in (tmp_path / "out").iterdir()}
+    (tmp_path / "c.csv").write_text("label,x,y,z,d,U,k\nS1,1,2,3,12,0.002,2\nS2,31,2,3,12,0.002,2\n")
+    said = json.loads(run(tmp_path / "c.csv", "--artefact", "mbc", "--output", tmp_path / "mbc.yaml", "--json").stdout)
+    assert said["written"] == [{"file": str(tmp_path / "mbc.yaml"), "balls": 2, "uncertainty_mm": 0.001}]
 
 
 def test_an_earlier_export_is_replaced_only_when_told(result_file, tmp_path):

@@ -131,7 +131,9 @@ def test_the_scanner_is_added_once_and_then_updated(file, tmp_path):
     joints = [j for j in etree.fromstring(twice).iter("joint") if j.find("child").get("link") == "eye"]
     assert len(joints) == 1
     assert joints[0].find("parent").get("link") == "tool0"
-    assert [float(v) for v in joints[0].find("origin").get("xyz").split()] == [0.001, 0.002, 0.266]
+    # tool0 of this file looks out of the arm, the flange of the MD-H chain into it: half a turn about x lies between them.
+    assert [float(v) for v in joints[0].find("origin").get("xyz").split()] == [0.001, -0.002, -0.266]
+    assert [float(v) for v in joints[0].find("origin").get("rpy").split()] == [0, 0, 0]
 
 
 def test_another_robot_is_refused(file):

@@ -8,8 +8,11 @@ import pytest
 from mbcacq_fakes.gocator import FakeGocator
 from mbcacq_fakes.gocator.discovery import Discovery
 from mbcacq_gocator.discovery import find_sensors, parse_reply
+from mbcacq_gocator.driver import Gocator
+from mbcacq_gocator.locate import elsewhere
+from mbcacq_gocator.options import Options
 
-from mbcacq.devices import ProtocolError
+from mbcacq.devices import ConnectError, IdentityError, ProtocolError
 
 REQUEST = bytes.fromhex("20 00 00 00 00 00 00 00 05 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00 00 00 00 00 00 00 00 00")
 HEAD = bytes.fromhex("ea 00 00 00 00 00 00 00 05 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00 41 00 39 30 00 00 0c 20 01 06")
@@ -76,3 +79,43 @@ def test_sensor_is_found_with_its_own_ports_by_a_broadcast_reply(frame):
         assert find_sensors(0.2, "127.0.0.1", sensor.discovery_port, serial=778) == []
     assert [(f.serial, f.model, f.address) for f in found] == [(777, "3210", "127.0.0.1")]
     assert (found[0].control_port, found[0].health_port, found[0].data_port) == sensor.ports
+
+
+def test_firmware_before_5_1_tells_its_address_only():
+    reply = bytes.fromhex("50 00 00 00 00 00 00 00 01 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00"
+                          "39 30 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 0a 00 00 07 00 00 00 00 ff ff fe 00"
+                          "00 00 00 00 0a 00 00 01 00 00 00 00 00 00 00 00")
+    found = parse_reply(reply)
+    assert (found.serial, found.address, found.prefix_length, found.gateway, found.dhcp) == (12345, "10.0.0.7", 23, "10.0.0.1", True)
+    assert (found.firmware, found.control_port, found.health_port, found.data_port) == ((0, 0, 0, 0), 3190, 3194, 3196)
+    with pytest.raises(ProtocolError):
+        parse_reply(reply[:24] + b"X" + reply[25:])
+
+
+@pytest.fixture
+def network(frame):
+    """Options that look for sensors on the loopback's own broadcast address, where two answer."""
+    with FakeGocator(lambda e: frame, discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777) as sensor:
+        yield {"broadcast": "127.0.0.1", "discovery_port": sensor.discovery_port}
+
+
+def test_a_plan_may_name_the_serial_number_instead_of_an_address(network):
+    with Gocator("eye", "3210", {"serial": 777, **network}) as scanner:
+        assert scanner.describe().serial == "777"
+        assert len(scanner.capture().points) == 228
+
+
+def test_a_sensor_that_does_not_answer_is_told_with_those_that_do(network):
+    with pytest.raises(ConnectError, match="no Gocator with serial 778 answers a broadcast .found: 3210 serial 777 at 127.0.0.1"):
+        Gocator("eye", "", {"serial": 778, **network}).connect()
+
+
+def test_another_serial_at_the_plans_address_is_refused(fake, driver):
+    with pytest.raises(IdentityError, match="asks for the Gocator with serial 99 but the sensor at 127.0.0.1 is serial 12345"):
+        driver(serial=99).connect()
+
+
+def test_a_wrong_address_is_answered_with_what_is_there(network):
+    options = Options.read("eye", {"address": "192.0.2.7", **network})
+    error = elsewhere(ConnectError("cannot be reached"), options)
+    assert str(error) == "cannot be reached; found: 3210 serial 777 at 127.0.0.1"

@@ -95,6 +95,7 @@ def test_exposure_changes_while_running_in_trigger_mode(frame):
         scanner.capture(700)
         scanner.stop()
         assert not sensor.running
+        scanner.connect()
         scanner.capture()
     assert asked == [500, 700, 700]
     assert not sensor.running
@@ -197,6 +198,9 @@ def test_stop_from_another_thread_ends_a_waiting_capture(fake, driver):
     assert not thread.is_alive()
     assert isinstance(raised[0], devices.Aborted)
     fake.faults.clear()
+    with pytest.raises(devices.Aborted, match="was stopped; connect it again"):
+        scanner.capture()
+    scanner.connect()
     assert len(scanner.capture().points)
 
 

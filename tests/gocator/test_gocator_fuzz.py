@@ -6,6 +6,7 @@ import struct
 import tracemalloc
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mbcacq_gocator import layouts
@@ -55,6 +56,16 @@ def test_any_announced_size(kind, attribute_size, length, width, rest):
     body = struct.pack("<HII", attribute_size, length, width) + rest
     message = struct.pack("<IH", 6 + len(body), kind) + body
     within_memory(lambda: read(message), message, 50)
+
+
+@pytest.mark.parametrize("kind", [layouts.UNIFORM_SURFACE, layouts.SURFACE_POINTS])
+@pytest.mark.parametrize("shape", [(0, 2**26), (2**26, 0), (0, 2**32 - 1)])
+def test_a_surface_without_points_takes_no_memory(kind, shape):
+    attributes = struct.pack("<II3I3iBIBii", *shape, 1000, 1000, 1000, 0, 0, 0, 0, 0, 0, 6, 0)
+    body = struct.pack("<H", len(attributes)) + attributes
+    message = struct.pack("<IH", 6 + len(body), kind) + body
+    within_memory(lambda: read(message), message, 50)
+    assert len(surface_points(decode(message)[0]).points) == 0
 
 
 @given(data=st.binary(max_size=200))

@@ -38,7 +38,7 @@ def test_ci_runs_what_the_readme_says():
         assert part in ci
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/README.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/index.md"])
 def test_links_lead_somewhere(name):
     import re
 

@@ -57,3 +57,37 @@ def test_blocks_are_closed(name):
     for begin, end in (("DEF ", "END"), ("IF ", "ENDIF"), ("FOR ", "ENDFOR"), ("DEFDAT ", "ENDDAT")):
         assert sum(line.startswith(begin) for line in lines) == lines.count(end)
     assert all(len(line) <= 24 for line in (w for text in lines for w in text.replace("(", " ").split() if w.startswith("MBCACQ")))
+
+
+def test_the_three_files_of_old_rsi_say_the_same():
+    """RSIVisual keeps a drawing (.rsi.diagram) and its model (.rsi) beside the file that is executed (.rsi.xml)."""
+    done = fromstring(read("rsi3/mbcacq.rsi.xml"))
+    model = fromstring(read("rsi3/mbcacq.rsi"))
+    ns = "{http://schemas.microsoft.com/dsltools/RSIVisual}"
+    elements = {e.get("name"): e for e in model.iter(f"{ns}rSIElement")}
+    executed = {o.get("ObjID"): o for o in done.iter("RSIObject")}
+    assert {n: (e.get("objType"), e.get("objTypeID")) for n, e in elements.items()} == {n: (o.get("ObjType"), o.get("ObjTypeID")) for n, o in executed.items()}
+    modes = {"ExitMoveCorr": "4"}
+    for name, element in elements.items():
+        values = {(p.get("name"), p.get("index")): modes.get(p.get("value"), p.get("value")) for p in element.iter(f"{ns}rSIParameter")}
+        assert values == {(p.get("Name"), p.get("ParamID")): p.get("ParamValue") for p in executed[name].iter("Parameter")}
+    linked = {(n, p.get("name")): source.get("name") for n, e in elements.items() for p in e.iter(f"{ns}rSIInPort") for source in p.iter(f"{ns}rSIOutPortMoniker")}
+    assert linked == {("AXISCORR1", f"CorrA{i}"): f"//ETHERNET1/Out{i + 1}" for i in range(1, 7)} | {("STOP1", "In1"): "//ETHERNET1/Out1"}
+
+    drawing = fromstring(read("rsi3/mbcacq.rsi.diagram"))
+    ports = {shape.get("Id"): shape[0].get("name") for shape in drawing.iter() if shape.tag.endswith("PortShape")}
+    assert len(set(ports)) == len(ports)
+    drawn = {ports[c.find("nodes/rSIInPortShapeMoniker").get("Id")]: ports[c.find("nodes/rSIOutPortShapeMoniker").get("Id")] for c in drawing.iter("rSISignalConnector")}
+    assert drawn == {f"//{obj}/{port}": source for (obj, port), source in linked.items()}
+    shown = {p for shape in drawing.iter("rSIElementShape") for p in (m.get("name") for m in shape.iter() if m.tag.endswith("PortMoniker"))}
+    assert shown == {f"//{n}/{p.get('name')}" for n, e in elements.items() for kind in ("rSIInPort", "rSIOutPort") for p in e.iter(f"{ns}{kind}")}
+
+
+def test_iiqka_sets_the_same_limits_by_its_own_functions():
+    kss, new = (read(f"{folder}/mbcacq_rsi.src").decode() for folder in ("rsi4", "rsi_iiqka"))
+    assert [line for line in kss.splitlines() if "mbcacq_set(" in line] == [line for line in new.splitlines() if "mbcacq_set(" in line]
+    for old in ("RSI_CREATE", "RSI_ON(", "RSI_OFF", "RSI_DELETE", "RSI_SetPublicPar", "IR_STOPM", "contid"):
+        assert old in kss
+        assert old not in new
+    for name in ("RSI_LOAD", "RSI_ACTIVATE", "RSI_PROCESS_ON(#ABSOLUTE)", "RSI_PROCESS_OFF", "RSI_SetParameter"):
+        assert name in new

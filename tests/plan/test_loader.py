@@ -1,5 +1,7 @@
 """Every fault of a file becomes one sentence with the right file and line."""
 
+import os
+
 import numpy as np
 import pytest
 from conftest import PLANS
@@ -101,6 +103,9 @@ def test_no_plan_no_directory_no_text(tmp_path):
         load(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match="the plan cannot be read"):
         load(tmp_path)
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(ConfigError, match="it is a pipe or a device"):
+        load(tmp_path / "pipe.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"a: 1\nname: Pr\xfcfling\n")
     with pytest.raises(ConfigError, match=r"latin\.yaml:2: the plan is not UTF-8 text"):
         load(tmp_path / "latin.yaml")

@@ -97,3 +97,15 @@ def test_a_path_that_is_nothing_names_what_is_accepted(tmp_path):
     for path in (tmp_path, tmp_path / "notes.txt", tmp_path / "absent"):
         with pytest.raises(ConfigError, match=r"a run folder \(with run\.rrd\), a recording \(\.rrd\), or an observation-set folder"):
             load(path)
+
+
+def test_keys_of_other_programs_are_passed_over(a_set):
+    path = a_set / "cell.yaml"
+    plain = load(a_set)
+    text = path.read_text()
+    text = text.replace("d_mm: 515", "colour: red, d_mm: 515").replace("id: 7, ", "id: 7, glued: true, ").replace("id: far", "shelf: 3, id: far")
+    path.write_text(text + "made_by: another program\n")
+    assert text.count("colour") == text.count("glued") == text.count("shelf") == 1
+    strange = load(a_set)
+    assert strange.cell.ball_ids == plain.cell.ball_ids
+    assert (strange.cell.robot.chain.rows == plain.cell.robot.chain.rows).all()

@@ -270,23 +270,28 @@ def test_the_result_stands_beside_the_run(a_run):
     assert load(a_run).n_poses == 4
 
 
-def test_a_comparison_shows_both_residuals(a_set, tmp_path):
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, beside):
     from rerun.chunk import RrdReader
 
-    from mbcacq.calibration.forward import CellState
-    from mbcacq.recording import write_comparison
+    from mbcacq.recording import write_diagnosis
 
-    obs = load(a_set)
-    state = CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, np.tile(np.eye(4), (2, 1, 1)), obs.cell.ball_centres)
+    obs = load(a_run)
     before = np.array([[0.003, 0, 0], [0, 0.004, 0], [0, 0, 0.005]])
-    path = write_comparison(tmp_path / "errors.rrd", obs, state, before, before / 10, "# Why")
+    centres = {"pose": [0, 0, 1], "ball": [1, 2, 1], "point_mm": np.eye(3).tolist(), "before_mm": before.tolist(), "after_mm": (before / 10).tolist(), "of": 3}
+    cause = {"name": "q2", "label": "angle of A2", "unit": "deg", "values": [10.0, 10.0, 30.0]}
+    path = write_diagnosis(tmp_path / "errors.rrd", obs, "# Why", {"centres": centres, "causes": [cause]}, a_run if beside else None)
     curves = {}
-    for chunk in RrdReader(path).stream().filter(content=f"/{layout.RESIDUAL}/**"):
+    for chunk in RrdReader(path).stream().filter(content=f"/{layout.DIAGNOSIS}/**"):
         batch = chunk.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
             curves[chunk.entity_path.rsplit("/", 1)[1]] = np.concatenate(batch.column("Scalars:scalars").to_pylist())
+            assert (layout.TIME in batch.schema.names) == beside                # a run's own clock, where there is one
     np.testing.assert_allclose(curves["before"], [1e3 * np.sqrt((0.003**2 + 0.004**2) / 2), 5.0])      # um, rms of a pose
     np.testing.assert_allclose(curves["after"], curves["before"] / 10)
+    np.testing.assert_allclose(curves["q2"], [10.0, 30.0])
+    if beside:
+        assert RrdReader(path).recordings()[0].recording_id == Recording(a_run / "run.rrd").recording_id
 
 
 def test_subscribers_may_call_from_several_threads(tmp_path):

@@ -101,6 +101,6 @@ def test_the_cycles_of_a_run_are_a_trajectory(a_run):
     sent = [e.cycles.columns for e in synthetic.run() if isinstance(e, CyclesReceived)]
     t = trajectory_of_run(a_run)
     np.testing.assert_array_equal(t.q, np.concatenate([c["q"] for c in sent]))
-    np.testing.assert_array_equal(t.q_set, np.concatenate([c["q_set"] for c in sent]))
+    np.testing.assert_array_equal(t.q_set, np.concatenate([c["q_command"] for c in sent]))
     assert np.all(np.diff(t.time_s) > 0)
     assert t.robot.name == "six axes"

@@ -26,15 +26,18 @@ def headless() -> set[str]:
 
 def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, vulkan, monkeypatch):
     monkeypatch.setattr(viewer, "SETTLE_S", 0.5)
-    picture = tmp_path / "run.png"
+    monkeypatch.setattr(viewer, "TAB_SETTLE_S", 0.5)
     before = headless()
-    viewer.screenshot(viewer.files(a_run), picture, (800, 600), pose=1)
+    pictures = viewer.screenshots(viewer.files(a_run), tmp_path / "pictures", (800, 600), pose=1)
     assert headless() <= before
-    data = picture.read_bytes()
-    assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    width, height = struct.unpack(">II", data[16:24])
-    assert width * 600 == height * 800
-    assert len(data) > 20_000                                   # more than an empty window
+    assert [p.name for p in pictures] == ["cell.png", "motion.png", "spheres.png", "calibration.png", "diagnosis.png"]
+    seen = {p.read_bytes() for p in pictures}
+    assert len(seen) == 5                                       # each tab looks different
+    for data in seen:
+        assert data[:8] == b"\x89PNG\r\n\x1a\n"
+        width, height = struct.unpack(">II", data[16:24])
+        assert width * 600 == height * 800
+        assert len(data) > 20_000                               # more than an empty window
 
 
 def test_files_of_a_run(a_run, tmp_path):
@@ -49,7 +52,7 @@ def test_files_of_a_run(a_run, tmp_path):
 
 def test_a_pose_that_was_not_taken(a_run, tmp_path):
     with pytest.raises(ConfigError, match="pose 99 is not in the recording"):
-        viewer.screenshot(viewer.files(a_run), tmp_path / "run.png", pose=99)
+        viewer.screenshots(viewer.files(a_run), tmp_path, pose=99)
 
 
 def test_a_program_that_hangs_is_stopped(tmp_path, monkeypatch):

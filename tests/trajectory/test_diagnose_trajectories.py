@@ -50,7 +50,7 @@ def recording(seed, *, latency=0.0, compliance=0.0, coulomb=0.0, viscous=0.0, wa
     noise = 1.0 if noise else 0.0
     return SimpleNamespace(
         time_s=t, q=q, q_set=None, q_joint=joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001, torque=drive + noise * rng.normal(0, 0.3, q.shape),
-        motor_torque=None, robot=ARM)
+        motor_torque=None, current=None, robot=ARM)
 
 
 def named(result):
@@ -109,7 +109,7 @@ def test_play():
 def test_uneven_clock_and_missing_channels():
     run = recording(3, latency=0.003)
     keep = np.random.default_rng(0).uniform(size=len(run.time_s)) > 0.05
-    thin = SimpleNamespace(time_s=run.time_s[keep], q=run.q[keep], q_set=None, q_joint=run.q_joint[keep], torque=None, motor_torque=None, robot=ARM)
+    thin = SimpleNamespace(time_s=run.time_s[keep], q=run.q[keep], q_set=None, q_joint=run.q_joint[keep], torque=None, motor_torque=None, current=None, robot=ARM)
     result = diagnose_trajectories([thin])
     assert ("channel_latency", "q_joint") in named(result)
     assert result["fit"]["held_out"]["split"] == "time block"
@@ -117,7 +117,7 @@ def test_uneven_clock_and_missing_channels():
 
 def test_what_cannot_be_compared_is_refused():
     run = recording(1)
-    alone = SimpleNamespace(time_s=run.time_s, q=run.q, q_set=None, q_joint=None, torque=None, motor_torque=None, robot=ARM)
+    alone = SimpleNamespace(time_s=run.time_s, q=run.q, q_set=None, q_joint=None, torque=None, motor_torque=None, current=None, robot=ARM)
     with pytest.raises(ConfigError, match="nothing to compare"):
         diagnose_trajectories([alone])
     back = SimpleNamespace(**{**vars(run), "time_s": run.time_s[::-1]})

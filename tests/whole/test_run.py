@@ -151,16 +151,6 @@ def test_a_scanner_that_is_not_there(tmp_path):
     assert "49977" in sentence
 
 
-def test_a_real_arm_is_not_moved_unasked(tmp_path):
-    from mbcacq.cli.run import ask_before_motion
-    from mbcacq.errors import ConfigError
-
-    for options in ({"bind": "192.168.1.5"}, {"address": "192.168.1.5"}, {}):
-        with pytest.raises(ConfigError, match="--arm"):
-            ask_before_motion(options, "KR 10", 3, arm=False)
-    ask_before_motion({"bind": "127.0.0.1"}, "KR 10", 3, arm=False)
-
-
 @pytest.mark.parametrize("keep", [0.3, 0.9])
 def test_truncated_recording(tmp_path, keep):
     run = tmp_path / "run"
@@ -172,3 +162,20 @@ def test_truncated_recording(tmp_path, keep):
     assert done.returncode in (6, 7), done.stderr
     if done.returncode == 6:
         assert "mbcacq recover" in one_sentence(done)
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory as files here")
+def test_nothing_of_a_run_that_is_killed_with_all_its_children_stays_in_shared_memory(tmp_path):
+    before = set(os.listdir("/dev/shm"))
+    process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", tmp_path / "run"], cwd=ROOT,
+                               stderr=subprocess.DEVNULL, start_new_session=True)
+    journal = tmp_path / "run" / "journal.jsonl"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (journal.exists() and "pose_done" in journal.read_text()):
+        time.sleep(0.02)
+    maps = Path(f"/proc/{process.pid}/maps").read_text()
+    assert "/dev/shm/" in maps     # it does use some
+    ours = {line.split("/dev/shm/")[1].split()[0] for line in maps.splitlines() if "/dev/shm/" in line}
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not ours & set(os.listdir("/dev/shm")) - before

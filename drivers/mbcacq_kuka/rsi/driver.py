@@ -28,6 +28,7 @@ from mbcacq.devices import (
     RobotState,
     SafetyStop,
 )
+from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.eki.client import EkiClient
 from mbcacq_kuka.eki.start import start_by_eki
 from mbcacq_kuka.rsi.options import read_options
@@ -36,7 +37,7 @@ from mbcacq_kuka.rsi.shared import ARRIVED, CLOSE, MOVE, MOVING, STOP, Command, 
 
 _FAULTS: dict[str, type[MbcacqError]] = {
     "connect": ConnectError, "protocol": ProtocolError, "silence": DeviceTimeout, "late": DeviceFault, "follow": SafetyStop,
-    "refused": SafetyStop,
+    "refused": SafetyStop, "coarse": DeviceFault,
 }
 _AFTER = {
     "silence": "look at the smartPAD for the controller's message, then start its RSI program again",
@@ -62,6 +63,11 @@ class KukaRsi:
         self._error: MbcacqError | None = None
         self.port = self._options.port
         self.real_time = False
+
+    @staticmethod
+    def controller_files(name: str, model: str, options: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, str]:
+        """Path -> text of everything that goes onto the controller, for this plan. See controller_files.rsi_files."""
+        return rsi_files(read_options(name, options), facts)
 
     def describe(self) -> Description:
         axes, rate = (6,), 1000.0 / self._options.cycle_ms
@@ -168,6 +174,7 @@ class KukaRsi:
         if "error" in answer:
             raise ConnectError(f"robot '{self._name}': cannot listen on {self._options.bind}:{self._options.port} ({answer['error']}); "
                                "is another program using the port (KUKA's TestServer, a second mbcacq), is the address this computer's?")
+        self._shared.forget()
         self.port, self.real_time = answer["ready"], answer["real_time"]
 
     def _await_session(self) -> None:

@@ -19,8 +19,10 @@ from mbcacq_kuka.rsi.watch import Follow
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _LEARN = 5           # telegrams answered with zero before the session counts as connected
 _PATIENCE = 5        # telegrams that are no use before we say so
+_EMPTY = 50          # the same for those that are only empty: they queue up while we start
 _STILL_DEG = 1e-3    # less motion in a cycle is standing still
 _REST_CYCLES = 5     # standing still so long is being at rest
+_COARSE_CYCLES = 100  # standing so long next to the target: look whether rounding hides the arrival
 _END_CYCLES = 12     # and so long, before the session is ended
 _STOP_CYCLES = 125
 _CLOSE_S = 5.0
@@ -108,7 +110,7 @@ class Session:
             return self._no_use(f"datagrams arrive from {_text(source)}, but they are no RSI telegrams: {error}")
         slots = parser.slots("AIPos", AXES)
         if slots is None:  # RSI 2 may begin with a nearly empty telegram
-            self._no_use("the telegrams carry no AIPos; add DEF_AIPos to the SEND section of the RSI Ethernet configuration")
+            self._no_use("the telegrams carry no AIPos; add DEF_AIPos to the SEND section of the RSI Ethernet configuration", _EMPTY)
             return self._composer.compose((0.0,) * 6, digits)
         self._axes: Callable[[Sequence[float]], tuple[float, ...]] = itemgetter(*slots)
         start, delay, planned = self._axes(row), parser.slots("Delay", ("D",)), parser.slots("ASPos", AXES)
@@ -126,9 +128,9 @@ class Session:
         self.last_heard = now
         return self._learn(int(digits), digits, row, start, now)
 
-    def _no_use(self, reason: str) -> None:
+    def _no_use(self, reason: str, patience: int = _PATIENCE) -> None:
         self._useless += 1
-        if self._useless == _PATIENCE:
+        if self._useless >= patience:
             self._fail("protocol", reason)
 
     def _learn(self, ipoc: int, digits: bytes, row: list[float], measured: tuple[float, ...], now: float) -> bytes | None:
@@ -231,6 +233,9 @@ class Session:
             return
         if any(abs(m - t) > command.tolerance for m, t in zip(measured, command.target, strict=True)):
             self._inside_since = None
+            if self._still == _COARSE_CYCLES and (digits := _rounded_to(measured, command.target)) is not None:
+                self._fail("coarse", f"the telegrams show joint angles with {digits} decimals only, too coarse to see an arrival within "
+                                     f"{command.tolerance:g} deg; set Precision to 6 at the ETHERNET object of the RSI context")
         elif self._inside_since is None:
             self._inside_since = time_s
         elif time_s - self._inside_since >= command.settle_s:
@@ -249,6 +254,11 @@ class Session:
         self._command = None
         if self.connected:
             self._motion.stop()
+
+
+def _rounded_to(measured: Sequence[float], target: Sequence[float]) -> int | None:
+    """If the arm stands at its target but for rounding: to how many decimals."""
+    return next((d for d in (1, 2, 3) if all(abs(round(t, d) - m) < 1e-9 for m, t in zip(measured, target, strict=True))), None)
 
 
 def _text(source: Any) -> str:

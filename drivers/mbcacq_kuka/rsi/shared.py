@@ -63,11 +63,16 @@ class Shared:
         finally:
             resource_tracker.register = register
 
+    def forget(self) -> None:
+        """Take the block's name away once both sides hold it: it then ends with them, whatever kills them."""
+        if self._owner:
+            self._owner = False
+            self._memory.unlink()
+
     def close(self) -> None:
         self._header.release()
         self._memory.close()
-        if self._owner:
-            self._memory.unlink()
+        self.forget()
 
     # commands: one writer at a time (the driver holds a lock), one reader
 

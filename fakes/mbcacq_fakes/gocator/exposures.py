@@ -64,7 +64,7 @@ class Exposures:
             intensity=bool(sensor.files.number("Setup/IntensityEnabled")), generation=sensor.generation, volume=sensor.volume)
         self.made += 1
         # A client asks right after connecting; its connection may still wait to be accepted.
-        sensor.data.wait_for_client(0.2)
+        sensor.data.wait_for_client(0.5)
         sensor.data.publish(spoil(messages, sensor.faults))
 
     def _timer_due(self) -> bool:

@@ -114,7 +114,7 @@ class Files:
 def _parse(data: bytes) -> ElementTree.Element:
     try:
         root = SafeTree.fromstring(data, forbid_dtd=True)
-    except (ElementTree.ParseError, DefusedXmlException, ValueError):
+    except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError):
         raise Refused(FORMAT) from None
     if root.tag != "Configuration":
         raise Refused(FORMAT)

@@ -54,6 +54,7 @@ class FakeGocator:
         self.settings = dict.fromkeys(("alignment_reference", "recording", "playback_source", "autostart", "quick_edit"), 0)
         self.variables, self.flags, self.encoder = [0, 0, 0, 0], {}, 0
         self.temperature_C = 41.0
+        self.indicators: dict[tuple[int, int], int] = {}    # further ones, by number and instance
         self.running = False
         self.ready = threading.Event()
         self.data, self.health = Publisher(), Publisher()
@@ -215,5 +216,5 @@ class FakeGocator:
         major, minor, release, build = self.firmware
         values = {(20000, 0): int(self.running), (2000, 0): major << 24 | minor << 16 | release << 8 | build, (2017, 0): int(self.uptime_s),
                   (2002, 0): round(self.temperature_C), (2404, 0): round(self.temperature_C) + 4, (1003, 0): self.encoder,
-                  (20005, 0): self.scans, (2007, 0): 12}
+                  (20005, 0): self.scans, (2007, 0): 12, **self.indicators}
         return [encode.health(values)]

@@ -1,5 +1,6 @@
-"""A fake KUKA controller: RSI over UDP and EKI over TCP, with an arm behind it, in a process of its own."""
+"""Fake KUKA controllers: RSI over UDP, and EKI over TCP with the KRL programs of the controller, an arm behind each."""
 
+from mbcacq_fakes.krc.eki_server import FakeEkiController
 from mbcacq_fakes.krc.server import FakeKrc
 
-__all__ = ["FakeKrc"]
+__all__ = ["FakeEkiController", "FakeKrc"]

@@ -33,12 +33,17 @@ class Control:
     def attach(cls, name: str) -> Control:
         return cls(attach_shared_memory(name), False)
 
+    def forget(self) -> None:
+        """Take the block's name away once both sides hold it: it then ends with them, whatever kills them."""
+        if self._owner:
+            self._owner = False
+            self._memory.unlink()
+
     def close(self) -> None:
         self._double.release()
         self._int.release()
         self._memory.close()
-        if self._owner:
-            self._memory.unlink()
+        self.forget()
 
     def set_faults(self, values: dict[str, float]) -> None:
         for name, value in values.items():

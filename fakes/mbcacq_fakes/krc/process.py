@@ -31,7 +31,7 @@ class Controller:
     def __init__(self, settings: KrcSettings, state: ArmState, control: Control, sock: socket.socket, foreign: socket.socket) -> None:
         self._settings, self._state, self._control, self._socket, self._foreign = settings, state, control, sock, foreign
         self._cycle_s = settings.cycle_ms * 1e-3
-        self._arm = Arm(settings.start_deg, self._cycle_s, settings.lag_s)
+        self._arm = _arm(settings, self._cycle_s)
         self._kinematics = Kinematics(settings.dh)
         self._reader = SenReader(settings.correction, settings.stop_element)
         self._random = random.Random(settings.seed)
@@ -131,6 +131,9 @@ class Controller:
                 return
 
     def _telegram(self, ipoc: int, moved: bool) -> bytes:
+        if self._told < self._settings.empty_first:
+            self._told += self._session.active
+            return f'<Rob Type="KUKA"><IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("malformed"):
             return f'<Rob Type="KUKA"><AIPos A1="1.0" A2=<IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("no_aipos"):
@@ -151,6 +154,10 @@ class Controller:
             return self._planned_pose
         if element == "MACur":
             return self._arm.currents()
+        if element == "GearTorque":
+            return getattr(self._arm, "torque", (0.0,) * 6)
+        if element == "AJPos":
+            return getattr(self._arm, "joint_deg", self._arm.q)
         return (self._session.delay,) if element == "Delay" else (0.0,) * 6
 
     def _send(self, telegram: bytes) -> None:
@@ -166,7 +173,7 @@ class Controller:
         self._session = RsiSession(self._settings, self._arm.q)
         self._planned_pose = self._kinematics.pose(self._arm.q)
         self._sessions += 1
-        self._missed = 0
+        self._missed = self._told = 0
 
     def _end_session(self) -> None:
         """The set point stays where it is, so the arm comes to rest; then telegrams are offered again, as if the program was restarted."""
@@ -191,8 +198,8 @@ class Controller:
         for name in self._left:
             self._control.set_faults({name: 0.0})
         self._fault_seq = self._control.fault_seq
-        quirks = {name: self._faults[name] != 0.0 for name in ("spaced", "upper_type", "swap")}
-        self._template = RobTemplate(self._settings.elements, self._settings.precision, **quirks)
+        quirks = {name: self._faults[name] != 0.0 for name in ("upper_type", "swap")}
+        self._template = RobTemplate(self._settings.elements, self._settings.precision, int(self._faults["spaced"]), **quirks)
 
     def _counted(self, name: str) -> bool:
         if not self._left or not self._left.get(name) or not self._session.active:
@@ -212,6 +219,14 @@ class Controller:
         for name, value in (("cycles", self._cycles), ("sessions", self._sessions), ("answers", self._answers), ("late", self._late),
                             ("rejected", self._rejected), ("active", self._session.active), ("ended", self._fault_code)):
             control.count(name, value)
+
+
+def _arm(settings: KrcSettings, cycle_s: float) -> Arm:
+    if settings.moving is None:
+        return Arm(settings.start_deg, cycle_s, settings.lag_s)
+    from mbcacq_fakes.moving.online import MovingArm
+
+    return MovingArm(settings.start_deg, cycle_s, settings.lag_s, settings.moving)
 
 
 def main() -> int:

@@ -45,6 +45,7 @@ class FakeKrc:
         if not self._process.stdout.readline():
             self.stop()
             raise RuntimeError("the fake controller did not start")
+        self._control.forget()
         return self
 
     def stop(self) -> None:

@@ -10,9 +10,10 @@ PROFILES = {
     "sdk": ("RIst", "AIPos", "EIPos", "Delay"),
     "ros": ("RIst", "RSol", "AIPos", "ASPos", "Delay"),
     "minimal": ("AIPos", "Delay"),
+    "motion": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "GearTorque", "AJPos", "Delay"),
 }
 
-ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "Delay")
+ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
 COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign")
 FAULTS = (
     "silence",       # no telegram leaves the controller
@@ -27,7 +28,7 @@ FAULTS = (
     "ignore",        # corrections are accepted and not carried out
     "stop",          # the operator stops the program
     "swap",          # the elements come in reverse order
-    "spaced",        # line feeds between elements, blanks before />
+    "spaced",        # 1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them
     "upper_type",    # TYPE instead of Type
 )
 
@@ -37,8 +38,10 @@ class KrcSettings:
     """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come.
 
     Angles deg, speeds deg/s, accelerations deg/s^2. limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None
-    for the full range. timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg,
-    d_mm, a_mm, alpha_deg, beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
+    for the full range. empty_first: so many nearly empty telegrams begin a session, as with RSI 2. timeout: late packets that end the
+    session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg) from which RIst is computed,
+    or none. layout: a name of PROFILES or the elements themselves.
+    moving: the bodies and drives behind the axes (``mbcacq_fakes.moving.online.description``), or None for an arm without masses.
     lag_s: first-order lag of the arm behind a dead time of two cycles. rearm_s: pause before telegrams are offered again after a fault.
     """
 
@@ -59,8 +62,10 @@ class KrcSettings:
     clamp_deg: float | None = None
     monitor_deg: float | None = None
     precision: int = 6
+    empty_first: int = 0
     layout: str | tuple[str, ...] = "mbcacq"
     dh: tuple[tuple[float, ...], ...] = ()
+    moving: dict[str, Any] | None = None
     lag_s: float = 0.012
     rearm_s: float = 2.0
     log: bool = False

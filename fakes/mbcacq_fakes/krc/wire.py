@@ -10,22 +10,23 @@ _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _POSE = ("X", "Y", "Z", "A", "B", "C")
 _ATTRIBUTES = {"RIst": _POSE, "RSol": _POSE, "AIPos": _AXES, "ASPos": _AXES, "EIPos": _EXTERNAL, "ESPos": _EXTERNAL, "MACur": _AXES,
-               "MECur": _EXTERNAL}
+               "MECur": _EXTERNAL, "GearTorque": _AXES, "AJPos": _AXES}
 _MAX_ANSWER = 16384
+_SPACING = (("", "/>", "="), ("\r\n", " />", "="), ("\n", "/>", "="), ("  ", "  />", " = "))  # between elements, end of one, around =
 
 
 class RobTemplate:
     """Formats ``<Rob>``: values of each element in the order given, Delay as an integer, IPOC last."""
 
-    def __init__(self, elements: Sequence[str], precision: int, spaced: bool = False, upper_type: bool = False, swap: bool = False) -> None:
+    def __init__(self, elements: Sequence[str], precision: int, spaced: int = 0, upper_type: bool = False, swap: bool = False) -> None:
         self.elements = tuple(e for e in elements if e != "IPOC")
-        number, gap, end = f"%.{precision}f", "\r\n" if spaced else "", " />" if spaced else "/>"
+        number, (gap, end, equals) = f"%.{precision}f", _SPACING[spaced]
         parts = []
         for element in self.elements:
             if element == "Delay":
-                parts.append(f'<Delay D="%d"{end}')
+                parts.append(f'<Delay D{equals}"%d"{end}')
             else:
-                parts.append(f"<{element} " + " ".join(f'{a}="{number}"' for a in _ATTRIBUTES[element]) + end)
+                parts.append(f"<{element} " + " ".join(f'{a}{equals}"{number}"' for a in _ATTRIBUTES[element]) + end)
         if swap:
             self.elements = self.elements[::-1]
             parts.reverse()

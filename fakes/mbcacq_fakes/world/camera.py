@@ -14,6 +14,8 @@ from mbcacq_fakes.world.operator import NOBODY, Operator
 from mbcacq_fakes.world.scanner import Scanner
 from mbcacq_fakes.world.world import SCAN, World
 
+BY_POSE = 1_000_000    # draws of poses, apart from those of arrivals
+
 
 class Arm(Protocol):
     """The part of ArmState that is read here."""
@@ -35,6 +37,7 @@ class Camera:
         self._stand: Callable[[], int | None] = lambda: None
         self._mishaps = list(options.mishaps)
         self._right_exposure, self._frames = right_exposure_us, 0
+        self._arrivals, self._here = -1, 0
 
     def __call__(self, exposure_us: float = 0.0) -> Frame:
         reading = self._arm.read()
@@ -43,11 +46,20 @@ class Camera:
         moved = self.world.displaced(at)
         hidden, bump = self.operator.hidden, self.operator.bumps.get(int(at.station[0]))
         scene = self.world.scene(at, moved, hidden, bump, self._options.furniture)
-        rng = np.random.default_rng([self.world.seed, SCAN, self._frames])
-        self._frames += 1
+        rng = np.random.default_rng([self.world.seed, SCAN, *self._draw(reading)])
         points = self.scanner.measure(scene, rng, self._brightness(exposure_us))
         points.xyz[:] = self.world.warp(points.xyz, np.zeros(len(points.xyz), dtype=int), at)
         return self.scanner.frame(points, float(reading.time_s))
+
+    def _draw(self, reading: Any) -> tuple[int, ...]:
+        """What decides the noise of this exposure: how many came before it; or which pose it is taken at, and how many there."""
+        if reading.arrivals != self._arrivals:
+            self._arrivals, self._here = reading.arrivals, 0
+        self._here += 1
+        self._frames += 1
+        if self._options.draws == "course":
+            return (self._frames - 1,)
+        return BY_POSE + self.operator.pose_for(np.array(reading.q)), self._here
 
     def follow(self, stand: Callable[[], int | None]) -> None:
         """From now on ``stand()`` says which station a positioner has driven to (index, or NOBODY)."""
@@ -57,8 +69,9 @@ class Camera:
         q = np.array(reading.q)
         stand = self._stand()
         station = self.operator.station_for(q) if stand is None else stand
+        arrival = reading.arrivals if self._options.draws == "course" else BY_POSE + self.operator.pose_for(q)
         return self.world.moments(
-            q[None], np.array(reading.qd)[None], np.array(reading.direction)[None], np.array([reading.arrivals]),
+            q[None], np.array(reading.qd)[None], np.array(reading.direction)[None], np.array([arrival]),
             np.array([self._time(reading)]), np.array([station]), np.array([self.operator.artefact_at(station)]))
 
     def temperatures(self) -> dict[str, float]:

@@ -29,16 +29,20 @@ class Operator:
     _last: int = 0
 
     def station_for(self, q: np.ndarray) -> int:
-        """Index of the station served for an arm at q (n,) rad; of several equal poses the next one in running order."""
+        """Index of the station served for an arm at q (n,) rad."""
         if self.fixed is not None:
             return self.fixed
+        return int(self.station[pose]) if (pose := self.pose_for(q)) != NOBODY else NOBODY
+
+    def pose_for(self, q: np.ndarray) -> int:
+        """Index of the planned pose nearest to an arm at q (n,) rad; of several equal ones the next in running order."""
         if not len(self.q):
             return NOBODY
         away = np.max(np.abs(self.q - q), axis=1)
         nearest = np.flatnonzero(away <= away.min() + 1e-6)
         later = nearest[nearest >= self._last]
         self._last = int(later[0] if len(later) else nearest[0])
-        return int(self.station[self._last])
+        return self._last
 
     def artefact_at(self, station: int) -> int:
         """Index of the artefact that stands there, NOBODY if none."""

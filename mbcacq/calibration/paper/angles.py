@@ -56,9 +56,9 @@ def angles(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.arccos(np.clip(cosine[..., 0], -1, 1)), out.reshape(len(points), len(corners), -1)
 
 
-def adjust(points: np.ndarray, certified: np.ndarray, ridge: float | None = None) -> tuple[np.ndarray, LCurve]:
-    """Corrected points (P, B, 3) of measured ones, B >= 3 balls with certified centres (B, 3); and the L-curve that gave the ridge
-    parameter, one for all poses. A given ``ridge`` is taken instead."""
+def adjust(points: np.ndarray, certified: np.ndarray, ridge: float | None = None) -> tuple[np.ndarray, LCurve, np.ndarray]:
+    """Corrected points (P, B, 3) of measured ones, B >= 3 balls with certified centres (B, 3); the L-curve that gave the ridge parameter,
+    one for all poses (a given ``ridge`` is taken instead); and (P, 3 B, 3 B) what the adjustment leaves of small errors of the points."""
     corners = triples(points.shape[1])
     measured, B = angles(points, corners)
     wanted, _ = angles(certified[None], corners)
@@ -75,7 +75,8 @@ def adjust(points: np.ndarray, certified: np.ndarray, ridge: float | None = None
     corner = len(grid) - 1 if ridge is not None else corner_of(misfit, size)
     curve = LCurve(grid, misfit, size, corner)
     step = np.einsum("pij,pi->pj", Vt, s / (s**2 + grid[corner]) * along)
-    return points + step.reshape(points.shape), curve
+    left = np.eye(Vt.shape[2]) - np.swapaxes(Vt, 1, 2) @ ((s**2 / (s**2 + grid[corner]))[..., None] * Vt)
+    return points + step.reshape(points.shape), curve, left
 
 
 def corner_of(misfit: np.ndarray, size: np.ndarray) -> int:

@@ -11,59 +11,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.calibration.options import Noise
+from mbcacq.calibration.paper.pairs import Distances, pairs
+from mbcacq.calibration.paper.propagation import Measured, propagate
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 
-LARGEST = 60_000
-
-
-@dataclass(frozen=True)
-class Distances:
-    """Pairs of measured centres. a, b: (K,) rows of the centres; certified: (K,) mm."""
-
-    a: np.ndarray
-    b: np.ndarray
-    certified: np.ndarray
+UNSEEN = 1e-10   # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unseen
+__all__ = ["Distances", "Identified", "identify", "pairs"]
 
 
 @dataclass(frozen=True)
 class Identified:
-    """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters as
-    plain least squares of independent distances would state it; free: (5 n + 6,) bool."""
+    """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters, with
+    the noise of ``propagation``, zero in the directions unseen (g, u), unit vectors of the free parameters; free: (5 n + 6,) bool."""
 
     chain: Chain
     T_flange_scanner: np.ndarray
     rms_before: float
     rms_after: float
     covariance: np.ndarray
+    noise: Noise
+    unseen: np.ndarray
     free: np.ndarray
     iterations: int
 
 
-def pairs(pose: np.ndarray, station: np.ndarray, ball: np.ndarray, certified: np.ndarray, seed: int = 0) -> Distances:
-    """All pairs of different balls seen from different poses of the same station; at most LARGEST, drawn evenly.
-
-    pose, station, ball: (M,) of the centres; certified: (K, 3) centres, indexed by ``ball``.
-    """
-    a, b = [], []
-    for s in np.unique(station):
-        rows = np.flatnonzero(station == s)
-        i, j = np.triu_indices(len(rows), 1)
-        keep = (pose[rows[i]] != pose[rows[j]]) & (ball[rows[i]] != ball[rows[j]])
-        a.append(rows[i[keep]])
-        b.append(rows[j[keep]])
-    a, b = np.concatenate(a), np.concatenate(b)
-    if len(a) > LARGEST:
-        chosen = np.sort(np.random.default_rng(seed).choice(len(a), LARGEST, replace=False))
-        a, b = a[chosen], b[chosen]
-    return Distances(a, b, np.linalg.norm(certified[ball[a]] - certified[ball[b]], axis=1))
-
-
 def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, distances: Distances,
-             free: np.ndarray, *, limit: int = 50, tolerance: float = 1e-9) -> Identified:
+             free: np.ndarray, measured: Measured | None = None, *, limit: int = 50, tolerance: float = 1e-9) -> Identified:
     """q: (P, n) rad; pose: (M,); xyz: (M, 3) mm in the scanner frame; free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
 
-    Redundant parameters may be free: the damping keeps them near their start, as the paper's does.
+    Redundant parameters may be free: the damping keeps them near their start, as the paper's does. measured: noise of the centres, for
+    the covariance (default: 0.02 mm, centres not adjusted).
     """
     damping, scale = 1e-3, np.concatenate([np.tile([1e-3, 1.0, 1.0, 1e-3, 1e-3], chain.n), [1, 1, 1, 5e-3, 5e-3, 5e-3]])[free]
     residual, J = _linearise(chain, hand_eye, q, pose, xyz, distances, free)
@@ -89,10 +68,14 @@ def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray
         (chain, hand_eye), residual, J, cost, damping = moved, trial, J_trial, new, max(damping / 10, 1e-12)
         if gained < tolerance * cost:
             break
-    A = scale[:, None] * (J.T @ J) * scale
-    covariance = cost / max(len(residual) - int(free.sum()), 1) * scale[:, None] * np.linalg.pinv(A, rcond=1e-10, hermitian=True) * scale
+    value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
+    seen = value > UNSEEN * value[-1]
+    inverse = scale[:, None] * (vector[:, seen] / value[seen]) @ vector[:, seen].T * scale
+    found = propagate(chain, hand_eye, q, pose, xyz, distances, J, residual, inverse, measured or Measured(np.full(3, 0.02)))
+    unseen = scale[:, None] * vector[:, ~seen]
     count = max(len(residual), 1)
-    return Identified(chain, hand_eye, np.sqrt(before / count), np.sqrt(cost / count), covariance, free, iterations)
+    return Identified(chain, hand_eye, np.sqrt(before / count), np.sqrt(cost / count), found.covariance, found.noise,
+                      unseen / np.linalg.norm(unseen, axis=0), free, iterations)
 
 
 def _linearise(chain, hand_eye, q, pose, xyz, distances, free):

@@ -2,100 +2,131 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
+from scipy.signal import savgol_filter
 
-from mbcacq.diagnosis.trajectory.left import structure
-from mbcacq.diagnosis.trajectory.runs import channels, prepare
-from mbcacq.diagnosis.trajectory.select import Explained, with_load
-from mbcacq.diagnosis.trajectory.shared import Shared, explain_group
+from mbcacq.cell import RobotModel
+from mbcacq.diagnosis.trajectory.conclude import Explained, conclude
+from mbcacq.diagnosis.trajectory.currents import with_torque
+from mbcacq.diagnosis.trajectory.ledger import parts
+from mbcacq.diagnosis.trajectory.outcome import noise_floor, outcome
+from mbcacq.diagnosis.trajectory.runs import groups, prepare
+from mbcacq.diagnosis.trajectory.select import Selection
 from mbcacq.errors import ConfigError
+from mbcacq.physics.trajectory.effect import Run
+
+LOAD_WINDOW_S = 0.1
+WORKERS = 2
+DOUBT = 0.05         # of a load that is the drive's torque: a rotor's part of it is not told apart
+UNDERSTOOD = 4.0     # chi2 per degree of freedom below which the torque of a joint counts as explained
+OF_THE_DRIVE = ("friction", "channel_latency", "torque_ripple")
+OPTIONAL = ("q_set", "qd_set", "qdd_set", "qddd_set", "q_joint", "torque", "load", "rigid", "gravity", "rigid_set", "payload", "load_doubt")
 
 
-def diagnose_trajectories(trajectories: list) -> dict:
+def diagnose_trajectories(trajectories: list, proof: bool = True) -> dict:
     """One mbcacq-diagnosis/1 object for one or several recordings of one robot. Raises ConfigError where they do not fit together.
 
-    ``fit`` carries, beside the chi2 per degree of freedom over all channels, one entry a channel in that channel's own unit.
+    ``fit`` carries, beside the chi2 per degree of freedom over all channels, one entry a channel in that channel's own unit. Its
+    held-out figures are of parts (a trajectory, or a block of the only one) that took no part in choosing or fitting anything; without
+    ``proof``, in a third of the time, of parts that took part in choosing.
     """
+    runs, inertial, robot = _prepared(trajectories)
+    explained, loaded = explain(runs, inertial, robot)
+    return outcome(explained, loaded, prove(runs, inertial, robot) if proof else None)
+
+
+def explain_trajectories(trajectories: list, held: int | None = None) -> list[Explained]:
+    """What was found in each kind of mismatch. held: a part (``ledger.parts``) that takes no part."""
+    return explain(*_prepared(trajectories), held)[0]
+
+
+def base_alone(trajectories: list) -> dict[str, np.ndarray]:
+    """Chi2 per degree of freedom (J,) by kind of mismatch, held out, of offsets and the arm's inertial parameters: no effect is tried."""
+    runs, inertial, robot = _prepared(trajectories)
+    out = {}
+    for group in groups(runs, inertial, robot):
+        selection = Selection(group, runs, candidates=())
+        out[group.name] = selection.mean_square(selection.start) / selection.floor**2
+    return out
+
+
+def _prepared(trajectories: list) -> tuple[tuple[Run, ...], list[np.ndarray], RobotModel]:
     if not trajectories:
         raise ConfigError("no trajectory was given")
     if len({t.robot.n for t in trajectories}) > 1:
         raise ConfigError("the trajectories belong to robots with different numbers of axes; diagnose them separately")
-    prepared = [prepare(t) for t in trajectories]
-    runs = _common([run for run, _ in prepared])
-    every = channels(list(runs), [columns for _, columns in prepared])
-    if not every:
-        raise ConfigError("nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm or motor_tau*_Nm beside q*_deg")
+    prepared = [prepare(t) for t in with_torque(trajectories)]
+    return _common([run for run, _ in prepared]), [inertial for _, inertial in prepared], trajectories[0].robot
+
+
+def explain(runs: tuple[Run, ...], inertial: list[np.ndarray], robot: RobotModel,
+            held: int | None = None) -> tuple[list[Explained], tuple[Run, ...]]:
+    """Torque first: the load it tells winds up the gears. Raises ConfigError where there is nothing to compare."""
+    kinds = [g.name for g in groups(runs, inertial, robot)]
+    if not kinds:
+        raise ConfigError("nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm, motor_tau*_Nm or i*_A beside q*_deg")
     explained: list[Explained] = []
-    shared: list[Shared] = []
-    for name in ("tau", "q_joint", "q_set"):  # torque first: the load it tells winds up the gears
-        common, each = explain_group([c for c in every if c.name == name], runs)
-        explained += each
-        shared += [common] if common else []
-        if name == "tau" and each:
-            runs = with_load(runs, each)
-    return _result(explained, shared, runs)
+    for kind in kinds:
+        group = next(g for g in groups(runs, inertial, robot) if g.name == kind)
+        explained.append(conclude(Selection(group, runs, held)))
+        if kind == "tau":
+            runs = with_load(runs, explained[-1])
+    return explained, runs
 
 
-def _common(runs: list) -> tuple:
+def prove(runs: tuple[Run, ...], inertial: list[np.ndarray], robot: RobotModel) -> dict[str, np.ndarray]:
+    """Mean squares (2, J) before and after by kind of mismatch, each part told from what was chosen and fitted on the others alone."""
+    total: dict[str, np.ndarray] = {}
+    count: dict[str, np.ndarray] = {}
+    held = parts(runs)[0]
+    with ThreadPoolExecutor(WORKERS) as pool:  # matrices, so threads share the work
+        passes = list(pool.map(lambda number: explain(runs, inertial, robot, number)[0], range(len(held))))
+    for part, explained in zip(held, passes, strict=True):
+        for e in explained:
+            J = len(e.group.joints)
+            squares, samples = np.zeros((2, J)), np.zeros(J)
+            for j in range(J):
+                for k, where in part:
+                    use = e.used[j][k][where]
+                    for row, left in enumerate((e.before, e.after)):
+                        r = left[j][k][where][use]
+                        squares[row, j] += float(((r - r.mean()) ** 2).sum() if e.group.refit else r @ r) if len(r) else 0.0
+                    samples[j] += int(use.sum())
+            total[e.group.name] = total.get(e.group.name, 0.0) + squares
+            count[e.group.name] = count.get(e.group.name, 0.0) + samples
+    return {name: square / np.maximum(count[name], 1.0) for name, square in total.items()}
+
+
+def _common(runs: list[Run]) -> tuple[Run, ...]:
     """Keep only the signals that every run has."""
-    from dataclasses import replace
-
-    missing = {name: None for name in ("q_set", "q_joint", "torque", "rigid", "gravity") if any(getattr(r, name) is None for r in runs)}
+    missing = {name: None for name in OPTIONAL if any(getattr(r, name) is None for r in runs)}
     return tuple(replace(r, **missing) for r in runs)
 
 
-def _result(explained: list[Explained], shared: list[Shared], runs: tuple) -> dict:
-    effects = [{"name": s.candidate.name, "where": list(s.candidate.where), "depends_on": "qd",
-                "parameters": {"latency_s": {"value": s.value, "std": s.std}}, "p_value": s.p_value, "held_out_gain": s.gain,
-                "alternatives": []} for s in shared]
-    mismatch, fits, floors = [], [], []
-    for e in explained:
-        channel = e.channel
-        for taken, parameters in zip(e.taken, e.parameters, strict=True):
-            effects.append({"name": taken.candidate.name, "where": list(taken.candidate.where), "channel": channel.name,
-                            "parameters": parameters, "p_value": taken.p_value, "held_out_gain": taken.gain, "alternatives": []})
-            mismatch.append({"at": channel.axis, "channel": channel.name, "depends_on": taken.candidate.depends_on,
-                             "share": taken.gain, "p_value": taken.p_value})
-        floor = _floor(e)
-        floors.append(floor)
-        fits.append(_channel_fit(e, floor))
-        for found in structure(e, runs, floor):
-            if found["kind"] == "smooth":
-                effects.append(found["effect"])
-            mismatch.append(found["mismatch"])
-    for s in shared:
-        mismatch.append({"at": s.candidate.where[0], "depends_on": "qd", "share": s.gain, "p_value": s.p_value})
-    mismatch.sort(key=lambda m: -m["share"])
-    named = [e for e in effects if e["name"] != "unknown"]
-    left = any(f["held_out"]["after_chi2_dof"] > 2.0 for f in fits)
-    there = any(f["held_out"]["before_chi2_dof"] > 2.0 for f in fits)
-    verdict = "explained" if named and not left else "partly_explained" if named else "unexplained" if there else "none"
-    train = {k: float(np.mean([f["train"][k] for f in fits])) for k in ("before_chi2_dof", "after_chi2_dof")}
-    test = {k: float(np.mean([f["held_out"][k] for f in fits])) for k in ("before_chi2_dof", "after_chi2_dof")}
-    return {
-        "format": "mbcacq-diagnosis/1", "verdict": verdict, "mismatch": mismatch,
-        "effects": sorted(effects, key=lambda e: -e["held_out_gain"]),
-        "fit": {"train": train, "held_out": test | {"split": explained[0].split}, "channels": fits},
-        "not_separable": [], "advice": [],
-    }
+def with_load(runs: tuple[Run, ...], torque: Explained) -> tuple[Run, ...]:
+    """The runs with the torque that passes the gears, joint by joint.
 
-
-def _floor(e: Explained) -> float:
-    """Standard deviation of what no physics of an arm can follow: third differences of the mismatch, as white noise."""
-    third = np.concatenate([np.diff(a, 3) for a in e.before])
-    return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-12)
-
-
-def _channel_fit(e: Explained, floor: float) -> dict:
-    def mean_square(parts):
-        return float(np.mean(np.concatenate(parts) ** 2))
-
-    unit, scale = ("deg", float(np.degrees(1))) if e.channel.unit == "rad" else ("N m", 1.0)
-    before, after = mean_square(e.before), mean_square(e.after)
-
-    def entry(first, second):
-        return {"before_rms": scale * float(np.sqrt(first)), "after_rms": scale * float(np.sqrt(second)),
-                "before_chi2_dof": first / floor**2, "after_chi2_dof": second / floor**2}
-
-    return {"channel": e.channel.name, "at": e.channel.axis, "unit": unit, "noise_floor": scale * floor,
-            "train": entry(before, after), "held_out": entry(e.held_out_before, e.held_out_after)}
+    Where the torque is explained, that of the arm as it was found, without what stays in the drive: friction, rotor, ripple, a late
+    clock. Else what the drive gave, less its friction.
+    """
+    out = []
+    understood = torque.train_end < UNDERSTOOD * noise_floor(torque) ** 2
+    for k, run in enumerate(runs):
+        load = run.rigid.copy()
+        window = min(max(2 * int(LOAD_WINDOW_S / run.step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
+        for place, joint in enumerate(torque.group.joints):
+            if understood[place]:
+                others = sum(f.contributions[place][k] for f in torque.found if f.name not in OF_THE_DRIVE)
+                load[:, joint] += torque.links[place][k] + others
+            else:  # smoothed: noise of a covariate would shrink its coefficient
+                lost = sum(f.contributions[place][k] for f in torque.found if f.name in OF_THE_DRIVE)
+                load[:, joint] = savgol_filter(run.torque[:, joint] - lost, window, 2)
+        doubt = np.zeros(load.shape[1])
+        for place, joint in enumerate(torque.group.joints):
+            spread = float(load[:, joint].std())
+            doubt[joint] = torque.links_doubt[place] / max(spread, 1e-9) if understood[place] else DOUBT
+        out.append(replace(run, load=load, load_doubt=doubt))
+    return tuple(out)

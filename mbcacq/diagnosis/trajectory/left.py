@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.trajectory.select import Explained, improvement_p
+from mbcacq.diagnosis.trajectory.conclude import Explained
+from mbcacq.diagnosis.trajectory.select import improvement_p
 from mbcacq.physics.trajectory.effect import Run
 
 BINS = 24
@@ -14,27 +15,30 @@ LEAST_SHARE = 0.15   # of what is left that one variable must explain, on the ot
 LEAST_CHI2 = 2.0
 
 
-def structure(explained: Explained, runs: tuple[Run, ...], floor: float) -> list[dict]:
-    """The covariate that predicts most of what is left, fitted on one part of the data and tested on the other; [] for noise."""
-    channel, joint = explained.channel, explained.channel.joint
-    left = explained.after
+def structure(explained: Explained, place: int, runs: tuple[Run, ...], floor: float, weight: float) -> dict | None:
+    """The covariate that predicts most of what is left of one joint, fitted on one part and tested on the other; None for noise.
+
+    weight: share of all that was there to explain which is left at this joint.
+    """
+    group, joint = explained.group, explained.group.joints[place]
+    used = explained.used[place]
+    left = [a[u] for a, u in zip(explained.after[place], used, strict=True)]
     total = float(np.mean(np.concatenate(left) ** 2))
     if total < LEAST_CHI2 * floor**2:
-        return []
+        return None
     best_name, best_share, best_shape, p = "time", 0.0, None, 1.0
-    covariates = _covariates(channel.name, runs, joint)
+    covariates = _covariates(group.name, runs, joint)
     for name, values in covariates.items():
-        share, shape, one = _cross_validated(values, left)
+        share, shape, one = _cross_validated([v[u] for v, u in zip(values, used, strict=True)], left)
         if share > best_share:
             best_name, best_share, best_shape, p = name, share, shape, min(one * len(covariates), 1.0)
-    where = {"at": channel.axis, "channel": channel.name, "depends_on": best_name, "share": best_share, "p_value": p}
+    where = {"at": f"A{joint + 1}", "channel": group.name, "depends_on": best_name, "share": best_share * weight, "p_value": p}
     if best_shape is None or best_share < LEAST_SHARE:
-        where |= {"depends_on": "time", "p_value": float(chi2.sf(PIECES * total / floor**2, PIECES))}
-        return [{"kind": "rest", "mismatch": where | {"share": float(total / max(np.mean(np.concatenate(explained.before) ** 2), 1e-300))}}]
-    effect = {"name": "unknown", "where": [channel.axis], "channel": channel.name, "depends_on": best_name, "parameters": {},
-              "p_value": p, "held_out_gain": best_share * explained.held_out_after / max(explained.held_out_before, 1e-300),
-              "shape": best_shape, "alternatives": []}
-    return [{"kind": "smooth", "mismatch": where, "effect": effect}]
+        rest = {"depends_on": "time", "p_value": float(chi2.sf(PIECES * total / floor**2, PIECES)), "share": weight}
+        return {"mismatch": where | rest}
+    effect = {"name": "unknown", "where": [f"A{joint + 1}"], "channel": group.name, "depends_on": best_name, "parameters": {},
+              "p_value": p, "held_out_gain": best_share * weight, "shape": best_shape, "alternatives": []}
+    return {"mismatch": where, "effect": effect}
 
 
 def _covariates(name: str, runs: tuple[Run, ...], joint: int) -> dict[str, list[np.ndarray]]:
@@ -46,7 +50,7 @@ def _covariates(name: str, runs: tuple[Run, ...], joint: int) -> dict[str, list[
     return out
 
 
-def _cross_validated(values: list[np.ndarray], left: tuple[np.ndarray, ...]) -> tuple[float, dict | None, float]:
+def _cross_validated(values: list[np.ndarray], left: list[np.ndarray]) -> tuple[float, dict | None, float]:
     """Share of the mean square that a table over the covariate (quantile bins) predicts on the other half; the table; a p-value of the
     improvement, from pieces of the residual."""
     v, r = np.concatenate(values), np.concatenate(left)
@@ -65,6 +69,5 @@ def _cross_validated(values: list[np.ndarray], left: tuple[np.ndarray, ...]) -> 
     before, after = (np.array([np.mean(piece**2) for piece in np.array_split(x, PIECES)]) for x in (r, r - predicted))
     count = np.bincount(bins, minlength=len(edges) - 1)
     mean = np.bincount(bins, r, minlength=len(edges) - 1) / np.maximum(count, 1)
-    centre = 0.5 * (edges[1:] + edges[:-1])
     share = 1.0 - float(((r - predicted) ** 2).sum() / (r**2).sum())
-    return share, {"x": centre.tolist(), "y": mean.tolist()}, improvement_p(before, after)
+    return share, {"x": (0.5 * (edges[1:] + edges[:-1])).tolist(), "y": mean.tolist()}, improvement_p(before, after)

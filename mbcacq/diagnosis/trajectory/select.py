@@ -1,107 +1,260 @@
-"""Which effects a channel needs: taken one by one by their gain on parts of the recording that took no part in the fit."""
+"""Which effects a group of channels needs: taken one by one by what they gain on parts of the recording that took no part in the fit."""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.linalg import solve_triangular
 from scipy.stats import f as f_distribution
 from scipy.stats import t as t_distribution
 
-from mbcacq.diagnosis.trajectory.fit import Fit, autoregression, solve, whiten
+from mbcacq.diagnosis.trajectory.hyper import refine
+from mbcacq.diagnosis.trajectory.ledger import Ledger, third_difference_noise
+from mbcacq.diagnosis.trajectory.spectrum import lines
 from mbcacq.physics import trajectory as effects
-from mbcacq.physics.trajectory.effect import Candidate, Channel, Run
+from mbcacq.physics.trajectory.effect import Candidate, Group, Run
 
-LEAST_GAIN = 0.02      # share of the held-out excess over the noise
-SIGNIFICANCE = 1e-3    # after correction for the number of candidates
-MOST_EFFECTS = 6
-PARTS = 4              # blocks of a single recording
-NEAR = 0.03            # of the best candidate's gain: closer is as good
-LOAD_WINDOW_S = 0.1
-BLOCK_S = 0.5          # pieces of held-out data taken as independent witnesses of an improvement
+LEAST_GAIN = 0.02      # of the held-out mean square of a joint it acts on, as it is before the effect is taken
+LEAST_RELIEF = 25.0    # squared sigmas by which an effect lets the arm be as it is described
+UNDERSTOOD = 4.0       # chi2 per degree of freedom of a joint that is explained
+SIGNIFICANCE = 1e-4    # after correction for the number of candidates
+MOST_EFFECTS = 40
+TRIED = 14             # candidates of the largest gain in the fit that are tried on held-out data
+NEAR = 0.05            # of the best candidate's gain: closer is as good, and the one with fewer coefficients claims less
 
 
-@dataclass(frozen=True)
-class Taken:
+@dataclass
+class Variant:
+    """A candidate at one value of its hyper-parameter, with the numbers of its columns."""
+
     candidate: Candidate
     hyper: float | None
+    ids: np.ndarray
+
+
+@dataclass
+class Taken:
+    variant: Variant
     p_value: float
-    gain: float
+    before: np.ndarray                   # held-out mean square (J,) without it
+    after: np.ndarray                    # and with it
+    rivals: list[dict] = field(default_factory=list)
+    relieves: bool = False               # taken for what the arm's description had to be bent without it
+
+    @property
+    def candidate(self) -> Candidate:
+        return self.variant.candidate
 
 
-@dataclass(frozen=True)
-class Explained:
-    """What a channel was found to hold. before, after: mismatch left (T,) per run by the base alone and with the effects;
-    contributions: per effect and run, what it adds to the channel (T,)."""
-
-    channel: Channel
-    taken: tuple[Taken, ...]
-    parameters: tuple[dict, ...]
-    before: tuple[np.ndarray, ...]
-    after: tuple[np.ndarray, ...]
-    held_out_before: float
-    held_out_after: float
-    split: str
-    contributions: tuple[tuple[np.ndarray, ...], ...]
-
-
-def all_candidates(channel: Channel, runs: tuple[Run, ...]) -> list[Candidate]:
+def all_candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
     out = []
     for info in pkgutil.iter_modules(effects.__path__):
         module = importlib.import_module(f"{effects.__name__}.{info.name}")
         if hasattr(module, "candidates"):
-            out += module.candidates(channel, runs)
+            out += module.candidates(group, runs)
     return out
 
 
-def folds(runs: tuple[Run, ...]) -> tuple[list[list[tuple[int, slice]]], str]:
-    """Parts to hold out in turn: whole trajectories, or blocks in time where there is only one."""
-    if len(runs) > 1:
-        return [[(k, slice(None))] for k in range(len(runs))], "trajectory"
-    length = len(runs[0].q)
-    edges = np.linspace(0, length, PARTS + 1).astype(int)
-    return [[(0, slice(int(a), int(b)))] for a, b in zip(edges[:-1], edges[1:], strict=True)], "time block"
+class Selection:
+    """Forward choice with a look back: an effect that later ones make needless is dropped again."""
 
+    def __init__(self, group: Group, runs: tuple[Run, ...], held: int | None = None,
+                 candidates: Sequence[Candidate] | None = None) -> None:
+        """candidates: what may be chosen, None for the whole catalogue."""
+        self.group, self.runs, self.ledger = group, runs, Ledger(group, runs, held)
+        self.pool = all_candidates(group, runs) if candidates is None else list(candidates)
+        self.variants = [v for c in self.pool if not c.extends for v in self._variants(c)]
+        self.mark = len(self.ledger.prior)
+        self.floor = np.array([third_difference_noise(tuple(m[:, k] for m in group.mismatch)) for k in range(len(group.joints))])
+        self.taken: list[Taken] = []
+        self.start = self.held(self.weights(self.chosen()), self.chosen())
+        if candidates is None or self.pool:
+            self._choose()
 
-def explain(channel: Channel, runs: tuple[Run, ...], candidates: list[Candidate]) -> Explained:
-    """Forward choice by held-out gain, each candidate refitted together with all taken before and with the base."""
-    taken: list[Taken] = []
-    pool = list(candidates)
-    tests = sum(max(c.search, 1.0) for c in pool) or 1.0
-    start_blocks = held_out_blocks(channel, runs, [])
-    best_blocks = start_blocks
-    while pool and len(taken) < MOST_EFFECTS:
-        chosen = [(t.candidate, t.hyper) for t in taken]
-        filters = _filter(channel, runs, chosen)
-        now = _fit(channel, runs, chosen, filters)
-        trials = []
-        for candidate in pool:
-            hyper, fit = _best_hyper(channel, runs, chosen, candidate, filters)
-            k = len(fit.coefficients) - len(now.coefficients)
-            ratio = max(now.sse - fit.sse, 0.0) / k / (fit.sse / fit.dof)
-            p = float(min(f_distribution.sf(ratio, k, fit.dof) * tests, 1.0))
-            after = held_out_blocks(channel, runs, [*chosen, (candidate, hyper)])
-            # Whitening makes a slow effect look small beside a noise as slow as it is; pieces of held-out data are the other witness.
-            p = min(p, improvement_p(best_blocks, after) * len(pool))
-            x = _plain_fit(channel, runs, [*chosen, (candidate, hyper)], _everything(runs))
-            if p < SIGNIFICANCE and not (candidate.positive and x[len(now.coefficients)] <= 0):
-                trials.append((after, p, candidate, hyper))
-        best, start = best_blocks.mean(), start_blocks.mean()
-        good = [t for t in trials if (best - t[0].mean()) / max(best, 1e-300) >= LEAST_GAIN]
+    # what stands
+
+    def chosen(self, *more: np.ndarray, without: Taken | None = None) -> np.ndarray:
+        return np.concatenate([self.ledger.base, *(t.variant.ids for t in self.taken if t is not without), *more]).astype(int)
+
+    def weights(self, chosen: np.ndarray) -> np.ndarray:
+        """One over the mean square (J,) that the columns leave, joint by joint, found in turn."""
+        ledger = self.ledger
+        count = np.maximum(ledger.count.sum(axis=0), 1.0)
+        weights = count / np.maximum(ledger.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), 1e-300)
+        for _ in range(3):
+            x = ledger.solve(ledger.normal(weights), chosen)
+            weights = count / np.maximum(ledger.errors(chosen, x).sum(axis=0), 1e-300)
+        return weights
+
+    def _normals(self, weights: np.ndarray) -> dict[int, np.ndarray]:
+        return {f: self.ledger.normal(weights, f) for f in self.ledger.folds}
+
+    def held(self, weights: np.ndarray, chosen: np.ndarray, normals: dict | None = None) -> np.ndarray:
+        return self.ledger.held_out(weights, chosen, normals or self._normals(weights))
+
+    def mean_square(self, blocks: np.ndarray) -> np.ndarray:
+        return blocks.sum(axis=0) / np.maximum(self.ledger.count.sum(axis=0), 1.0)
+
+    # choosing
+
+    def _variants(self, candidate: Candidate, hyper: np.ndarray | None = None) -> list[Variant]:
+        values = candidate.hyper if hyper is None else hyper
+        values = [None] if values is None else values
+        if len(candidate.joints) > 1:
+            return [Variant(candidate, h, self.ledger.candidate(candidate, h)) for h in values]
+        joint = candidate.joints[0]
+        place = self.group.joints.index(joint)
+        columns = [self.ledger.columns(candidate, joint, h) for h in values]
+        numbers = self.ledger.add_many([(place, c) for c in columns], [np.broadcast_to(candidate.sigma, c.shape[1]) for c in columns])
+        return [Variant(candidate, h, ids) for h, ids in zip(values, numbers, strict=True)]
+
+    def _choose(self) -> None:
+        while len(self.taken) < MOST_EFFECTS:
+            self.ledger.forget(self.mark)
+            chosen = self.chosen()
+            weights = self.weights(chosen)
+            waves = self._waves(weights, chosen)
+            normals = self._normals(weights)
+            now = self.held(weights, chosen, normals)
+            step = self._best(weights, chosen, normals, now, [*self._open(), *waves])
+            if step is None:
+                break
+            taken, wave = step
+            self.ledger.forget(self.mark)
+            if wave:
+                taken.variant.ids = self.ledger.candidate(taken.candidate, taken.variant.hyper)
+            self.taken.append(taken)
+            if taken.variant.hyper is not None and (taken.candidate.refine or taken.candidate.tuned):
+                refine(self)  # before anything else is looked for beside it
+            self._extend(taken)
+            self.mark = len(self.ledger.prior)
+        self.ledger.forget(self.mark)
+        self._look_back()
+
+    def _open(self) -> list[Variant]:
+        there = {(t.candidate.place, t.candidate.tag) for t in self.taken}
+        # One plain form of an effect at a place; its refinements come as extensions.
+        plain = {t.candidate.place for t in self.taken if not t.candidate.extends}
+        return [v for v in self.variants if (v.candidate.place, v.candidate.tag) not in there
+                and (v.candidate.extends or v.candidate.place not in plain)]
+
+    def _extend(self, taken: Taken) -> None:
+        if taken.candidate.extends:
+            return
+        for candidate in self.pool:
+            if candidate.extends and candidate.place == taken.candidate.place:
+                # What runs away with time can only be tested on another motion, not on other moments of the same.
+                if candidate.follows and (taken.candidate.refine or len({p.run for p in self.ledger.pieces}) < 2):
+                    continue
+                self.variants += self._variants(candidate, np.array([taken.variant.hyper]) if candidate.follows else None)
+
+    def _waves(self, weights: np.ndarray, chosen: np.ndarray) -> list[Variant]:
+        x = self.ledger.solve(self.ledger.normal(weights), chosen)
+        found = [c for place, joint in enumerate(self.group.joints)
+                 for c in lines(self.group, self.runs, joint, self.ledger.residual(place, chosen, x), self.ledger.training)]
+        middle = [float(c.hyper[len(c.hyper) // 2]) for c in found]
+        numbers = self.ledger.add_many([(self.group.joints.index(c.joints[0]), self.ledger.columns(c, c.joints[0], order))
+                                        for c, order in zip(found, middle, strict=True)], [np.full(2, np.inf)] * len(found))
+        return [Variant(c, order, ids) for c, order, ids in zip(found, middle, numbers, strict=True)]
+
+    def _best(self, weights, chosen, normals, now, variants: list[Variant]) -> tuple[Taken, bool] | None:
+        if not variants:
+            return None
+        gains = self._fit_gains(weights, chosen, variants)
+        best: dict[tuple, tuple[float, Variant]] = {}
+        for gain, v in zip(gains, variants, strict=True):
+            key = (v.candidate.place, v.candidate.tag)
+            if key not in best or gain > best[key][0]:
+                best[key] = (gain, v)
+        ranked = sorted(best.values(), key=lambda e: -e[0])[:TRIED]
+        tests = len(best)
+        standing, n = self.mean_square(now), self.ledger.count.sum(axis=0)
+        trials, whole = [], self.ledger.normal(weights)
+        # Once the torque is explained, what the description of the arm had to be bent for is a mismatch too.
+        understood = bool((standing < UNDERSTOOD * self.floor**2).all())
+        strain = self.ledger.strain(chosen, self.ledger.solve(whole, chosen)) if understood else 0.0
+        for _, v in ranked:
+            ids = np.concatenate([chosen, v.ids])
+            x = self.ledger.solve(whole, ids)
+            if v.candidate.positive and x[len(chosen)] <= 0:
+                continue
+            after = self.mean_square(self.held(weights, ids, normals))
+            touched = [self.group.joints.index(j) for j in v.candidate.joints]
+            gain = float((n * np.log(np.maximum(standing, 1e-300) / np.maximum(after, 1e-300))).sum())
+            share = float(np.max(1.0 - after[touched] / np.maximum(standing[touched], 1e-300)))
+            relief = strain - self.ledger.strain(ids, x) if understood else 0.0
+            if relief > LEAST_RELIEF:
+                gain, share = gain + relief, LEAST_GAIN
+            trials.append((gain, v, ids, x, after, share, relief > LEAST_RELIEF))
+        trials.sort(key=lambda t: -t[0])
+        self.trials = trials
+        good: list[tuple] = []
+        for gain, v, ids, x, after, share, relieves in trials:
+            if gain <= 0 or (good and gain < (1.0 - NEAR) * good[0][0]):
+                break
+            p = self._significance(weights, ids, x, len(chosen)) * tests * v.candidate.search if share >= LEAST_GAIN else 1.0
+            if p < SIGNIFICANCE:
+                good.append((gain, p, v, after, relieves))
         if not good:
-            break
+            return None
         # Of those that predict about as well, the one with the fewest coefficients: it claims least.
-        least = min(t[0].mean() for t in good)
-        near = [t for t in good if t[0].mean() <= least + NEAR * (best - least)]
-        after, p, candidate, hyper = min(near, key=lambda t: (t[2].columns(runs[0], channel.joint, t[3]).shape[1], t[0].mean()))
-        taken.append(Taken(candidate, hyper, p, float((best - after.mean()) / max(start, 1e-300))))
-        best_blocks = after
-        if not candidate.several:
-            pool = [c for c in pool if (c.name, c.where) != (candidate.name, candidate.where)]
-    return _conclude(channel, runs, taken, float(start_blocks.mean()), float(best_blocks.mean()))
+        gain, p, v, after, relieves = min(good, key=lambda t: (len(t[2].ids), -t[0]))
+        rivals = [{"name": t[1].candidate.name, "where": list(t[1].candidate.where), "gain": t[0] / gain} for t in trials
+                  if t[1].candidate.place != v.candidate.place and set(t[1].candidate.joints) & set(v.candidate.joints)
+                  and t[0] > 0.1 * gain][:3]
+        return Taken(v, min(p, 1.0), standing, after, rivals, relieves), not any(v is w for w in self.variants)
+
+    def _fit_gains(self, weights: np.ndarray, chosen: np.ndarray, variants: list[Variant]) -> list[float]:
+        """Drop of the weighted squared error (per joint's mean square) by each variant, all else refitted."""
+        N = self.ledger.normal(weights)
+        factor, scale = self.ledger.factor(N, chosen)
+        B = solve_triangular(factor[0], scale[:, None] * N[chosen], lower=True, check_finite=False)   # (b, P + 1)
+        out = []
+        for v in variants:
+            ids = np.concatenate([v.ids, [-1]])
+            M = N[np.ix_(ids, ids)] - B[:, ids].T @ B[:, ids]
+            k = len(v.ids)
+            d = np.sqrt(np.maximum(np.diag(N)[v.ids], 1e-300))
+            values, vectors = np.linalg.eigh(M[:k, :k] / np.outer(d, d))
+            fine = values > 1e-8
+            g = (vectors[:, fine].T @ (M[:k, k] / d)) / np.sqrt(values[fine])
+            out.append(float(g @ g))
+        return out
+
+    def _significance(self, weights: np.ndarray, ids: np.ndarray, x: np.ndarray, first: int) -> float:
+        """p-value that the coefficients from ``first`` on are zero: Wald test with pieces of the recording as independent witnesses."""
+        v = self.ledger.covariance(weights, ids, x)[first:, first:]
+        c, k = x[first:], len(ids) - first
+        d = np.sqrt(np.maximum(np.diag(v), 1e-300))
+        values, vectors = np.linalg.eigh(v / np.outer(d, d))
+        good = values > 1e-8
+        wald = float((((vectors[:, good].T @ (c / d)) ** 2) / values[good]).sum())
+        return float(f_distribution.sf(wald / k, k, max(len(self.ledger.pieces) - k, 1)))
+
+    def _look_back(self) -> None:
+        """Drop what the others have made needless, weakest first."""
+        while len(self.taken) > 1:
+            chosen = self.chosen()
+            weights = self.weights(chosen)
+            normals = self._normals(weights)
+            full = self.mean_square(self.held(weights, chosen, normals))
+            losses = []
+            for t in self.taken:
+                if not t.candidate.extends and any(o.candidate.extends and o.candidate.place == t.candidate.place for o in self.taken):
+                    continue
+                without = self.mean_square(self.held(weights, self.chosen(without=t), normals))
+                if not t.relieves:
+                    losses.append((float(np.max(1.0 - full / np.maximum(without, 1e-300))), t))
+            if not losses:
+                return
+            least, weakest = min(losses, key=lambda e: e[0])
+            if least >= 0.5 * LEAST_GAIN:
+                return
+            self.taken.remove(weakest)
 
 
 def improvement_p(before: np.ndarray, after: np.ndarray) -> float:
@@ -109,128 +262,3 @@ def improvement_p(before: np.ndarray, after: np.ndarray) -> float:
     gain = np.sqrt(before) - np.sqrt(after)
     spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
     return float(t_distribution.sf(gain.mean() / max(spread, 1e-300), len(gain) - 1))
-
-
-def _everything(runs: tuple[Run, ...]) -> list[tuple[int, np.ndarray]]:
-    return [(k, _rest(len(r.q), None)) for k, r in enumerate(runs)]
-
-
-def held_out_blocks(channel: Channel, runs: tuple[Run, ...], chosen: list[tuple[Candidate, float | None]]) -> np.ndarray:
-    """Mean square (unit^2) of the mismatch in pieces (B,) of the parts held out, each predicted from the others; its offset is refitted."""
-    out = []
-    for part in folds(runs)[0]:
-        held = dict(part)
-        train = [(k, _rest(len(run.q), held.get(k))) for k, run in enumerate(runs)]
-        x = _plain_fit(channel, runs, chosen, train)
-        for k, where in part:
-            left = (channel.mismatch[k] - _columns(channel, runs[k], k, chosen) @ x)[where]
-            left = left - left.mean()
-            pieces = max(int(len(left) * runs[k].step_s / BLOCK_S), 2)
-            out += [float(np.mean(piece**2)) for piece in np.array_split(left, pieces)]
-    return np.array(out)
-
-
-def _rest(length: int, held: slice | None) -> np.ndarray:
-    keep = np.ones(length, dtype=bool)
-    if held is not None:
-        keep[held] = False
-    return keep
-
-
-def _columns(channel: Channel, run: Run, k: int, chosen) -> np.ndarray:
-    return np.concatenate([*(c.columns(run, channel.joint, h) for c, h in chosen), channel.base[k]], axis=1)
-
-
-def _plain_fit(channel: Channel, runs, chosen, train) -> np.ndarray:
-    A = np.concatenate([_columns(channel, runs[k], k, chosen)[keep] for k, keep in train])
-    y = np.concatenate([channel.mismatch[k][keep] for k, keep in train])
-    effect = A[:, : A.shape[1] - channel.base[0].shape[1]]
-    noise = max(float(np.std(np.diff(y))), 1e-12)
-    fit = solve(y / noise, A[:, effect.shape[1]:] / noise, effect / noise, channel.prior)
-    return np.concatenate([fit.coefficients, fit.base])
-
-
-def _filter(channel: Channel, runs, chosen) -> np.ndarray:
-    """Whitening filter from what the model so far leaves."""
-    x = _plain_fit(channel, runs, chosen, _everything(runs))
-    return autoregression([channel.mismatch[k] - _columns(channel, r, k, chosen) @ x for k, r in enumerate(runs)])
-
-
-def _fit(channel: Channel, runs, chosen, taps: np.ndarray) -> Fit:
-    effect, base, mismatch = [], [], []
-    for k, run in enumerate(runs):
-        columns = np.concatenate([np.zeros((len(run.q), 0)), *(c.columns(run, channel.joint, h) for c, h in chosen)], axis=1)
-        effect.append(whiten(taps, columns))
-        base.append(whiten(taps, channel.base[k]))
-        mismatch.append(whiten(taps, channel.mismatch[k]))
-    return solve(np.concatenate(mismatch), np.concatenate(base), np.concatenate(effect), channel.prior)
-
-
-def _best_hyper(channel: Channel, runs, chosen, candidate: Candidate, taps: np.ndarray) -> tuple[float | None, Fit]:
-    if candidate.hyper is None:
-        return None, _fit(channel, runs, [*chosen, (candidate, None)], taps)
-    # Scan with the model so far projected out, then fit in full at the best value and refine around it.
-    A = np.concatenate([whiten(taps, _columns(channel, run, k, chosen)) for k, run in enumerate(runs)])
-    q_basis, _ = np.linalg.qr(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300))
-    y = np.concatenate([whiten(taps, m) for m in channel.mismatch])
-    y = y - q_basis @ (q_basis.T @ y)
-
-    def gain(hyper: float) -> float:
-        C = np.concatenate([whiten(taps, candidate.columns(run, channel.joint, hyper)) for run in runs])
-        C = C - q_basis @ (q_basis.T @ C)
-        x, *_ = np.linalg.lstsq(C, y, rcond=1e-8)
-        return float(y @ (C @ x))
-
-    values = candidate.hyper
-    best = int(np.argmax([gain(h) for h in values]))
-    low, high = values[max(best - 1, 0)], values[min(best + 1, len(values) - 1)]
-    fine = np.linspace(low, high, 21) if high > low else np.array([values[best]])
-    hyper = float(fine[int(np.argmax([gain(h) for h in fine]))])
-    return hyper, _fit(channel, runs, [*chosen, (candidate, hyper)], taps)
-
-
-def _conclude(channel: Channel, runs, taken: list[Taken], start: float, best: float) -> Explained:
-    chosen = [(t.candidate, t.hyper) for t in taken]
-    everything = _everything(runs)
-    x0, x1 = _plain_fit(channel, runs, [], everything), _plain_fit(channel, runs, chosen, everything)
-    before = tuple(channel.mismatch[k] - _columns(channel, r, k, []) @ x0 for k, r in enumerate(runs))
-    after = tuple(channel.mismatch[k] - _columns(channel, r, k, chosen) @ x1 for k, r in enumerate(runs))
-    covariance = _clustered_covariance(channel, runs, chosen, after)
-    parameters, contributions, at = [], [], 0
-    for t in taken:
-        own = slice(at, at + t.candidate.columns(runs[0], channel.joint, t.hyper).shape[1])
-        contributions.append(tuple(t.candidate.columns(run, channel.joint, t.hyper) @ x1[own] for run in runs))
-        parameters.append(t.candidate.report(x1[own], covariance[own, own], t.hyper))
-        at = own.stop
-    return Explained(channel, tuple(taken), tuple(parameters), before, after, start, best, folds(runs)[1], tuple(contributions))
-
-
-def with_load(runs: tuple[Run, ...], torque: list[Explained]) -> tuple[Run, ...]:
-    """The runs with the torque that passes the gears: what the drives gave, less the friction found."""
-    out = []
-    for k, run in enumerate(runs):
-        load = run.torque.copy()
-        for e in torque:
-            for t, added in zip(e.taken, e.contributions, strict=True):
-                if t.candidate.name == "friction":
-                    load[:, e.channel.joint] -= added[k]
-        window = min(max(2 * int(LOAD_WINDOW_S / run.step_s / 2) + 1, 5), len(load) // 4 * 2 - 1)
-        out.append(replace(run, load=savgol_filter(load, window, 2, axis=0)))  # noise of a covariate would shrink its coefficient
-    return tuple(out)
-
-
-def _clustered_covariance(channel: Channel, runs, chosen, left: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Covariance of all coefficients from pieces of BLOCK_S taken as independent (sandwich): right however the noise is coloured within."""
-    A = np.concatenate([_columns(channel, r, k, chosen) for k, r in enumerate(runs)])
-    noise = max(float(np.std(np.diff(np.concatenate(channel.mismatch)))), 1e-12)
-    pull = np.concatenate([np.zeros(A.shape[1] - len(channel.prior)), np.where(np.isfinite(channel.prior), noise / channel.prior, 0.0)])
-    scale = np.maximum(np.sqrt((A**2).sum(axis=0) + pull**2), 1e-300)
-    inverse = np.linalg.pinv((A / scale).T @ (A / scale) + np.diag((pull / scale) ** 2), rcond=1e-11, hermitian=True)
-    meat, at = np.zeros_like(inverse), 0
-    for k, run in enumerate(runs):
-        rows = (A[at: at + len(run.q)] / scale) * left[k][:, None]
-        at += len(run.q)
-        for piece in np.array_split(rows, max(int(len(rows) * run.step_s / BLOCK_S), 2)):
-            score = piece.sum(axis=0)
-            meat += np.outer(score, score)
-    return inverse @ meat @ inverse / np.outer(scale, scale)

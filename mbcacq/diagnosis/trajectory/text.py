@@ -16,9 +16,12 @@ def trajectory_words(result: dict) -> str:
             lines.append(f"  {m['at']:<8} depends on {m['depends_on']:<14} share {m['share']:.0%}{channel}")
         lines.append("")
     for effect in result["effects"]:
-        gain = effect["held_out_gain"]
-        lines.append(f"{effect['name']} at {', '.join(effect['where'])} (removes {gain:.0%} of the mean square, on data that took no part)")
-        lines += [f"  {name} = {number(p['value'])} +- {number(p['std'])}" for name, p in effect["parameters"].items()]
+        gain = effect.get("held_out_gain_here", effect["held_out_gain"])
+        where = ", ".join(effect["where"])
+        lines.append(f"{effect['name']} at {where} (removes {gain:.1%} of the excess there, on data that took no part)")
+        for name, p in effect["parameters"].items():
+            values, stds = (x if isinstance(x, list) else [x] for x in (p["value"], p["std"]))
+            lines.append(f"  {name} = {', '.join(f'{number(v)} +- {number(s)}' for v, s in zip(values, stds, strict=True))}")
     lines.append("")
     lines.append(f"On data that took no part (by {result['fit']['held_out']['split']}):")
     for f in result["fit"]["channels"]:

@@ -1,46 +1,52 @@
-"""Torque lost in the drive train: Coulomb and viscous friction, growing with load, and the Stribeck bump at low speed."""
+"""Torque lost in the drive train: Coulomb and viscous; then, where they show, the Stribeck bump, growth with load, unequal senses.
+
+Coulomb friction follows the sense of the last motion and keeps its value at standstill only in sign: samples at standstill take no
+part (there the drive may give anything up to the stiction). Form: Olsson et al., Friction models and friction compensation, 1998.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.physics.trajectory.effect import Candidate, Channel, Run, sense
+from mbcacq.physics.trajectory.effect import Candidate, Group, Run, plain_report
 
 NAME = "friction"
-TERMS = ("coulomb_Nm", "viscous_Nms_per_rad")
 LEAST_LOAD = 0.05  # change of the load, as a share of the torque's, without which no dependence on it can be seen
 
 
-def candidates(channel: Channel, runs: tuple[Run, ...]) -> list[Candidate]:
-    if channel.name != "tau":
+def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+    if group.name != "tau":
         return []
-    depends, axis = f"qd{channel.joint + 1}", channel.axis
-    fastest = max(float(np.abs(run.qd[:, channel.joint]).max()) for run in runs)
-    out = [Candidate(NAME, (axis,), depends, _plain, lambda c, v, _: _named(axis, TERMS, c, v), positive=True)]
-    stribeck = np.geomspace(0.01, 0.3, 8) * max(fastest, 1e-6)
-    out.append(Candidate(
-        NAME, (axis,), depends, _stribeck, hyper=stribeck, positive=True, search=3.0,
-        report=lambda c, v, s: _named(axis, (*TERMS, "stribeck_Nm"), c, v)
-        | {f"{axis}.stribeck_speed_rad_per_s": {"value": float(s), "std": 0.0}},
-    ))
-    if all(np.ptp(np.abs(run.gravity[:, channel.joint])) > LEAST_LOAD * np.ptp(run.torque[:, channel.joint]) for run in runs):
-        out.append(Candidate(NAME, (axis,), depends, _load, positive=True,
-                             report=lambda c, v, _: _named(axis, (*TERMS, "load_dependent"), c, v)))
+    out = []
+    for j in group.joints:
+        axis, depends = f"A{j + 1}", f"qd{j + 1}"
+        fastest = max(float(np.abs(run.qd[:, j]).max()) for run in runs)
+        if fastest < 1e-3:
+            continue
+        place = ((axis,), depends, (j,))
+        out += [
+            Candidate(NAME, *place, _plain, plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad"), positive=True),
+            Candidate(NAME, *place, _stribeck, plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s"),
+                      hyper=np.geomspace(0.01, 0.4, 8) * fastest, search=3.0, extends=True, tag="stribeck"),
+            Candidate(NAME, *place, _uneven, plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad"), extends=True,
+                      tag="direction"),
+        ]
+        if all(np.ptp(np.abs(run.rigid[:, j])) > LEAST_LOAD * np.ptp(run.torque[:, j]) for run in runs):
+            out.append(Candidate(NAME, *place, _load, plain_report(f"{axis}.load_dependent"), extends=True, tag="load"))
     return out
 
 
 def _plain(run: Run, joint: int, _: float | None) -> np.ndarray:
-    return np.stack([sense(run, joint), run.qd[:, joint]], axis=1)
+    return np.stack([run.sense[:, joint], run.qd[:, joint]], axis=1)
 
 
 def _stribeck(run: Run, joint: int, speed: float | None) -> np.ndarray:
-    bump = sense(run, joint) * np.exp(-((run.qd[:, joint] / speed) ** 2))
-    return np.column_stack([_plain(run, joint, None), bump])
+    return (run.sense[:, joint] * np.exp(-((run.qd[:, joint] / speed) ** 2)))[:, None]
 
 
 def _load(run: Run, joint: int, _: float | None) -> np.ndarray:
-    return np.column_stack([_plain(run, joint, None), sense(run, joint) * np.abs(run.gravity[:, joint])])
+    return (run.sense[:, joint] * np.abs(run.rigid[:, joint]))[:, None]
 
 
-def _named(axis: str, names: tuple[str, ...], c: np.ndarray, v: np.ndarray) -> dict:
-    return {f"{axis}.{name}": {"value": float(c[k]), "std": float(np.sqrt(v[k, k]))} for k, name in enumerate(names)}
+def _uneven(run: Run, joint: int, _: float | None) -> np.ndarray:
+    return np.stack([np.abs(run.sense[:, joint]), np.abs(run.qd[:, joint])], axis=1)

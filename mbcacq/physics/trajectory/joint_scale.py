@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from mbcacq.physics.trajectory.effect import Candidate, Channel, Run, value
+from mbcacq.physics.trajectory.effect import Candidate, Group, Run, plain_report
 
 NAME = "joint_scale"
 
 
-def candidates(channel: Channel, runs: tuple[Run, ...]) -> list[Candidate]:
-    if channel.name != "q_joint":
+def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+    if group.name != "q_joint":
         return []
-    return [Candidate(NAME, (channel.axis,), f"q{channel.joint + 1}", lambda run, joint, _: run.q[:, [joint]],
-                      lambda c, v, _: value(f"{channel.axis}.ratio", c[0], v[0, 0]))]
+    return [Candidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), lambda run, joint, _: run.q[:, [joint]],
+                      plain_report(f"A{j + 1}.ratio")) for j in group.joints]

@@ -1,21 +1,16 @@
-"""Motion of one wrist axis leaking into another one's encoder or following."""
+"""Motion of one wrist axis leaking into another one's encoder."""
 
 from __future__ import annotations
 
-from mbcacq.physics.trajectory.effect import Candidate, Channel, Run, value
+from mbcacq.physics.trajectory.effect import Candidate, Group, Run, plain_report
 
 NAME = "wrist_coupling"
 
 
-def candidates(channel: Channel, runs: tuple[Run, ...]) -> list[Candidate]:
+def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
     n = runs[0].q.shape[1]
-    if channel.name not in ("q_joint", "q_set") or n != 6 or channel.joint < 3:
+    if group.name != "q_joint" or n != 6:
         return []
-    out = []
-    for other in range(3, n):
-        if other != channel.joint:
-            name = f"{channel.axis}_from_A{other + 1}.ratio"
-            out.append(Candidate(NAME, (f"A{other + 1}", channel.axis), f"q{other + 1}",
-                                 lambda run, joint, _, other=other: run.q[:, [other]],
-                                 lambda c, v, _, name=name: value(name, c[0], v[0, 0])))
-    return out
+    return [Candidate(NAME, (f"A{other + 1}", f"A{j + 1}"), f"q{other + 1}", (j,),
+                      lambda run, joint, _, other=other: run.q[:, [other]], plain_report(f"A{j + 1}_from_A{other + 1}.ratio"))
+            for j in group.joints if j >= 3 for other in range(3, n) if other != j]

@@ -32,17 +32,17 @@ def result_options(command: Callable) -> Callable:
 
 
 def export_results(source: Path, *, results: Path | None, artefact: str | None, output: Path | None, force: bool = False,
-                   **targets: Any) -> list[str]:
-    """Do what the options ask for; the lines to print, none where none of them was given."""
-    lines = []
+                   **targets: Any) -> list[dict[str, Any]]:
+    """Do what the options ask for; what was written, each with its 'file' and what there is to say of it, none where nothing was asked."""
+    written = []
     if results is not None:
-        lines += _results(source, results, targets, force)
+        written += _results(source, results, targets, force)
     if artefact is not None:
-        lines.append(_artefact(source, artefact, output or Path(f"{artefact}.yaml"), force))
-    return lines
+        written.append(_artefact(source, artefact, output or Path(f"{artefact}.yaml"), force))
+    return written
 
 
-def _results(source: Path, folder: Path, targets: dict[str, Any], force: bool) -> list[str]:
+def _results(source: Path, folder: Path, targets: dict[str, Any], force: bool) -> list[dict[str, Any]]:
     from mbcacq.errors import ConfigError
     from mbcacq.recording import load
     from mbcacq.report.export.folder import Targets, contents, write_folder
@@ -55,10 +55,10 @@ def _results(source: Path, folder: Path, targets: dict[str, Any], force: bool) -
         raise ConfigError(f"{folder} already holds an export; give another folder, or --force to replace it")
     observations = load(source) if source.is_dir() else None
     files = contents(result, Targets(**targets), observations)
-    return [f"{path}" for path in write_folder(files, folder)]
+    return [{"file": str(path)} for path in write_folder(files, folder)]
 
 
-def _artefact(source: Path, artefact_id: str, output: Path, force: bool) -> str:
+def _artefact(source: Path, artefact_id: str, output: Path, force: bool) -> dict[str, Any]:
     from mbcacq.errors import ConfigError, RecordingError
     from mbcacq.report.export.certificate import artefact_yaml, read_certificate
 
@@ -69,4 +69,4 @@ def _artefact(source: Path, artefact_id: str, output: Path, force: bool) -> str:
         output.write_text(artefact_yaml(found), encoding="utf-8")
     except OSError as error:
         raise RecordingError(f"{output}: cannot be written: {error.strerror}") from error
-    return f"{output}: {len(found.ball_ids)} balls, uncertainty {found.uncertainty_mm:.4f} mm (k = 1)"
+    return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm}

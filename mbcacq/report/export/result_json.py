@@ -25,6 +25,7 @@ class Open(BaseModel):
 class Robot(Open):
     name: str
     sign: list[float] = Field(description="sense of each axis, +1 or -1")
+    limits: list[tuple[float, float]] | None = Field(None, description="smallest and largest angle of each axis, rad")
     nominal: Rows = Field(description="MD-H rows by parameter, over the axes: theta, alpha, beta rad; d, a mm")
     calibrated: Rows
     errors: Rows = Field(description="calibrated minus nominal")
@@ -111,6 +112,9 @@ def load_result(path: str | Path) -> dict[str, Any]:
     n, axes = len(data["names"]), len(data["robot"]["sign"])
     if len(data["covariance"]) != n or any(len(row) != n for row in data["covariance"]):
         raise ConfigError(f"{file}: the covariance is not {n} x {n} as the {n} names say; write it anew with mbcacq calibrate")
+    limits = data["robot"].get("limits")
+    if limits is not None and len(limits) != axes:
+        raise ConfigError(f"{file}: robot.limits are of {len(limits)} axes, the arm has {axes}; write it anew with mbcacq calibrate")
     for which in ("nominal", "calibrated", "errors"):
         if any(len(column) != axes for column in data["robot"][which].values()):
             raise ConfigError(f"{file}: robot.{which} has not {axes} axes in every column; write it anew with mbcacq calibrate")

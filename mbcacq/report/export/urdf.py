@@ -28,7 +28,8 @@ def patch(path: str | Path, nominal: Chain, calibrated: Chain, *, joints: Sequen
 
     joints: names of the n moving joints from base to flange (default: the revolute ones, of which there must be n). The robot's base is
     the parent link of the first, the flange the child of the fixed joint behind the last, or of the last where there is none. With
-    ``T_flange_scanner`` (4, 4) mm a fixed joint to ``scanner`` is added behind the flange, or its origin set where it exists.
+    ``T_flange_scanner`` (4, 4) mm, in the flange frame of the MD-H chain, a fixed joint to ``scanner`` is added behind the flange, or
+    its origin set where it exists.
 
     Raises ConfigError where the file does not describe this arm at its zero position, naming joint and misfit.
     """
@@ -55,7 +56,8 @@ def patch(path: str | Path, nominal: Chain, calibrated: Chain, *, joints: Sequen
         if np.abs(T - old).max() > 1e-9:
             _set_origin(element, T)
     if T_flange_scanner is not None:
-        _add_scanner(root, named, _link(order[-1], "child"), np.asarray(T_flange_scanner, float), scanner)
+        # The URDF's flange frame may be turned against the MD-H one (KUKA's tool0 looks out of the arm, alpha_n may look into it).
+        _add_scanner(root, named, _link(order[-1], "child"), se3.inverse(previous) @ G[-1] @ np.asarray(T_flange_scanner, float), scanner)
     return _text(root, raw)
 
 

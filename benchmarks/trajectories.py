@@ -1,0 +1,76 @@
+"""Trajectories with concealed faults, made by a fake arm in motion: what is found, what is measured, what is claimed wrongly.
+
+    python benchmarks/trajectories.py --challenges 100 --jobs 2 --json /tmp/trajectories.json
+
+Each challenge is one arm (KR 10 R1100-2) with nothing, one, two or three faults, recorded in two motions. The figures stand in
+benchmarks/trajectories.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from mbcacq_fakes.moving.recorded import recorded
+
+from mbcacq import library
+from mbcacq.cellfile import RobotSpec
+from mbcacq.challenge.trajectory import Result, draw, take
+from mbcacq.recording.yaml_text import load_yaml, read_yaml_text
+
+WITHIN = 3.0
+
+
+def robot(name: str = "kr10_r1100_2"):
+    path = library.robot_file(name)
+    return RobotSpec.model_validate(load_yaml(read_yaml_text(path), str(path))[0]).model()
+
+
+def one(number: int) -> Result:
+    return take(draw(number), robot(), recorded)
+
+
+def summary(results: list[Result]) -> dict:
+    faulty = [r for r in results if any(r.matters)]
+    clean = [r for r in results if not r.truth]
+    sigmas = [v for r in results for v in r.sigmas.values()]
+    by_name: dict[str, list[int]] = {}
+    for r in results:
+        for t, m in zip(r.truth, r.matters, strict=True):
+            if m:
+                row = by_name.setdefault(t["name"], [0, 0])
+                row[0] += f"{t['name']}:{'+'.join(t['where'])}" in r.told
+                row[1] += 1
+    return {
+        "challenges": len(results), "with_faults_that_matter": len(faulty), "clean": len(clean),
+        "detected": sum(r.verdict != "none" for r in faulty), "named_and_placed_first": sum(r.named for r in faulty),
+        "with_a_false_name": sum(bool(r.extra) for r in results), "clean_with_a_false_name": sum(bool(r.extra) for r in clean),
+        "parameters": len(sigmas), "parameters_within_3_sigma": sum(s <= WITHIN for s in sigmas), "found_by_name": by_name,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--challenges", type=int, default=100)
+    parser.add_argument("--first", type=int, default=1000, help="seed of the first challenge")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    results = []
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for r in pool.map(one, range(given.first, given.first + given.challenges)):
+            results.append(r)
+            truth = ", ".join(f"{t['name']}:{'+'.join(t['where'])}{'' if m else ' (small)'}"
+                              for t, m in zip(r.truth, r.matters, strict=True))
+            far = {k: round(v, 1) for k, v in r.sigmas.items() if v > WITHIN}
+            ending = f"{r.verdict:<17} {truth or 'nothing'} | extra {r.extra} | far {far}"
+            print(f"{r.challenge.number} {'ok ' if r.named else 'MISS'} {ending}", flush=True)
+    print(json.dumps(summary(results), indent=1))
+    if given.json is not None:
+        given.json.write_text(json.dumps([r.to_dict() for r in results], indent=1, default=float), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Is the cell at the other end the one the plan was made for? Raises IdentityError with one sentence that says what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.devices import DeviceFault, IdentityError
+from mbcacq_kuka.eki.options import MODES, Options
+from mbcacq_kuka.eki.start import same_model
+from mbcacq_kuka.eki.telegrams import INTERFACE, Hello, State
+
+_FRAME_MM, _FRAME_DEG = 0.01, 0.01
+
+
+def check_cell(name: str, model: str, options: Options, hello: Hello, state: State) -> None:
+    """Everything that is known after connecting. Raises IdentityError, DeviceFault (stopped)."""
+    where = f"robot '{name}': the controller at {options.address}"
+    if hello.interface != INTERFACE:
+        raise IdentityError(f"{where} runs programs for '{hello.interface}', this driver needs '{INTERFACE}'; "
+                            "copy the files that `mbcacq controller-files` writes")
+    if hello.axes != 6:
+        raise IdentityError(f"{where} drives {hello.axes} axes, this driver is for 6")
+    if model and not same_model(model, hello.model):
+        raise IdentityError(f"{where} drives a '{hello.model}', the plan is for '{model}'; correct the plan's robot model or the address")
+    for what, got, wanted in (("tool", state.tool, options.tool), ("base", state.base, options.base)):
+        if got != wanted:
+            raise IdentityError(f"{where} works with {what} {got}, the plan expects {what} {wanted}; "
+                                "write the controller files again or correct the plan's options")
+    for what, got, wanted in (("tool", hello.tool_frame, options.tool_frame), ("base", hello.base_frame, options.base_frame)):
+        if wanted is not None and (away := frame_distance(got, wanted)) is not None:
+            raise IdentityError(f"{where} has {away} between its {what} data and the plan's {what}_frame; correct one of them")
+    if options.load_kg is not None and abs(hello.load_kg - options.load_kg) > 0.05 + 0.05 * options.load_kg:
+        raise IdentityError(f"{where} counts with a load of {hello.load_kg:g} kg, the plan says {options.load_kg:g} kg; "
+                            "correct the load data of its tool")
+    if state.mode not in options.modes:
+        mode = {v: k for k, v in MODES.items()}.get(state.mode, f"unknown ({state.mode})")
+        raise IdentityError(f"{where} is in mode {mode}, the plan expects {' or '.join(options.mode)}; turn the mode selector")
+    if options.override is not None and state.override != options.override:
+        raise IdentityError(f"{where} has an override of {state.override} %, the plan expects {options.override} %; "
+                            "set it on the smartPAD or set option override")
+    for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
+        if not low - 1.0 <= value <= high + 1.0:
+            raise IdentityError(f"{where} shows A{axis} at {value:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
+                                "jog the arm inside or correct the robot model")
+    check_flange(where, options, hello, state)
+    check_stops(where, state)
+
+
+def check_flange(where: str, options: Options, hello: Hello, state: State) -> None:
+    """The controller's own forward kinematics must agree with the plan's robot: finds wrong machine data and wrong models."""
+    if options.kinematics is None:
+        return
+    told = _invert(_frame(hello.robroot)) @ _frame(hello.base_frame) @ _frame(state.cart) @ _invert(_frame(hello.tool_frame))
+    away = float(np.linalg.norm(told[:3, 3] - flange(options.kinematics, state.axis)[:3, 3]))
+    if not away <= options.flange_tolerance_mm:
+        raise IdentityError(f"{where} places its flange {away:.1f} mm from where the plan's robot model does at the same joint angles; "
+                            "the robot model, the machine data (MADA) or $ROBROOT is another one")
+
+
+def check_stops(where: str, state: State) -> None:
+    """Raises DeviceFault for what keeps an arm from moving."""
+    if state.emergency_stop:
+        raise DeviceFault(f"{where} is in emergency stop; release and acknowledge it")
+    if state.guard_stop:
+        raise DeviceFault(f"{where} is in operator safety (guard) stop; close the guard and acknowledge it")
+
+
+def frame_distance(a: Sequence[float], b: Sequence[float]) -> str | None:
+    """How far two frames are apart, in words; None if they agree."""
+    A, B = _frame(a), _frame(b)
+    shift = float(np.linalg.norm(A[:3, 3] - B[:3, 3]))
+    turn = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0))))
+    return None if shift <= _FRAME_MM and turn <= _FRAME_DEG else f"{shift:.2f} mm and {turn:.2f} deg"
+
+
+def flange(rows: Sequence[Sequence[float]], axis_deg: Sequence[float]) -> np.ndarray:
+    """T_base_flange (4, 4), mm: product of Rz(sign q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) over the rows (modified DH, angles deg)."""
+    T = np.eye(4)
+    for angle, (sign, theta, d, a, alpha, beta) in zip(axis_deg, rows, strict=True):
+        T = T @ _turn(2, sign * angle + theta) @ _shift(a, 0.0, d) @ _turn(0, alpha) @ _turn(1, beta)
+    return T
+
+
+def _turn(axis: int, angle_deg: float) -> np.ndarray:
+    T, (i, j) = np.eye(4), ((1, 2), (2, 0), (0, 1))[axis]
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
+    return T
+
+
+def _shift(x: float, y: float, z: float) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def _frame(pose: Sequence[float]) -> np.ndarray:
+    """X, Y, Z, A, B, C -> (4, 4): A about z, then B about the new y, then C about the new x."""
+    x, y, z, a, b, c = pose
+    return _shift(x, y, z) @ _turn(2, a) @ _turn(1, b) @ _turn(0, c)
+
+
+def _invert(T: np.ndarray) -> np.ndarray:
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
+    return back

@@ -1,0 +1,183 @@
+"""KUKA robots over EthernetKRL, for mbcacq: PTP and LIN moves by a program on the controller, its state as a stream."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from mbcacq.devices import (
+    ConfigError,
+    ConnectError,
+    Cycles,
+    Description,
+    DeviceFault,
+    Field,
+    MotionLimits,
+    RobotState,
+    SafetyStop,
+)
+from mbcacq_kuka.controller_files import eki_files
+from mbcacq_kuka.eki import telegrams
+from mbcacq_kuka.eki.cell_check import check_cell, frame_distance
+from mbcacq_kuka.eki.options import read_options
+from mbcacq_kuka.eki.record import Record
+from mbcacq_kuka.eki.session import Session
+from mbcacq_kuka.eki.telegrams import LIN, PTP, State
+from mbcacq_kuka.eki.watch import Move
+
+_STANDSTILL_S = 5.0
+
+
+class KukaEki:
+    """A six-axis KUKA arm behind EthernetKRL. ``options``: see options.Options. Implements mbcacq.devices.Robot.
+
+    A move is done when the arm stands at its target, not when the controller says so. A lost connection brakes the arm: the
+    controller does that by itself. It is taken up again only if the arm stood still when it was lost.
+    """
+
+    plan_facts = ("kinematics",)
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._name, self._model = name, model
+        self._options = read_options(name, options)
+        self._session: Session | None = None
+        self._record = Record()
+        self._lock = threading.Lock()
+        self._number = self._stopped = 0
+
+    @staticmethod
+    def controller_files(name: str, model: str, options: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, str]:
+        """Path -> text of everything that goes onto the controller, for this plan. See controller_files.eki_files."""
+        return eki_files(read_options(name, options), facts)
+
+    def describe(self) -> Description:
+        rate, axes = 1000.0 / self._options.state_ms, (6,)
+        hello = None if self._session is None else self._session.hello
+        return Description("robot", self._model, (
+            Field("time_s", "s", (), rate, "robot clock ($ROB_TIMER)"),
+            Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
+            Field("q", "rad", axes, rate, "measured axis angles ($AXIS_ACT_MEAS)"),
+            Field("q_command", "rad", axes, rate, "target of the move under way"),
+            Field("current_percent", "%", axes, rate, "motor currents ($CURR_ACT)"),
+            Field("tool_in_base_mm_deg", "mm, deg", axes, rate, "X, Y, Z, A, B, C of the tool in the base ($POS_ACT)"),
+            Field("override_percent", "%", (), rate, "program override ($OV_PRO)"),
+            Field("sign_of_life_ms", "ms", (), rate, "age of our last sign of life, on the robot's clock"),
+            Field("connection", "1", (), rate, "how many connections this one is; a step is a gap in the stream"),
+        ), serial="" if hello is None else hello.model, firmware="" if hello is None else hello.machine_data, verified_on_hardware=False)
+
+    def connect(self) -> None:
+        """Connect, wait for the controller's program, compare its cell with the plan. Raises ConnectError, IdentityError, DeviceFault."""
+        self.close()
+        self._record = Record()
+        session = self._session = Session(self._name, self._options, self._record,
+                                          lambda hello, state: check_cell(self._name, self._model, self._options, hello, state))
+        try:
+            session.open()
+        except BaseException:
+            self.close()
+            raise
+        first = session.state
+        self._number = self._stopped = max(first.last, first.refused, first.cancelled)
+
+    def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
+        """Start a PTP motion to q (6,) rad. Raises SafetyStop for a target outside the limits, and any fault met so far.
+
+        Speed is a percentage of the controller's axis speeds, rounded down for the slowest axis; acceleration is option
+        acceleration_percent, the jerk the controller's own. A move under way is stopped first.
+        """
+        session = self._check()
+        target = np.degrees(np.asarray(q, dtype=float))
+        if target.shape != (6,):
+            raise ConfigError(f"robot '{self._name}': a target has 6 axes, not {np.shape(q)}")
+        low, high = np.array(self._options.limits_deg).T
+        outside = ~(np.isfinite(target) & (target >= low - 1e-9) & (target <= high + 1e-9))
+        if outside.any():
+            axis = int(np.argmax(outside))
+            raise SafetyStop(f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the joint limits "
+                             f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved")
+        speed = np.degrees(np.broadcast_to(np.asarray(limits.speed, dtype=float), (6,)))
+        if not (np.isfinite(speed).all() and (speed > 0).all()):
+            raise ConfigError(f"robot '{self._name}': speed limits must be positive")
+        percent = float(np.floor(np.clip(100.0 * np.min(speed / np.array(self._options.speed_deg_s)) + 1e-9, 1.0, 100.0)))
+        wanted, tolerance = np.clip(target, low, high), float(np.degrees(limits.tolerance))
+
+        def away(state: State) -> float:
+            return float(np.max(np.abs(np.array(state.axis) - wanted))) / tolerance
+
+        self._begin(session, PTP, away, limits.settle_s, wanted, speed=percent, axes=wanted.tolist())
+
+    def move_linear(self, pose_mm_deg: np.ndarray, speed_mm_s: float, tolerance_mm: float = 0.05, settle_s: float = 0.2) -> None:
+        """Start a LIN motion of the tool to X, Y, Z, A, B, C (6,) (mm, deg) in the active base. The way is not checked against the plan:
+        the controller's own limits are all that guards it. Raises as move_to."""
+        session = self._check()
+        pose = np.asarray(pose_mm_deg, dtype=float)
+        if pose.shape != (6,) or not np.isfinite(pose).all():
+            raise ConfigError(f"robot '{self._name}': a LIN target is X, Y, Z, A, B, C")
+        if not 0.0 < speed_mm_s <= self._options.path_speed_mm_s:
+            raise SafetyStop(f"robot '{self._name}': {speed_mm_s:g} mm/s is not within 0..{self._options.path_speed_mm_s:g} mm/s "
+                             "(option path_speed_mm_s); nothing was moved")
+
+        def away(state: State) -> float:
+            turned = frame_distance((0.0, 0.0, 0.0, *state.cart[3:]), (0.0, 0.0, 0.0, *pose[3:]))
+            return max(float(np.linalg.norm(np.array(state.cart[:3]) - pose[:3])) / tolerance_mm, 0.0 if turned is None else 2.0)
+
+        self._begin(session, LIN, away, settle_s, None, speed=float(speed_mm_s), frame=pose.tolist())
+
+    def state(self) -> RobotState:
+        session = self._check()
+        state, arrived = session.state, session.arrived
+        moving = bool(state.moving) or (session.busy and not arrived)
+        return RobotState(state.time * 1e-3, np.radians(state.axis), moving, arrived)
+
+    def cycles(self) -> Cycles:
+        return self._record.drain()
+
+    def stop(self) -> None:
+        """The controller brakes the move under way on its path and forgets those that wait; no connection, no motion either."""
+        session = self._session
+        if session is None:
+            return
+        with self._lock:
+            number, self._stopped = (self._number if self._number > self._stopped else None), self._number
+        if number is not None:
+            session.halt(number)
+
+    def close(self) -> None:
+        self.stop()
+        session, self._session = self._session, None
+        if session is not None:
+            session.close(_STANDSTILL_S)
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _begin(self, session: Session, kind: int, away: Callable[[State], float], settle_s: float, target: np.ndarray | None,
+               **values: Any) -> None:
+        if session.busy and not session.arrived:
+            self.stop()
+        session.await_link()
+        with self._lock:
+            number = self._number = self._number + 1
+        session.begin(Move(number, away, settle_s), None if target is None else tuple(target.tolist()),
+                      telegrams.command(kind, number, session.beat, acceleration=self._options.acceleration_percent, **values))
+
+    def _check(self) -> Session:
+        """Raise what has stopped the arm."""
+        session = self._session
+        if session is None:
+            raise ConnectError(f"robot '{self._name}' is not connected; call connect first")
+        if session.error is None and self._record.lost:
+            session.fail(DeviceFault(f"robot '{self._name}': {self._record.lost} states were lost because they were not fetched in time; "
+                                     "the arm is stopped"))
+        if session.error is not None:
+            self.stop()
+            raise session.error.with_traceback(None)
+        return session

@@ -1,0 +1,242 @@
+"""The conversation with the controller's program, in a thread of its own: states in, signs of life out, the connection kept."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, SafetyStop
+from mbcacq_kuka.eki import telegrams
+from mbcacq_kuka.eki.link import RETRY_S, Link, LinkLost, dial
+from mbcacq_kuka.eki.options import Options
+from mbcacq_kuka.eki.record import Record
+from mbcacq_kuka.eki.telegrams import BEAT, STOP, Hello, State
+from mbcacq_kuka.eki.watch import Move, Watch
+
+_POLL_S, _FIRST_S = 0.05, 3.0
+_MOVED_DEG = 0.05      # more between two connections: somebody moved the arm
+
+
+class Session:
+    """From connect to close, over all reconnections. ``check(hello, state)`` raises for a wrong cell. ``error``: what ended it."""
+
+    def __init__(self, name: str, options: Options, record: Record, check: Callable[[Hello, State], None]) -> None:
+        self._name, self._options, self._record, self._check = name, options, record, check
+        self._link: Link | None = None
+        self._news = threading.Condition()
+        self._quit = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="kuka-eki", daemon=True)
+        self._watch: Watch | None = None
+        self._target: tuple[float, ...] | None = None
+        self._beaten, self._heard, self._connections, self._patience = -1, 0.0, 0, 0.0
+        self.error: MbcacqError | None = None
+        self.hello: Hello | None = None
+        self.state: State | None = None
+
+    def open(self) -> None:
+        """Raises ConnectError, IdentityError, DeviceFault, ProtocolError."""
+        deadline = time.monotonic() + self._options.connect_timeout_s
+        self._patience = time.monotonic() + min(_FIRST_S, self._options.connect_timeout_s)
+        self._link = self._dial(self._patience - time.monotonic())
+        self._thread.start()
+        where = f"robot '{self._name}': the controller at {self._options.address}"
+        self._await(lambda: self.state is not None, min(deadline, time.monotonic() + _FIRST_S),
+                    f"{where} accepts the connection but tells no state; is our link program in its submit interpreter?")
+        self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
+        self._check(self.hello, self.state)
+        braking = time.monotonic() + _FIRST_S  # perhaps from a connection that was lost just now
+        while self.state.moving:
+            if self.error is not None:
+                raise self.error.with_traceback(None)
+            if time.monotonic() > braking:
+                raise DeviceFault(f"{where} is moving the arm already; wait until it stands")
+            time.sleep(_POLL_S)
+        with self._news:
+            self._watch = Watch(self._name, self.state)
+
+    @property
+    def busy(self) -> bool:
+        """A move was begun and not stopped."""
+        return self._watch is not None and self._watch.move is not None
+
+    @property
+    def arrived(self) -> bool:
+        return self._watch is not None and self._watch.arrived
+
+    @property
+    def beat(self) -> int:
+        """The time of the last state, ms: shows the controller that it is heard."""
+        return 0 if self.state is None else self.state.time
+
+    def await_link(self) -> None:
+        """While the connection is being taken up again, wait. Raises what ended the session."""
+        self._await(lambda: self._link is not None, time.monotonic() + self._options.reconnect_s + self._options.silence_s + 10.0,
+                    f"robot '{self._name}': the connection is not there")
+
+    def begin(self, move: Move, target: tuple[float, ...] | None, telegram: bytes) -> None:
+        with self._news:
+            self._watch.begin(move)
+            self._target = target
+        self._send(telegram)
+
+    def halt(self, number: int) -> None:
+        """Stop all moves up to ``number``. Never raises: without a connection the controller has braked already."""
+        with self._news:
+            if self._watch is not None and not self._watch.arrived:
+                self._watch.leave()
+        self._send(telegrams.command(STOP, number, self.beat))
+
+    def fail(self, error: MbcacqError) -> None:
+        """The first error is kept; the arm is stopped."""
+        with self._news:
+            if self.error is None:
+                self.error = error
+            self._news.notify_all()
+        if self.state is not None:
+            self.halt(max(self.state.last, 0 if self._watch is None or self._watch.move is None else self._watch.move.number))
+
+    def close(self, standstill_s: float) -> None:
+        """Wait until the arm stands, as long as its state is told; then hang up."""
+        deadline = time.monotonic() + standstill_s
+        seen = None if self.state is None else self.state.time
+        while self._thread.is_alive() and self._link is not None and seen is not None and time.monotonic() < deadline:
+            if self.state.time > seen + 2 * self._options.state_ms and not self.state.moving or self._heard + 0.5 < time.monotonic():
+                break
+            time.sleep(0.002)
+        self._quit.set()
+        if (link := self._link) is not None:
+            link.close()
+        if self._thread.is_alive():
+            self._thread.join()
+        if (link := self._link) is not None:    # one that was just being taken up again
+            link.close()
+
+    # the thread
+
+    def _work(self) -> None:
+        while not self._quit.is_set():
+            try:
+                self._listen()
+            except LinkLost as error:
+                if self._quit.is_set() or not self._again(str(error)):
+                    return
+            except MbcacqError as error:
+                self.fail(error)
+                if self._watch is None:  # still connecting: nothing to look after
+                    return
+
+    def _listen(self) -> None:
+        for arrival, hello, state in self._link.receive(_POLL_S):
+            self._heard = arrival
+            if hello is not None:
+                self.hello = hello
+            if state is not None:
+                self._take(arrival, state)
+        silent = time.monotonic() - self._heard
+        if silent > self._options.silence_s and self.state is not None:
+            raise LinkLost(f"the controller told no state for {silent:.1f} s")
+
+    def _take(self, arrival: float, state: State) -> None:
+        before = self.state
+        if before is not None and state.time < before.time:
+            raise DeviceFault(f"robot '{self._name}': the controller's clock went back by {before.time - state.time} ms; was it restarted?")
+        if before is None or state.time > before.time:  # else the same telegram once more
+            with self._news:
+                self.state = state
+                self._record.add(arrival, state, self._target, self._connections)
+                error = None if self._watch is None or self.error is not None else self._watch.take(state)
+                self._news.notify_all()
+            if error is not None:
+                self.fail(error)
+        if self._beaten < 0 or state.time - self._beaten >= self._options.beat_ms:
+            self._beaten = state.time
+            self._send(telegrams.command(BEAT, beat=state.time))
+
+    def _again(self, how: str) -> bool:
+        """The connection is lost. Take it up again if the arm stood still; else say what happened. False: that was all."""
+        link, self._link = self._link, None
+        link.close()
+        if self._watch is None and self._redial():
+            return True
+        robot = f"robot '{self._name}'"
+        before, watching = self.state, self._watch is not None
+        under_way = before is None or not watching or bool(before.moving) or (self.busy and not self.arrived)
+        if under_way or self.error is not None or not self._options.reconnect_s:
+            lost = DeviceTimeout if watching else ConnectError
+            self.fail(lost(f"{robot}: {how}" + ("; the controller brakes the arm by itself" if watching else "")))
+            return False
+        deadline = time.monotonic() + self._options.reconnect_s
+        try:
+            self.hello = None
+            self._resume(self._dial(self._options.reconnect_s), deadline, before)
+        except LinkLost as error:
+            self.fail(DeviceTimeout(f"{robot}: {how}, and when connected again: {error}; the arm stands"))
+        except IdentityError as error:
+            self.fail(error)
+        except ConnectError as error:
+            self.fail(DeviceTimeout(f"{robot}: {how}, and it did not come back within {self._options.reconnect_s:g} s: {error}"))
+        except MbcacqError as error:
+            self.fail(error)
+        return self._link is not None
+
+    def _redial(self) -> bool:
+        """While connecting: a controller that still ends a former connection closes the new one, too."""
+        left = self._patience - time.monotonic()
+        if left <= 0 or self._quit.wait(min(left, RETRY_S)):
+            return False
+        try:
+            self._link = self._dial(left)
+        except ConnectError:
+            return False
+        self.hello = None
+        return True
+
+    def _resume(self, link: Link, deadline: float, before: State) -> None:
+        """The same cell, with the arm where it was? Raises MbcacqError, LinkLost."""
+        try:
+            hello = state = None
+            while hello is None or state is None or hello.session != state.session:
+                if self._quit.is_set() or time.monotonic() > deadline:
+                    raise LinkLost("it tells neither who nor where it is")
+                for arrival, new_hello, new_state in link.receive(_POLL_S):
+                    self._heard, hello, state = arrival, new_hello or hello, new_state or state
+            self._check(hello, state)
+            moved = max(abs(a - b) for a, b in zip(before.axis, state.axis, strict=True))
+            if moved > _MOVED_DEG:
+                raise SafetyStop(f"robot '{self._name}': the arm was moved by {moved:.2f} deg while the connection was lost; "
+                                 "start the run again")
+        except BaseException:
+            link.close()
+            raise
+        with self._news:
+            self.hello, self._beaten = hello, -1
+            self._link = link
+            self._news.notify_all()
+
+    def _dial(self, patience_s: float) -> Link:
+        """Raises ConnectError."""
+        link = dial(self._options.address, self._options.port, patience_s, self._quit)
+        self._connections += 1
+        self._heard = time.monotonic()
+        return link
+
+    def _send(self, telegram: bytes) -> None:
+        if (link := self._link) is None:
+            return
+        try:
+            link.send(telegram)
+        except LinkLost:
+            link.close()  # the thread will notice
+
+    def _complete(self) -> bool:
+        return self.hello is not None and self.state.ready and self.hello.session == self.state.session
+
+    def _await(self, condition: Callable[[], bool], deadline: float, otherwise: str) -> None:
+        with self._news:
+            while not condition():
+                if self.error is not None:
+                    raise self.error.with_traceback(None)
+                if (left := deadline - time.monotonic()) <= 0:
+                    raise ConnectError(otherwise)
+                self._news.wait(min(left, 0.1))

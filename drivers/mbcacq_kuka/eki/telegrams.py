@@ -1,0 +1,137 @@
+"""What is said over the channel mbcacq_eki: commands to the controller, its introduction and its state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from math import isfinite
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+BEAT, PTP, LIN, STOP = 0, 1, 2, 3
+INTERFACE = "mbcacq 1"
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+POSE = ("X", "Y", "Z", "A", "B", "C")
+REFUSALS = {
+    **{k: f"A{k} would leave the limits written into its program" for k in range(1, 7)},
+    10: "it does not know this kind of move", 11: "the speed is beyond what its program allows",
+    12: "the acceleration is beyond what its program allows", 13: "eight moves wait already", 14: "its program does not run",
+    15: "the number of the move was used before",
+}
+
+
+class BadTelegram(ValueError):
+    """A telegram that the program on the controller does not send."""
+
+
+@dataclass(frozen=True)
+class Hello:
+    """What the controller says of itself. model: $ROBTRAFO[]; frames: X, Y, Z, A, B, C in mm and deg; session: count of program starts."""
+
+    axes: int
+    interface: str
+    machine_data: str
+    model: str
+    session: int
+    load_kg: float
+    base_frame: tuple[float, ...]
+    tool_frame: tuple[float, ...]
+    robroot: tuple[float, ...]
+    load_centre: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class State:
+    """One moment. time ms; axis, current (6,) deg and %; cart: tool in base, mm and deg. last, done, cancelled, refused: numbers of
+    moves; code: why one was refused (REFUSALS). mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the controller had from us.
+    """
+
+    base: int
+    beat: int
+    cancelled: int
+    code: int
+    done: int
+    drives: int
+    emergency_stop: int
+    guard_stop: int
+    last: int
+    mode: int
+    moving: int
+    override: int
+    ready: int
+    refused: int
+    session: int
+    time: int
+    tool: int
+    axis: tuple[float, ...]
+    cart: tuple[float, ...]
+    current: tuple[float, ...]
+
+
+_INTEGERS = {f.name: f.name.title().replace("_", "") for f in fields(State) if f.type == "int"}
+
+
+def command(kind: int, number: int = 0, beat: int = 0, speed: float = 0.0, acceleration: int = 0, axes: Sequence[float] = (0.0,) * 6,
+            frame: Sequence[float] = (0.0,) * 6) -> bytes:
+    """Always with every element: EKI keeps a queue for each, and they must not fall out of step. speed % (PTP) or mm/s (LIN)."""
+    a = " ".join(f'{n}="{v:.6f}"' for n, v in zip(AXES, axes, strict=True))
+    f = " ".join(f'{n}="{v:.6f}"' for n, v in zip(POSE, frame, strict=True))
+    return (f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}">'
+            f"<Axis {a}></Axis><Frame {f}></Frame></Command>").encode("ascii")
+
+
+def parse(data: bytes) -> tuple[Hello | None, State | None]:
+    """One ``<Robot>`` telegram; EKI 3 sends introduction and state apart, EKI 6 always both. Raises BadTelegram."""
+    try:
+        robot = fromstring(data, forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        raise BadTelegram(f"it is no XML ({error})") from error
+    hello, state = robot.find("Hello"), robot.find("State")
+    if hello is None and state is None:
+        raise BadTelegram("it holds neither Hello nor State; is the channel's XML file on the controller ours?")
+    return None if hello is None else _hello(hello), None if state is None else _state(state)
+
+
+def _hello(element: Element) -> Hello:
+    frames = [_numbers(_child(element, name), POSE) for name in ("BaseFrame", "ToolFrame", "RobRoot", "LoadCentre")]
+    return Hello(_integer(element, "Axes"), element.get("Interface", ""), element.get("MachineData", ""), element.get("Model", ""),
+                 _integer(element, "Session"), _numbers(element, ("LoadKg",))[0], *frames)
+
+
+def _state(element: Element) -> State:
+    integers = {name: _integer(element, attribute) for name, attribute in _INTEGERS.items()}
+    return State(**integers, axis=_numbers(_child(element, "Axis"), AXES), cart=_numbers(_child(element, "Cart"), POSE),
+                 current=_numbers(_child(element, "Current"), AXES))
+
+
+def _child(element: Element, name: str) -> Element:
+    child = element.find(name)
+    if child is None:
+        raise BadTelegram(f"{element.tag} has no {name}")
+    return child
+
+
+def _integer(element: Element, name: str) -> int:
+    text = element.get(name)
+    try:
+        value = int(text or "")
+    except ValueError:
+        raise BadTelegram(f"{element.tag}/@{name} is {text!r}, not a whole number") from None
+    if abs(value) >= 1 << 31:
+        raise BadTelegram(f"{element.tag}/@{name} is {text[:20]}, more than an INT holds")
+    return value
+
+
+def _numbers(element: Element, names: Sequence[str]) -> tuple[float, ...]:
+    values = []
+    for name in names:
+        text = element.get(name)
+        try:
+            values.append(float(text or ""))
+        except ValueError:
+            raise BadTelegram(f"{element.tag}/@{name} is {text!r}, not a number") from None
+        if not isfinite(values[-1]) or abs(values[-1]) > 1e7:
+            raise BadTelegram(f"{element.tag}/@{name} is {text[:20]}, which cannot be")
+    return tuple(values)

@@ -1,0 +1,77 @@
+"""What a fake EKI controller is told when it starts, and what can be done to it while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+FAULTS = (
+    "silence",          # no telegram leaves the controller
+    "deaf",             # nothing that arrives is read
+    "refuse",           # new connections are not accepted
+    "close",            # that many times the connection is closed before a telegram
+    "close_inside",     # that many times in the middle of a telegram
+    "reset",            # that many times the link program does Clear, Init, Open
+    "drop",             # that many telegrams are lost
+    "truncate",         # that many telegrams lose their second half
+    "duplicate",        # that many telegrams come twice
+    "garbage",          # that many times bytes without sense come between telegrams
+    "malformed",        # that many telegrams are no XML
+    "no_number",        # that many telegrams carry a word where a number should be
+    "delay_ms",         # telegrams leave so much later
+    "split",            # telegrams leave byte by byte
+    "merge",            # telegrams leave in one piece with the next two
+    "ignore",           # moves are accepted and never begun
+    "short_deg",        # A1 stops so far before its target
+    "program_stop",     # the operator stops the robot program
+    "restart",          # the operator selects it and starts it again
+    "emergency_stop",   # until taken back; then the program must be started again
+    "override",         # $OV_PRO, 0: leave it as it is
+    "mode",             # 1 T1, 2 T2, 3 AUT, 4 EXT; 0: leave it as it is
+    "tool",             # the program runs with another tool number, plus 1; 0: as it is
+)
+COUNTED = ("close", "close_inside", "reset", "drop", "truncate", "duplicate", "garbage", "malformed", "no_number", "program_stop",
+           "restart")
+
+
+@dataclass(frozen=True)
+class EkiSettings:
+    """sources: name -> text of the KRL programs and data lists, of which ``program`` runs in the robot interpreter and ``link`` has the
+    two entries mbcacq_link_init and mbcacq_link_step for the submit interpreter. channel: text of the EKI channel's XML.
+
+    Angles deg, lengths mm. tools, bases: number -> X, Y, Z, A, B, C. loads: number -> kg. dh: see KrcSettings. realtime: by the clock,
+    or as fast as the client gives signs of life. lag_s: of the arm behind its set point.
+    """
+
+    sources: dict[str, str]
+    channel: str
+    host: str = "127.0.0.1"
+    port: int = 0
+    program: str = "mbcacq_eki"
+    link: str = "mbcacq_link"
+    realtime: bool = True
+    model: str = "#KR10R1100_2 C4 SV"
+    machine_data: str = "V8.6.11"
+    start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
+    limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
+    speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
+    dh: tuple[tuple[float, ...], ...] = ()
+    tools: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    bases: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    loads: dict[str, float] = field(default_factory=dict)
+    robroot: tuple[float, ...] = (0.0,) * 6
+    override: int = 100
+    mode: str = "#EX"
+    running: bool = True
+    lag_s: float = 0.012
+    clock_ms: int = 1_000_000
+    faults: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if unknown := sorted(set(self.faults) - set(FAULTS)):
+            raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(FAULTS)}")
+        if self.mode not in ("#T1", "#T2", "#AUT", "#EX"):
+            raise ValueError("mode must be #T1, #T2, #AUT or #EX")
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)

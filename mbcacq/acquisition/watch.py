@@ -1,0 +1,45 @@
+"""Looks after the arm while the run waits for something else: an operator, a positioner, a scanner that starts again."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from mbcacq.devices import Robot
+
+PERIOD_S = 0.05
+
+
+class RobotWatch:
+    """Context manager. As soon as the robot reports what stopped it, ``interrupt`` is called from a thread, so that the wait ends; what
+    stopped the robot is then raised in place of whatever the interrupted wait raised."""
+
+    def __init__(self, robot: Robot, interrupt: Callable[[], None]) -> None:
+        self._robot, self._interrupt = robot, interrupt
+        self._quit, self._error = threading.Event(), None
+        self._thread = threading.Thread(target=self._work, name="robot-watch", daemon=True)
+
+    @property
+    def error(self) -> Exception | None:
+        return self._error
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._quit.set()
+        self._thread.join()
+        if self._error is not None and (kind is None or issubclass(kind, Exception)):
+            raise self._error
+
+    def _work(self) -> None:
+        while not self._quit.wait(PERIOD_S):
+            try:
+                self._robot.state()
+            except Exception as error:
+                self._error = error
+                self._interrupt()
+                return

@@ -1,0 +1,49 @@
+"""Where a driver's options lead: to this computer only, where nothing but a fake can answer, or into the world."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+ADDRESS_KEY = re.compile(r"addr|bind|host|(^|_)ip($|_)|eki|server|controller|serial|device|url|port", re.IGNORECASE)
+
+
+def on_loopback_only(options: Mapping[str, Any]) -> bool:
+    """Whether a robot's options lead nowhere but to this computer: what answers there can only be a fake. In doubt, no.
+
+    Every text under a key that names a place must be a loopback address, and there must be one; no other text may be an address.
+    """
+    found = False
+    for key, text in _texts(options):
+        local = _loopback(text)
+        if local is None and not ADDRESS_KEY.search(key):
+            continue
+        if not local:
+            return False
+        found = True
+    return found
+
+
+def _texts(options: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(options, Mapping):
+        for name, value in options.items():
+            yield from _texts(value, str(name))
+    elif isinstance(options, list | tuple):
+        for value in options:
+            yield from _texts(value, key)
+    elif isinstance(options, str) and options:
+        yield key, options
+
+
+def _loopback(text: str) -> bool | None:
+    """None where the text is no address."""
+    host = re.sub(r"^\w+://", "", text).strip("[]")
+    host = re.sub(r"^([^:]+):\d+$", r"\1", host)
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return None

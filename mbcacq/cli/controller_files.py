@@ -1,0 +1,30 @@
+"""``mbcacq controller-files``: what belongs onto the robot's controller for a plan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command("controller-files")
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
+@click.option("--replace", is_flag=True, help="Write over files that are there already.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
+    """Write the programs and configuration files for the robot's controller, with PLAN's addresses, limits and tool data.
+
+    README.txt among them says where each file goes, and in which order things are started.
+    """
+    from mbcacq import controller_files
+    from mbcacq.plan import load
+
+    written = controller_files.write(controller_files.make(load(plan)), out, replace)
+    if as_json:
+        click.echo(json.dumps({"files": [str(path) for path in written]}))
+        return
+    for path in written:
+        click.echo(str(path))
+    click.echo(f"next: read {out / 'README.txt'}")

@@ -1,0 +1,32 @@
+"""A conformance suite for drivers: give it a bench (your driver, its device or a fake behind proxies), get a list of results.
+
+    from mbcacq.conformance import Bench, Channel, Stand, TcpProxy, run
+
+    @contextmanager
+    def open():
+        with MyFake() as fake, TcpProxy(Channel("line"), fake.address) as proxy:
+            yield Stand(make=lambda **more: MyDriver("x", "m1", {"port": proxy.port, **more}), use=one_reading,
+                        proxies={"line": proxy}, wrong=lambda: MyDriver("x", "another", {"port": proxy.port}))
+
+    for result in run(Bench("mine", "sensor", open)):
+        print(result)
+
+Needs no test framework. docs/conformance.md tells what each check asks for.
+"""
+
+from mbcacq.conformance.bench import Bench, Stand
+from mbcacq.conformance.bounded import Hang, bounded
+from mbcacq.conformance.checks import CHECKS
+from mbcacq.conformance.faults import ACTIONS, Channel, Fault, as_read, counted, ended
+from mbcacq.conformance.injection import Case, Verdict, cases, inject, survey
+from mbcacq.conformance.proxy import Proxy, TcpProxy
+from mbcacq.conformance.proxy_pty import PtyProxy
+from mbcacq.conformance.proxy_udp import UdpProxy
+from mbcacq.conformance.run import Result, check, run
+from mbcacq.conformance.steps import Skip
+from mbcacq.conformance.trace import Replay, Trace
+
+__all__ = [
+    "ACTIONS", "CHECKS", "Bench", "Case", "Channel", "Fault", "Hang", "Proxy", "PtyProxy", "Replay", "Result", "Skip", "Stand",
+    "TcpProxy", "Trace", "UdpProxy", "Verdict", "as_read", "bounded", "cases", "check", "counted", "ended", "inject", "run", "survey",
+]

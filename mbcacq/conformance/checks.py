@@ -1,0 +1,179 @@
+"""The checks: what every driver owes the tool, whatever it drives. Each takes a bench and a fresh stand, and raises AssertionError."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from mbcacq.conformance.bench import Bench, Stand
+from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
+from mbcacq.conformance.steps import Skip, fault, need_proxies, rests, segments, works_anew
+from mbcacq.devices import Aborted, ConfigError, ConnectError, IdentityError
+
+Check = Callable[[Bench, Stand], None]
+
+
+def describes_itself_unconnected(bench: Bench, stand: Stand) -> None:
+    driver = stand.make()
+    demand(isinstance(driver, bench.protocol), f"it is no {bench.protocol.__name__}: a method is missing")
+    about = driver.describe()
+    demand(about.kind == bench.kind, f"describe() says kind '{about.kind}'")
+    names = [field.name for field in about.fields]
+    demand(names, "describe() names no field")
+    demand(len(set(names)) == len(names), "describe() names a field twice")
+    demand(all(proxy.connections == 0 for proxy in stand.proxies.values()), "it opened a connection before connect()")
+    outcome("close", driver.close, bench.limit_s)
+
+
+def refuses_an_unknown_option(bench: Bench, stand: Stand) -> None:
+    error = outcome("construction", lambda: stand.make(no_such_option=1), bench.limit_s)
+    demand(isinstance(error, ConfigError), f"an unknown option gives {error!r} instead of a ConfigError")
+    demand("no_such_option" in str(error), f"the error does not name the option: {error}")
+
+
+def connects_and_works(bench: Bench, stand: Stand) -> None:
+    driver = stand.make()
+    bounded("connect", driver.connect, bench.limit_s)
+    for _ in range(2):
+        bounded("use", lambda: stand.use(driver), bench.limit_s)
+    bounded("close", driver.close, bench.limit_s)
+
+
+def refuses_the_wrong_device(bench: Bench, stand: Stand) -> None:
+    if stand.wrong is None:
+        raise Skip("the bench gives no wrong device")
+    driver = stand.wrong()
+    error = outcome("connect", driver.connect, bench.limit_s)
+    demand(isinstance(error, IdentityError), f"connecting to another device gives {error!r} instead of an IdentityError")
+    outcome("close", driver.close, bench.limit_s)
+    works_anew(bench, stand)
+
+
+def names_an_absent_device(bench: Bench, stand: Stand) -> None:
+    need_proxies(stand)
+    for proxy in stand.proxies.values():
+        proxy.refusing = True
+    driver = stand.make(**stand.hasty)
+    error = outcome("connect", driver.connect, bench.limit_s)
+    demand(isinstance(error, ConnectError), f"connecting to nothing gives {error!r} instead of a ConnectError")
+    bounded("close", driver.close, bench.limit_s)
+    for proxy in stand.proxies.values():
+        proxy.refusing = False
+    works_anew(bench, stand)
+
+
+def refuses_to_work_unconnected(bench: Bench, stand: Stand) -> None:
+    driver = stand.make()
+    error = outcome("use", lambda: stand.use(driver), bench.limit_s)
+    demand(error is not None, "it works without a connection")
+    outcome("close", driver.close, bench.limit_s)
+
+
+def silence_is_an_error_in_time(bench: Bench, stand: Stand) -> None:
+    fault(bench, stand, "drop", must_fail=True)
+
+
+def garbage_is_survived(bench: Bench, stand: Stand) -> None:
+    fault(bench, stand, "garbage")
+
+
+def half_a_message_is_survived(bench: Bench, stand: Stand) -> None:
+    fault(bench, stand, "truncate")
+
+
+def an_end_in_mid_frame_is_survived(bench: Bench, stand: Stand) -> None:
+    fault(bench, stand, "close")
+
+
+def two_messages_in_one_segment_are_two(bench: Bench, stand: Stand) -> None:
+    segments(bench, stand, "join")
+
+
+def a_message_byte_by_byte_is_one(bench: Bench, stand: Stand) -> None:
+    segments(bench, stand, "split")
+
+
+def connects_again(bench: Bench, stand: Stand) -> None:
+    driver = stand.make()
+    for _ in range(2):
+        bounded("connect", driver.connect, bench.limit_s)
+        bounded("use", lambda: stand.use(driver), bench.limit_s)
+        bounded("close", driver.close, bench.limit_s)
+    bounded("connect", driver.connect, bench.limit_s)
+    for proxy in stand.proxies.values():
+        proxy.cut()
+    outcome("use after the connection was cut", lambda: stand.use(driver), bench.limit_s)
+    bounded("close", driver.close, bench.limit_s)
+    bounded("connect", driver.connect, bench.limit_s)
+    bounded("use", lambda: stand.use(driver), bench.limit_s)
+    bounded("close", driver.close, bench.limit_s)
+
+
+def stop_and_close_are_always_allowed(bench: Bench, stand: Stand) -> None:
+    driver = stand.make()
+    for step in (driver.stop, driver.stop, driver.close, driver.close):
+        bounded("stop or close before connect", step, bench.limit_s)
+    with driver:
+        bounded("use", lambda: stand.use(driver), bench.limit_s)
+        for _ in range(2):
+            bounded("stop", driver.stop, bench.limit_s)
+    for step in (driver.stop, driver.close, driver.stop):
+        bounded("stop or close after close", step, bench.limit_s)
+    rests(bench, stand)
+    works_anew(bench, stand)
+
+
+def stop_ends_what_is_under_way(bench: Bench, stand: Stand) -> None:
+    if stand.begin is None:
+        raise Skip("nothing of this device takes long")
+    driver = stand.make()
+    bounded("connect", driver.connect, bench.limit_s)
+    ended = threading.Event()
+    raised: list[BaseException] = []
+
+    def long() -> None:
+        try:
+            stand.begin(driver)
+        except BaseException as error:
+            raised.append(error)
+        finally:
+            ended.set()
+
+    threading.Thread(target=long, name="under-way", daemon=True).start()
+    if stand.at_rest is not None:
+        eventually(lambda: not stand.at_rest() or bool(raised), bench.limit_s, "the device never began")
+    else:
+        ended.wait(0.1)
+    for _ in range(2):
+        bounded("stop", driver.stop, bench.limit_s)
+    demand(ended.wait(bench.limit_s), f"what was under way did not end within {bench.limit_s:g} s of stop()")
+    wrong = [error for error in raised if not isinstance(error, Aborted)]
+    demand(not wrong, f"a stopped operation raised {wrong!r} instead of Aborted")
+    rests(bench, stand)
+    bounded("close", driver.close, bench.limit_s)
+    works_anew(bench, stand)
+
+
+def closes_after_an_exception(bench: Bench, stand: Stand) -> None:
+    driver = stand.make()
+
+    def broken() -> None:
+        with driver:
+            raise KeyError("a fault of the program around it")
+
+    try:
+        bounded("with", broken, bench.limit_s)
+    except KeyError:
+        pass
+    else:
+        raise AssertionError("leaving the context swallowed an exception")
+    rests(bench, stand)
+    works_anew(bench, stand)
+
+
+CHECKS: tuple[Check, ...] = (
+    describes_itself_unconnected, refuses_an_unknown_option, connects_and_works, refuses_the_wrong_device, names_an_absent_device,
+    refuses_to_work_unconnected, silence_is_an_error_in_time, garbage_is_survived, half_a_message_is_survived,
+    an_end_in_mid_frame_is_survived, two_messages_in_one_segment_are_two, a_message_byte_by_byte_is_one, connects_again,
+    stop_and_close_are_always_allowed, stop_ends_what_is_under_way, closes_after_an_exception,
+)

@@ -1,0 +1,104 @@
+"""Every fault at every message: how a driver ends a small piece of work when one message is lost, late, cut, doubled or nonsense."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from mbcacq.conformance.bench import Bench, Stand
+from mbcacq.conformance.bounded import Hang, bounded, eventually, outcome
+from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER
+
+_CALM_S = 0.05    # a fault at the very last message takes effect after the work
+RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"
+
+
+@dataclass(frozen=True)
+class Case:
+    link: str
+    sender: str
+    index: int
+    action: str
+
+    def __str__(self) -> str:
+        return f"{self.action} of message {self.index} from the {self.sender} on '{self.link}'"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """result: RECOVERED, NAMED, UNREACHED (the message never came), or what is wrong: 'hang', 'wrong', 'not at rest', 'stays broken'."""
+
+    case: Case
+    result: str
+    detail: str = ""
+    seconds: float = 0.0
+
+    @property
+    def good(self) -> bool:
+        return self.result in (RECOVERED, NAMED, UNREACHED)
+
+
+def survey(bench: Bench) -> dict[tuple[str, str], int]:
+    """Messages by (link, sender) of the undisturbed work. Raises what the work raises."""
+    with bench.open() as stand:
+        _work(stand)
+        return {(name, sender): proxy.channel.count[sender] for name, proxy in stand.proxies.items() for sender in (DEVICE, DRIVER)}
+
+
+def cases(counts: dict[tuple[str, str], int], most: int = 24, actions: tuple[str, ...] = ACTIONS) -> Iterator[Case]:
+    """All messages of a link and sender, or ``most`` of them: the first half one by one, the rest spread over what follows."""
+    for (link, sender), count in sorted(counts.items()):
+        indices = list(range(min(count, most)))
+        if count > most:
+            first = most // 2
+            step = (count - 1 - first) / (most - first - 1)
+            indices = [*range(first), *sorted({first + round(k * step) for k in range(most - first)})]
+        for index in indices:
+            for action in actions:
+                yield Case(link, sender, index, action)
+
+
+def inject(bench: Bench, case: Case, delay_s: float = 1.0) -> Verdict:
+    """Connect, use twice, close, with that one fault; then look whether the device rests and the next driver works."""
+    began = time.monotonic()
+
+    def verdict(result: str, detail: str = "") -> Verdict:
+        return Verdict(case, result, detail, time.monotonic() - began)
+
+    with bench.open() as stand:
+        proxy = stand.proxies[case.link]
+        proxy.channel.set(case.action, case.sender, index=case.index, seconds=delay_s)
+        try:
+            error = outcome(str(case), lambda: _work(stand, **stand.hasty), 3 * bench.limit_s)
+        except Hang as hang:
+            return verdict("hang", str(hang))
+        except AssertionError as wrong:
+            return verdict("wrong", str(wrong))
+        struck = proxy.channel.struck
+        proxy.channel.heal()
+        try:
+            time.sleep(_CALM_S)
+            eventually(lambda: all(each.ready for each in stand.proxies.values()), bench.limit_s, "the link did not come back")
+            eventually(stand.ready, bench.limit_s, "the device does not take a new driver")
+            if stand.at_rest is not None:
+                eventually(stand.at_rest, bench.limit_s, "the device did not come to rest")
+        except AssertionError as moving:
+            return verdict("not at rest", str(moving))
+        try:
+            bounded("the next work", lambda: _work(stand), 3 * bench.limit_s)
+        except BaseException as broken:
+            return verdict("stays broken", f"{type(broken).__name__}: {broken}")
+    if error is not None:
+        return verdict(NAMED, f"{type(error).__name__}: {error}")
+    return verdict(RECOVERED if struck else UNREACHED)
+
+
+def _work(stand: Stand, **options: object) -> None:
+    driver = stand.make(**options)
+    try:
+        driver.connect()
+        for _ in range(2):
+            stand.use(driver)
+    finally:
+        driver.close()

@@ -1,0 +1,66 @@
+"""What several checks do: hurt the messages, look whether the device rests, and whether the next driver works."""
+
+from __future__ import annotations
+
+from mbcacq.conformance.bench import Bench, Stand
+from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
+
+
+class Skip(Exception):
+    """The check does not apply to this bench; the message says why."""
+
+
+def fault(bench: Bench, stand: Stand, action: str, must_fail: bool = False) -> None:
+    """From the next message on, whatever the device sends is hurt: on connecting, and in the middle of the work."""
+    need_proxies(stand)
+    for moment in ("connect", "use"):
+        driver = stand.make(**stand.hasty)
+        if moment == "use":
+            bounded("connect", driver.connect, bench.limit_s)
+        for proxy in stand.proxies.values():
+            proxy.channel.set(action, lasting=True)
+        step = driver.connect if moment == "connect" else lambda d=driver: stand.use(d)
+        error = outcome(f"{moment} under '{action}'", step, bench.limit_s)
+        if must_fail and error is None and moment == "connect":
+            error = outcome("use", lambda d=driver: stand.use(d), bench.limit_s)
+        demand(error is not None or not must_fail, f"{moment}: a device that says nothing goes unnoticed")
+        bounded("stop", driver.stop, bench.limit_s)
+        bounded("close", driver.close, bench.limit_s)
+        for proxy in stand.proxies.values():
+            proxy.channel.heal()
+        rests(bench, stand)
+        works_anew(bench, stand)
+
+
+def segments(bench: Bench, stand: Stand, action: str) -> None:
+    streams = [proxy for proxy in stand.proxies.values() if proxy.stream]
+    if not streams:
+        raise Skip("no link of this device is a stream")
+    for proxy in streams:
+        proxy.channel.set(action, lasting=True)
+    driver = stand.make()
+    bounded("connect", driver.connect, bench.limit_s)
+    bounded("use", lambda: stand.use(driver), bench.limit_s)
+    bounded("close", driver.close, bench.limit_s)
+    demand(any(proxy.channel.struck for proxy in streams), "no message passed the proxies")
+
+
+def works_anew(bench: Bench, stand: Stand) -> None:
+    """Whatever was, the next driver finds a device that works."""
+    eventually(stand.ready, bench.limit_s, "the device does not take a new driver")
+    driver = stand.make()
+    bounded("connect, afterwards", driver.connect, bench.limit_s)
+    try:
+        bounded("use, afterwards", lambda: stand.use(driver), bench.limit_s)
+    finally:
+        bounded("close, afterwards", driver.close, bench.limit_s)
+
+
+def rests(bench: Bench, stand: Stand) -> None:
+    if stand.at_rest is not None:
+        eventually(stand.at_rest, bench.limit_s, "the device did not come to rest")
+
+
+def need_proxies(stand: Stand) -> None:
+    if not stand.proxies:
+        raise Skip("there is no link in which anything could happen to a message")

@@ -1,0 +1,49 @@
+"""Files that go onto a robot's controller, made from a plan by the robot's driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.acquisition.cell_devices import robot_options
+from mbcacq.devices import load_driver
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.geometry import se3
+from mbcacq.plan import LoadedPlan
+
+
+def make(loaded: LoadedPlan) -> dict[str, str]:
+    """Relative path -> text, from the driver's static method ``controller_files(name, model, options, facts)``. Raises ConfigError."""
+    use = loaded.plan.robot
+    maker = getattr(load_driver("robots", use.driver), "controller_files", None)
+    if maker is None:
+        raise ConfigError(f"driver '{use.driver}' needs no files on the controller, or brings none along; see its own documentation")
+    return maker(use.driver, loaded.cell.robot.name, robot_options(loaded), facts(loaded))
+
+
+def facts(loaded: LoadedPlan) -> dict[str, Any]:
+    """What of a plan belongs onto a controller: plan, robot, speed_share, tool_frame X Y Z A B C (mm, deg; first guess of the scanner on
+    the flange), load_kg, load_centre_mm, home_deg."""
+    robot = loaded.cell.robot
+    xyz, abc = se3.to_abc(loaded.cell.T_flange_scanner)
+    return {
+        "plan": loaded.plan.name, "robot": robot.name, "speed_share": loaded.plan.robot.speed,
+        "tool_frame": (*xyz.tolist(), *np.degrees(abc).tolist()), "load_kg": robot.payload_mass,
+        "load_centre_mm": tuple(robot.payload_com.tolist()), "home_deg": tuple(loaded.plan.robot.home_deg),
+    }
+
+
+def write(files: dict[str, str], out: Path, replace: bool = False) -> list[Path]:
+    """Write them below ``out``, with the controller's line ends. Raises ConfigError where one exists already, RecordingError."""
+    targets = {out / name: text for name, text in files.items()}
+    if not replace and (there := [path for path in targets if path.exists()]):
+        raise ConfigError(f"{there[0]} exists already; give another --out, or --replace")
+    for path, text in targets.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(text.replace("\r\n", "\n").replace("\n", "\r\n").encode("ascii"))
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be written: {error.strerror}; give another --out") from error
+    return list(targets)

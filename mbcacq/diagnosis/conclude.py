@@ -1,0 +1,107 @@
+"""From what was found and proven to what is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis import advice, prove
+from mbcacq.diagnosis.explain import NOTHING
+from mbcacq.diagnosis.finding import Finding
+from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.diagnosis.rivals import rivals, unseen
+from mbcacq.diagnosis.seen import evidence_of
+from mbcacq.diagnosis.setup import Setup
+from mbcacq.diagnosis.shares import Worth
+from mbcacq.diagnosis.told import mismatch_list, named_effects, unknown_effects, where_it_is
+
+NOISE_LIKE = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
+
+
+def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
+    before, left_before = prove.on_train(full.before, NOTHING, None)
+    after, left_after = prove.on_train(full.before, full.model, full.smooth)
+    worth = Worth(full)
+    effects = named_effects(full, worth, proof)
+    verdict, places = verdict_of(full, worth), mismatch_list(full, worth, before)
+    if verdict == "explained" and proof.after.chi2 >= proof.before.chi2:
+        # A name that predicts nothing better on data that took no part is not told.
+        verdict, effects, places, after = "none", [], [], before
+        proof = replace(proof, after=proof.before)
+    if proof.after.chi2_dof > NOISE_LIKE:
+        verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
+    if verdict == "unexplained" and not places:
+        places = mismatch_list(full, worth, before, anything=True)
+    effects += unknown_effects(full, worth, proof)
+    if verdict == "unexplained" and not effects:
+        effects = where_it_is(places)
+    alternatives, inseparable, pairs = rivals(setup, full) if effects else ({}, [], [])
+    for effect in effects:
+        effect.alternatives = alternatives.get(effect.name, [])
+    hints = advice.separate(setup.situation, pairs)
+    if verdict == "explained" and inseparable:
+        verdict = "cannot_tell"
+    if verdict == "none":
+        for candidate, seen, hopeless in unseen(setup, full):
+            hints.append(advice.show(setup.situation, candidate))
+            if hopeless:
+                verdict = "cannot_tell"
+                inseparable.append(
+                    {
+                        "effects": [f"{candidate.name}:{'+'.join(candidate.where)}", "geometry and station poses"],
+                        "correlation": float(np.sqrt(1 - seen)),
+                    }
+                )
+    fit = {
+        "train": in_words(before, after),
+        "held_out": {**in_words(proof.before, proof.after), "split": proof.split},
+        "repeatability_floor_mm": expected_rms(full, after.rms),
+    }
+    shown = evidence_of(setup, full, left_before, left_after)
+    return Diagnosis(verdict, places, effects, fit, inseparable, hints, setup.dropped, notes(setup, full), shown)
+
+
+def in_words(before: prove.Quality, after: prove.Quality) -> dict[str, float]:
+    return {
+        "before_rms_mm": before.rms,
+        "after_rms_mm": after.rms,
+        "before_chi2_dof": before.chi2_dof,
+        "after_chi2_dof": after.chi2_dof,
+    }
+
+
+def expected_rms(full: Finding, fallback: float) -> float:
+    """3D rms (mm) that the estimated noise alone makes at one centre."""
+    linear, noise = full.before.linear, full.noise
+    joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
+    return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
+
+
+def verdict_of(full: Finding, worth: Worth | None = None) -> str:
+    """Names that survive beside what has no name explain in part, if they explain most of it."""
+    structure = full.smooth is not None or (full.leftover is not None and full.leftover.structure and not full.cells)
+    if not full.model.members:
+        return "unexplained" if structure else "none"
+    if not structure:
+        return "explained"
+    worth = worth or Worth(full)
+    if full.smooth is None:
+        rest = full.leftover.judged.best()
+        return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"
+    names, groups = list(range(worth.members)), list(range(worth.members, len(worth.parts)))
+    return "partly_explained" if worth.of(names) > worth.of(groups) else "unexplained"
+
+
+def notes(setup: Setup, full: Finding) -> list[str]:
+    out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
+    keep = full.before.linear.keep
+    dropped = int(np.sum(~keep))
+    if dropped:
+        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
+    if not setup.situation.masses_known:
+        out.append(
+            "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
+            "its size in rad/Nm is not meaningful"
+        )
+    return out

@@ -1,0 +1,130 @@
+"""What has no name, found: groups of the map adopted one after the other, each weighed anew once the noise is known without it.
+
+A mismatch makes noise look larger than it is, and large noise hides it; so groups, their sizes and the noise are found in turns. Whole
+hypotheses (names, groups and noise together) are compared by their restricted likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.diagnosis import noise, smooth
+from mbcacq.diagnosis.atlas import Atlas, Cell, Chart
+from mbcacq.diagnosis.compose import adopted, columns_of, with_members
+from mbcacq.diagnosis.explain import NOTHING, Model, Search
+from mbcacq.diagnosis.leftover import STRUCTURE
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.smooth import SmoothModel
+from mbcacq.diagnosis.whitening import Noise
+
+MOST_GROUPS = 5
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Named members, groups with their fitted sizes (None: no groups), noise. score: twice the log of the restricted likelihood, less what
+    members and groups cost for having been picked. last: evidence of the best further group (log ratio of the whole map).
+    """
+
+    model: Model
+    cells: tuple[Cell, ...]
+    smooth: SmoothModel | None
+    noise: Noise
+    score: float
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What hypotheses are built on. first: prior of the noise. least: evidence of the map from which a further group is adopted."""
+
+    linear: Linear
+    chart: Chart
+    first: Noise
+    search: Search
+    least: float = STRUCTURE
+
+    def build(self, names: Model, start: Noise, cells: tuple[Cell, ...] = (), rounds: int = 4) -> Hypothesis:
+        """Groups beyond the names, until nothing is left that the map sees. cells: groups to begin with."""
+        sigma, rest = start, None
+        for turn in range(rounds):
+            screen = Screen(self.linear, sigma)
+            atlas, named = Atlas(screen, self.chart), with_members(screen, names)
+            before = cells
+            if turn > 0 or cells:
+                cells = self._chosen_anew(atlas, named, cells)
+            cells, rest = self._grown(atlas, named, cells)
+            new = self.noise_of(names, rest, sigma)
+            same = [(c.at, c.rows, c.depends_on) for c in cells] == [(c.at, c.rows, c.depends_on) for c in before]
+            steady = near(new, sigma)
+            sigma = new
+            if not cells or same or (steady and turn > 0):
+                break
+        names = self.search.solve(Screen(self.linear, sigma), names.members, permit=True)
+        return Hypothesis(names, cells, rest, sigma, self.score(names, cells, rest, sigma))
+
+    def _chosen_anew(self, atlas: Atlas, named: Screen, cells: tuple[Cell, ...]) -> tuple[Cell, ...]:
+        """Each group in turn put to the choice again, beside the others."""
+        for j in range(len(cells)):
+            others = cells[:j] + cells[j + 1:]
+            judged = atlas.judge(adopted(named, fitted(atlas, named, others)))
+            cells = (*cells[:j], judged.best(), *cells[j + 1:])
+        return cells
+
+    def _grown(self, atlas: Atlas, named: Screen, cells: tuple[Cell, ...]) -> tuple[tuple[Cell, ...], SmoothModel | None]:
+        rest = fitted(atlas, named, cells)
+        while len(cells) < MOST_GROUPS:
+            judged = atlas.judge(adopted(named, rest))
+            if judged.total < self.least:
+                break
+            cells = (*cells, judged.best())
+            rest = fitted(atlas, named, cells)
+        return cells, rest
+
+    def noise_of(self, names: Model, rest: SmoothModel | None, start: Noise) -> Noise:
+        return noise.estimate(self.linear, *columns_of(self.linear, names, rest), start, self.first)
+
+    def score(self, names: Model, cells: tuple[Cell, ...], rest: SmoothModel | None, sigma: Noise) -> float:
+        screen = Screen(self.linear, sigma)
+        named = with_members(screen, names)
+        here = adopted(named, rest)
+        value = -screen.whiten.log_det - screen.log_det - here.chi2 + 2 * noise.log_prior(sigma, self.first, self.linear)
+        if rest is not None:
+            X = screen.whiten(rest.columns) * rest.sigma
+            taken = named.all_projected.T @ X
+            value -= float(np.linalg.slogdet(X.T @ X - taken.T @ taken + np.eye(X.shape[1]))[1])
+        cost = names.gain - names.score
+        return value - cost - 2 * sum(c.log_ratio - c.weighed for c in cells)
+
+
+def near(a: Noise, b: Noise) -> bool:
+    return bool(np.all(np.abs(np.log(noise.pack(a, False) / noise.pack(b, False))) < 0.05))
+
+
+def fitted(atlas: Atlas, named: Screen, cells: tuple[Cell, ...]) -> SmoothModel | None:
+    return smooth.fit(named, [atlas.group(c) for c in cells]) if cells else None
+
+
+def contest(ground: Ground, names: Model, start: Noise, plain: Noise) -> Hypothesis:
+    """Names with groups beyond them, groups without names, names found beyond groups: what is most probable.
+
+    start: noise with the names in place; plain: with geometry alone.
+    """
+    best = ground.build(names, start)
+    if names.members:
+        best = better(best, ground.build(NOTHING, plain))
+    if best.smooth is not None:
+        beside = best.smooth.columns, best.smooth.sigma
+        found = ground.search.run(Screen(ground.linear, best.noise, beside))
+        if {c.key for c, _ in found.members} != {c.key for c, _ in best.model.members}:
+            best = better(best, ground.build(replace(found, gain=0.0, score=0.0), best.noise, best.cells, 2))
+        for name in best.model.names if len(best.model.names) > 1 else ():
+            less = Model(tuple(m for m in best.model.members if m[0].name != name), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+            best = better(best, ground.build(less, best.noise, best.cells, 2))
+    return best
+
+
+def better(a: Hypothesis, b: Hypothesis) -> Hypothesis:
+    return b if b.score > a.score else a

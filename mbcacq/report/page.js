@@ -1,0 +1,48 @@
+"use strict";
+// Figures are drawn one after the other when the page has time, the visible ones first; before printing all are, at the paper's width.
+(() => {
+  const plots = Array.from(document.querySelectorAll(".plot"));
+  const layouts = new Map();
+  const draw = (plot, width) => {
+    if (!layouts.has(plot)) {
+      const figure = JSON.parse(document.getElementById(plot.dataset.figure).textContent);
+      layouts.set(plot, figure.layout);
+      if (plot.clientWidth < 420) small(figure, plot);
+      figure.layout.width = width || undefined;
+      Plotly.newPlot(plot, figure.data, figure.layout, { displayModeBar: false, responsive: !width });
+    } else if (width) {
+      Plotly.relayout(plot, { width: width });
+    }
+  };
+  const small = (figure, plot) => {
+    const layout = figure.layout;
+    Object.assign(layout.font, { size: 11 });
+    Object.assign(layout.margin, { l: 48, r: 6 });
+    for (const key of Object.keys(layout)) {
+      if (/^[xy]axis/.test(key)) layout[key].title = Object.assign({}, layout[key].title, { font: { size: 11 } });
+    }
+    const narrow = layout.meta && layout.meta.narrow;
+    if (narrow) {
+      layout.height = narrow.height;
+      plot.style.height = narrow.height + "px";
+      for (const key of Object.keys(layout)) {
+        if (/^[xy]axis/.test(key)) layout[key].tickfont = { size: narrow.tick };
+        if (narrow.angle && key[0] === "x") layout[key].tickangle = narrow.angle;
+      }
+    }
+  };
+  const pending = plots.slice();
+  const next = () => {
+    const plot = pending.shift();
+    if (!plot) { document.documentElement.dataset.drawn = "all"; return; }
+    draw(plot);
+    (window.requestIdleCallback || ((f) => setTimeout(f, 1)))(next, { timeout: 200 });
+  };
+  const seen = new IntersectionObserver((entries) => entries.forEach((e) => { if (e.isIntersecting) draw(e.target); }), { rootMargin: "300px" });
+  plots.forEach((plot) => seen.observe(plot));
+  setTimeout(next, 30);
+  const paper = () => plots.forEach((plot) => draw(plot, plot.closest(".three") ? 215 : plot.closest(".two") ? 325 : 670));
+  const screen = () => plots.forEach((plot) => Plotly.relayout(plot, { width: undefined, autosize: true }));
+  window.addEventListener("beforeprint", () => { document.querySelectorAll("details.print").forEach((d) => { d.open = true; }); paper(); });
+  window.addEventListener("afterprint", screen);
+})();

@@ -1,0 +1,112 @@
+"""The verdict in words, the numbers of the first screen, and the one thing to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mbcacq.report.content import Action, Spacing, Verdict
+
+SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
+
+
+def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> Verdict:
+    """certificate: standard uncertainty (mm) of a certified distance."""
+    fit = result["fit"]
+    if spacing is None:
+        return Verdict(
+            "none",
+            "Calibrated, not verified",
+            f"No verification artefact was measured. What the calibration leaves on its own poses: {fit['rms_mm']:.4f} mm rms.",
+        )
+    before, after = np.abs(spacing.before), np.abs(spacing.after)
+    told = (
+        f"Mean sphere spacing error {after.mean():.3f} mm (before {before.mean():.3f} mm), "
+        f"largest {after.max():.3f} mm at place {spacing.place[int(after.argmax())]}"
+    )
+    if spacing.limit is None:
+        return Verdict("none", "Calibrated and verified", f"{told}. The plan sets no limit.")
+    U = 2 * certificate
+    against = f"{told}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified distance {U:.4f} mm (k = 2)."
+    if after.max() + U <= spacing.limit:
+        return Verdict("pass", "Passed: every place is within the limit", against)
+    if after.max() - U > spacing.limit:
+        return Verdict("fail", "Not passed: the limit is exceeded", against)
+    return Verdict("undecided", "Neither proven nor disproven: within the uncertainty of the limit", against)
+
+
+def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """(label, value with unit, remark) of the first screen."""
+    fit, out = result["fit"], []
+    if spacing is not None:
+        before, after = np.abs(spacing.before).max(), np.abs(spacing.after)
+        worst = int(after.argmax())
+        sigma = "" if spacing.sigma is None else f" ± {2 * spacing.sigma[worst]:.3f}"
+        out.append(("largest sphere spacing error", f"{after.max():.3f}{sigma} mm", f"before {before:.3f} mm; ± is k = 2"))
+    if fit.get("expected_accuracy_mm") is not None:
+        out.append(("expected accuracy of a point", f"{1e3 * fit['expected_accuracy_mm']:.0f} µm", "in the workspace, 3D, k = 1"))
+    out.append(("residual", f"{1e3 * fit['rms_mm']:.1f} µm", f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
+    return out
+
+
+def next_action(
+    verdict: Verdict, spacing: Spacing | None, result: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, name: str
+) -> Action:
+    """name: of the run folder or the data, for the commands."""
+    factor = max(result["noise"].get("check_factor") or [0.0])
+    if spacing is not None and not spacing.independent:
+        return Action(
+            "Verify on poses of their own",
+            "The verification poses took part in the calibration: they say how well it fits, not how well it predicts. "
+            "Give the bar's step the phase 'verification' and measure again.",
+        )
+    if diagnosis is None and (verdict.level == "fail" or factor > SUSPICIOUS):
+        why = (
+            "The limit is exceeded" if verdict.level == "fail" else f"The residuals need {factor:.1f} times the stated noise"
+        ) + ": something may be missing in the model. Ask what, and where."
+        return Action("Ask why", why, f"mbcacq diagnose {name}")
+    if diagnosis is not None and diagnosis["verdict"] in ("explained", "partly_explained", "unexplained"):
+        return _after_diagnosis(diagnosis, verdict)
+    if diagnosis is not None and diagnosis.get("advice"):
+        return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")))
+    if verdict.level == "fail":
+        return Action(
+            "Measure more, then calibrate again",
+            "The limit is exceeded, and no effect was found that explains it. See which "
+            "parameters are least certain below, and let the plan be extended by poses that show them.",
+            "mbcacq plan design PLAN",
+        )
+    if verdict.level == "undecided":
+        return Action(
+            "Decide with a better certificate or more places",
+            "The largest error lies within the uncertainty of the limit: only a smaller uncertainty of the certified distance can decide.",
+        )
+    if spacing is None:
+        return Action(
+            "Measure an artefact that judges",
+            "Nothing independent says how good the cell is. Add a scale bar longer than the view as a step of phase 'verification'.",
+        )
+    return Action("Put the result to use", "Write it for the controller, for ROS or as tables.", f"mbcacq export {name} --results DIR")
+
+
+def _after_diagnosis(diagnosis: Mapping[str, Any], verdict: Verdict) -> Action:
+    effects = diagnosis.get("effects") or []
+    if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == "unknown":
+        first = (diagnosis.get("mismatch") or [{"at": "the arm", "depends_on": "something not recorded"}])[0]
+        return Action(
+            f"Look at {first['at']}",
+            f"What is left depends on {readable(first['depends_on'])} there, and no known effect describes it. "
+            "A repeated measurement in another order tells a lasting cause from a passing one.",
+        )
+    names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in effects[:2])
+    what = "Mind it where you use the cell" if verdict.level == "pass" else "Repair it, or correct for it"
+    return Action(
+        f"{what}: {names}",
+        "The diagnosis names it, and it predicts poses that took no part. The section Diagnosis shows its size and shape.",
+    )
+
+
+def readable(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,171 @@
+"""A lift or turntable on a serial line, described by its words; on a real terminal device, and on a TCP port."""
+
+import threading
+
+import pytest
+from mbcacq_bus.options import parse
+from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
+from mbcacq_fakes.serial_line import SerialLine
+from mbcacq_fakes.serial_positioner import FakeSerialPositioner
+
+from mbcacq.devices import (
+    Aborted,
+    ConfigError,
+    ConnectError,
+    DeviceFault,
+    DeviceTimeout,
+    IdentityError,
+    Positioner,
+    ProtocolError,
+    create,
+)
+
+WORDS = {
+    "stations": {1: 0.0, 2: 152.5}, "unit": "mm", "scale": 0.01, "timeout_s": 0.5,
+    "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
+    "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"},
+    "ready": {"send": "?S\r\n", "reply": "S=READY"},
+    "fault": {"send": "?S\r\n", "reply": r"S=FAULT (?P<code>\d+)"},
+    "halt": {"send": "ST\r\n"},
+    "identity": {"ask": "*IDN?\r\n", "expect": "LIFT 3000"},
+}
+
+
+def fake(pty=True, travel_s=0.05, **changes):
+    options = parse(SerialPositionerOptions, "x", {"port": "x", **WORDS, **changes})
+    return FakeSerialPositioner(options, travel_s=travel_s, pty=pty)
+
+
+def driver(line, **changes):
+    return SerialPositioner("p", "lift", {"port": line.url, **WORDS, **changes})
+
+
+@pytest.mark.parametrize("pty", [True, False], ids=["terminal", "tcp"])
+def test_drives_there_in_the_devices_own_units(pty):
+    with fake(pty) as line, driver(line) as positioner:
+        positioner.go_to("2", "")
+        assert line.motion.station == "2"
+        assert "MA 15250" in line.heard          # 152.5 mm in hundredths
+        assert line.heard[0] == "*IDN?"
+        positioner.go_to("1", "")
+        assert line.motion.station == "1"
+        assert [(f.name, f.unit) for f in positioner.describe().fields] == [("position", "mm")]
+    assert isinstance(create("positioners", "serial", "lift", {"port": "x", **WORDS}), Positioner)
+
+
+def test_waits_until_it_stands_there():
+    with fake(travel_s=0.4) as line, driver(line) as positioner:
+        positioner.go_to("2", "")
+        assert line.motion.arrived
+
+
+def test_a_ready_flag_that_is_not_lowered_yet_is_not_believed():
+    """Without a position to compare, the flag of the motion before must not pass for that of this one."""
+    with fake(travel_s=0.3, position=None) as line:
+        line.motion.began = 0.0
+        with driver(line, position=None, ready_delay_s=0.1) as positioner:
+            positioner.go_to("2", "")
+            assert line.motion.arrived
+
+
+def test_stuck_it_says_where_it_is():
+    with fake() as line:
+        line.motion.stuck = True
+        with driver(line, move_timeout_s=0.2) as positioner:
+            with pytest.raises(DeviceTimeout, match=r"did not reach station 2 \(152.5 mm\).*at 0 mm"):
+                positioner.go_to("2", "")
+
+
+def test_a_fault_is_told_with_its_code():
+    with fake() as line, driver(line) as positioner:
+        line.motion.fault = 17
+        with pytest.raises(DeviceFault, match="fault 17 on the way to station 2"):
+            positioner.go_to("2", "")
+        assert not any(heard.startswith("MA") for heard in line.heard)   # noticed before it was sent anywhere
+
+
+def test_a_refused_order_is_no_arrival():
+    with SerialLine(lambda heard: {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "ERR range"), pty=True) as line:
+        with driver(line, fault=None) as positioner:
+            with pytest.raises(DeviceFault, match="answered 'ERR range' to 'MA 15250'"):
+                positioner.go_to("2", "")
+
+
+def test_stop_halts_and_ends_the_wait():
+    with fake(travel_s=30.0) as line, driver(line) as positioner:
+        timer = threading.Timer(0.2, positioner.stop)
+        timer.start()
+        with pytest.raises(Aborted, match="station 2"):
+            positioner.go_to("2", "")
+        timer.join()
+        positioner.stop()
+        deadline = threading.Event()
+        for _ in range(100):
+            if line.halted:
+                break
+            deadline.wait(0.02)
+        assert line.halted >= 1
+
+
+def test_the_wrong_device_silence_and_absence_are_told_apart():
+    with fake(identity={"ask": "*IDN?\r\n", "expect": "OTHER 1"}) as line:
+        with pytest.raises(IdentityError, match="answered 'OTHER 1' where 'LIFT 3000' was expected"):
+            driver(line).connect()
+    with fake() as line:
+        line.silent = True
+        with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):
+            driver(line).connect()
+    with pytest.raises(ConnectError, match="cannot be opened"):
+        SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
+
+
+@pytest.mark.parametrize(("spoil", "error", "words"), [
+    (lambda data: data[:-2], DeviceTimeout, "half a line"),
+    (lambda data: b"\xff\x00#", DeviceTimeout, "half a line"),
+    (lambda data: b"\xff\x00#\r\n", DeviceFault, "answered"),
+    (lambda data: b"x" * 3000, ProtocolError, "without an end of line"),
+    (lambda data: None, DeviceTimeout, "was lost|answered nothing"),
+])
+def test_noise_on_the_line_is_an_error_and_never_a_position(spoil, error, words):
+    with fake(pty=False) as line, driver(line, fault=None) as positioner:
+        line.spoil = spoil
+        with pytest.raises(error, match=words):
+            positioner.go_to("2", "")
+
+
+def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
+    replies = iter(["P=15250", None])
+    held = threading.Event()
+
+    def answer(heard):
+        if heard == "?P":
+            if next(replies, None):
+                held.wait(1.0)      # later than the driver waits
+                return "P=15250"
+            return "P=0"
+        return {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "OK")
+
+    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=0.3, move_timeout_s=0.5) as positioner:
+        with pytest.raises(DeviceTimeout, match="answered nothing"):
+            positioner.go_to("2", "")
+        held.set()
+        threading.Event().wait(0.3)
+        with pytest.raises(DeviceTimeout, match="at 0 mm"):
+            positioner.go_to("2", "")
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"ready": None, "position": None}, "give ready or position"),
+    ({"move": {"send": "GO\r"}}, "needs {raw} or {value}"),
+    ({"move": {"send": "GO {place}\r"}}, "no text with {raw} or {value}"),
+    ({"limits": (0, 100)}, "station 2 at 152.5 mm is outside the limits 0..100"),
+    ({"position": {"send": "?", "reply": r"P=(\d+)"}}, "position.reply needs a named group"),
+    ({"ready": {"send": "?", "reply": "("}}, "ready.reply is not a regular expression"),
+    ({"speed": 3}, "speed"),
+    ({"scale": 0}, "scale must not be zero"),
+])
+def test_a_wrong_description_is_one_sentence(change, words):
+    with pytest.raises(ConfigError) as error:
+        SerialPositioner("p", "", {"port": "x", **WORDS, **change})
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)

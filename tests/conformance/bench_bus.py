@@ -1,0 +1,133 @@
+"""Positioners and sensors on Modbus and serial lines, in front of their fakes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
+from mbcacq_bus.options import parse
+from mbcacq_bus.registers import Register
+from mbcacq_bus.serial import SerialSensor
+from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
+from mbcacq_fakes.modbus import FakeModbus, FakePositioner
+from mbcacq_fakes.serial_positioner import FakeSerialPositioner
+from mbcacq_fakes.serial_sensor import FakeSerialSensor
+
+from mbcacq.conformance import Channel, PtyProxy, Stand, TcpProxy, Trace, counted, ended
+
+MBAP = counted(at=4, size=2, order="big", plus=6)
+LINE = ended(b"\n")
+WORDS = {
+    "stations": {"1": 0.0, "2": 152.5}, "scale": 0.01, "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
+    "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"}, "ready": {"send": "?S\r\n", "reply": "S=READY"},
+    "halt": {"send": "ST\r\n"}, "identity": {"ask": "*IDN?\r\n", "expect": "LIFT 3000"},
+}
+IN_POSITION, POSITION, ACTUAL = {"address": 3, "table": "discrete"}, {"address": 10, "type": "int32", "scale": 0.1}, {"address": 20, "type": "float32"}
+HASTY = {"timeout_s": 0.3}
+IDENTITY = {"address": 100, "table": "input"}
+
+
+@contextmanager
+def modbus_positioner(trace: Trace | None = None) -> Iterator[Stand]:
+    lift = FakePositioner({"1": 0.0, "2": 120.0}, Register(**POSITION), Register(**IN_POSITION), Register(**ACTUAL), travel_s=0.03)
+    given = {"stations": {"1": 0.0, "2": 120.0}, "position": POSITION, "in_position": IN_POSITION, "actual": ACTUAL, "move_timeout_s": 10.0,
+             "identity": {"where": IDENTITY, "equals": 4711}}
+    with _modbus(FakeModbus(lift, [(Register(**IDENTITY), lambda: 4711.0)]), given, ModbusPositioner, trace) as (make, proxies):
+        def use(positioner: ModbusPositioner) -> None:
+            station = "2" if lift.target == 0.0 else "1"
+            positioner.go_to(station, "")
+            assert lift.station == station, f"it says it is at station {station}, but it stands at {lift.station}"
+
+        def begin(positioner: ModbusPositioner) -> None:
+            lift.travel_s = 1.0
+            try:
+                positioner.go_to("2" if lift.target == 0.0 else "1", "")
+            finally:
+                lift.travel_s = 0.03
+
+        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), begin, lambda: lift.arrived, HASTY)
+
+
+@contextmanager
+def modbus_sensor(trace: Trace | None = None, rtu: bool = False) -> Iterator[Stand]:
+    values = {"air_C": {"address": 4, "type": "int16", "scale": 0.1}, "scanner_C": {"address": 40, "table": "input", "type": "float32"}}
+    known = {"air_C": 21.5, "scanner_C": 38.25}
+    served = [(Register(**values[name]), lambda v=value: v) for name, value in known.items()] + [(Register(**IDENTITY), lambda: 4711.0)]
+    given = {"values": values, "identity": {"where": IDENTITY, "equals": 4711}}
+    with _modbus(FakeModbus(values=served, rtu=rtu), given, ModbusSensor, trace, rtu) as (make, proxies):
+        def use(sensor: ModbusSensor) -> None:
+            assert (got := sensor.read()) == known, f"it reads {got} instead of {known}"
+
+        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), hasty=HASTY)
+
+
+@contextmanager
+def _modbus(fake: FakeModbus, given: dict[str, Any], driver: type, trace: Trace | None, rtu: bool = False) -> Iterator[tuple]:
+    note = trace.note if trace else (lambda *_: None)
+    cuts = {} if rtu else {"cut": MBAP, "cut_driver": MBAP}
+    with fake, TcpProxy(Channel("modbus", note), fake.address, **cuts) as proxy:
+        where = {"serial": f"socket://127.0.0.1:{proxy.port}"} if rtu else {"host": "127.0.0.1", "port": proxy.port}
+        yield lambda **o: driver("lift", "L4", {**where, **given, "timeout_s": 3.0, "retries": 1, **o}), {"modbus": proxy}
+
+
+class Thermometer(dict):
+    """Answers by request; every temperature is a hundredth higher than the one before."""
+
+    told = 0
+
+    def get(self, request: str, default: str | None = None) -> str | None:
+        if request == "T?":
+            self.told += 1
+            return f"T={20 + self.told / 100:.2f} H=40"
+        return {"ID?": "THERM-2"}.get(request, default)
+
+
+@contextmanager
+def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Stand]:
+    note, thermometer = trace.note if trace else (lambda *_: None), Thermometer({"": ""})
+    with FakeSerialSensor(lambda: "", answers=thermometer) as fake:
+        fake.silent = True
+        kind = PtyProxy if pty else TcpProxy
+        with kind(Channel("line", note), fake.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
+            given = {"port": proxy.path if pty else f"socket://127.0.0.1:{proxy.port}", "ask": "T?\n", "timeout_s": 3.0,
+                     "line": r"T=(?P<air_C>[-+0-9.]+) H=(?P<humidity>[0-9]+)", "identity": {"ask": "ID?\n", "expect": "THERM-2"}}
+
+            def use(sensor: SerialSensor) -> None:
+                """Lines carry no number: after a late or doubled reply the one before may be taken, never an older one."""
+                got = sensor.read()
+                now = [round(20 + (thermometer.told - back) / 100, 2) for back in (0, 1)]
+                assert got["air_C"] in now, f"it reads {got} where {now} was told"
+                assert got["humidity"] == 40.0, f"it reads {got}"
+
+            def wrong() -> SerialSensor:
+                return SerialSensor("thermo", "T2", {**given, **HASTY, "identity": {"ask": "ID?\n", "expect": "BARO-1"}})
+
+            yield Stand(lambda **o: SerialSensor("thermo", "T2", {**given, **o}), use, {"line": proxy}, wrong, hasty=HASTY)
+
+
+@contextmanager
+def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
+    note = trace.note if trace else (lambda *_: None)
+    with FakeSerialPositioner(parse(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake, \
+            PtyProxy(Channel("line", note), fake.address, cut=LINE, cut_driver=LINE) as proxy:
+        lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 10.0}
+
+        def use(positioner: SerialPositioner) -> None:
+            station = "2" if lift.target == 0.0 else "1"
+            positioner.go_to(station, "")
+            assert lift.station == station, f"it says it is at station {station}, but it stands at {lift.station}"
+
+        def begin(positioner: SerialPositioner) -> None:
+            lift.travel_s = 1.0
+            try:
+                positioner.go_to("2" if lift.target == 0.0 else "1", "")
+            finally:
+                lift.travel_s = 0.03
+
+        def make(**more: Any) -> SerialPositioner:
+            return SerialPositioner("lift", "L4", {**given, **more})
+
+        yield Stand(make, use, {"line": proxy}, lambda: make(timeout_s=0.3, identity={"ask": "*IDN?\r\n", "expect": "LIFT 4000"}), begin,
+                    lambda: lift.arrived, HASTY)

@@ -1,0 +1,28 @@
+"""A bench for every driver of ours, with its fake at the wire."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from bench_bus import modbus_positioner, modbus_sensor, serial_positioner, serial_sensor
+from bench_gocator import gocator
+from bench_kuka import kuka_eki, kuka_rsi
+from bench_manual import EXCUSED, manual
+
+from mbcacq.conformance import Bench
+
+NO_IDENTITY = {"refuses_the_wrong_device": "RSI telegrams carry no identity; the bench with EKI has it"}
+BENCHES = {bench.name: bench for bench in (
+    Bench("gocator", "scanner", gocator),
+    Bench("gocator trigger", "scanner", partial(gocator, mode="trigger")),
+    Bench("kuka_rsi", "robot", kuka_rsi, excused=NO_IDENTITY),
+    Bench("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
+    Bench("kuka_eki", "robot", kuka_eki),
+    Bench("manual", "positioner", manual, excused=EXCUSED),
+    Bench("modbus positioner", "positioner", modbus_positioner),
+    Bench("modbus sensor", "sensor", modbus_sensor),
+    Bench("modbus sensor RTU", "sensor", partial(modbus_sensor, rtu=True)),
+    Bench("serial positioner", "positioner", serial_positioner),
+    Bench("serial sensor", "sensor", serial_sensor),
+    Bench("serial sensor pty", "sensor", partial(serial_sensor, pty=True)),
+)}

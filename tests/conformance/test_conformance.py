@@ -1,0 +1,29 @@
+"""Every driver of ours passes every check, and the suite finds drivers that should not."""
+
+from __future__ import annotations
+
+import pytest
+from benches import BENCHES
+
+from mbcacq.conformance import CHECKS, check
+from mbcacq.devices import available
+
+NO_LINE = {"silence_is_an_error_in_time", "garbage_is_survived", "half_a_message_is_survived", "an_end_in_mid_frame_is_survived",
+           "two_messages_in_one_segment_are_two", "a_message_byte_by_byte_is_one", "refuses_the_wrong_device", "names_an_absent_device",
+           "refuses_to_work_unconnected"}
+SKIPPED = {"manual": NO_LINE, "serial sensor pty": {"stop_ends_what_is_under_way"}}
+QUICK = {"manual", "gocator", "kuka_rsi with EKI", "kuka_eki", "modbus positioner", "serial sensor pty"}
+
+
+@pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
+@pytest.mark.parametrize("name", sorted(QUICK))
+def test_driver(name, each):
+    result = check(BENCHES[name], each)
+    assert result.status == ("skipped" if each.__name__ in SKIPPED.get(name, ()) else "passed"), str(result)
+
+
+def test_every_driver_that_is_installed_has_a_bench():
+    made = {name.split()[0] for name in BENCHES}
+    for kind in ("robots", "scanners", "positioners", "sensors"):
+        ours = {name for name, target in available(kind).items() if target.startswith("mbcacq_")}
+        assert ours <= made, ours - made

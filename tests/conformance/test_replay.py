@@ -1,0 +1,78 @@
+"""The bytes of a session are written down and played back to the same driver, which then sees the same device."""
+
+from __future__ import annotations
+
+import socket
+
+import numpy as np
+import pytest
+from bench_bus import modbus_sensor
+from bench_gocator import gocator
+from bench_kuka import HOME_DEG, LIMITS_DEG, kuka_rsi
+from mbcacq_bus.modbus import ModbusSensor
+from mbcacq_gocator.driver import Gocator
+from mbcacq_kuka.rsi.driver import KukaRsi
+
+from mbcacq.conformance import Replay, Trace
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A trace goes through its file."""
+    def through(trace: Trace) -> Trace:
+        trace.save(tmp_path / "session.txt")
+        return Trace.load(tmp_path / "session.txt")
+    return through
+
+
+def without(trace: Trace, link: str) -> Trace:
+    return Trace([line for line in trace.lines if line.link != link])
+
+
+def test_a_gocator_session_gives_the_same_scan_again(saved):
+    trace, scans = Trace(), []
+    with gocator(trace) as stand, stand.make(timeout_s=10.0, reply_limit_s=5.0) as scanner:
+        scans.append(scanner.capture(900.0))
+    with Replay(without(saved(trace), "health")) as replay, socket.create_server(("127.0.0.1", 0)) as health:
+        ports = {"control_port": replay.ports["control"], "data_port": replay.ports["data"], "health_port": health.getsockname()[1]}
+        with Gocator("eye", "3210", {"address": "127.0.0.1", **ports}) as scanner:
+            assert scanner.describe().serial == "12345"
+            scans.append(scanner.capture(900.0))
+    assert replay.differences == []
+    for name in ("points", "pixel", "intensity"):
+        np.testing.assert_array_equal(getattr(scans[0], name), getattr(scans[1], name))
+    assert (scans[0].frame, scans[0].time_s) == (scans[1].frame, scans[1].time_s)
+
+
+def test_a_modbus_session_gives_the_same_reading_again(saved):
+    trace = Trace()
+    with modbus_sensor(trace) as stand, stand.make(timeout_s=5.0) as sensor:
+        reading = sensor.read()
+        options = sensor._options.model_dump()
+    with Replay(saved(trace)) as replay, ModbusSensor("lift", "L4", {**options, "port": replay.ports["modbus"]}) as sensor:
+        assert sensor.read() == reading
+        assert replay.finished
+    assert replay.differences == []
+
+
+def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(saved):
+    trace = Trace()
+    with kuka_rsi(trace) as stand, stand.make(stop_at_close=False) as robot:
+        robot.state()
+    lines = saved(trace).lines
+    start = next(i for i, line in enumerate(lines) if line.sender == "driver") - 1    # telegrams before that found nobody
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "stop_at_close": False})
+    with Replay(Trace(lines[start:start + 40]), {"rsi": ("127.0.0.1", port)}) as replay:
+        with robot:
+            np.testing.assert_allclose(np.degrees(robot.state().q), HOME_DEG, atol=1e-9)
+        assert replay.played >= 12
+    assert replay.differences == []
+
+
+def test_a_file_that_is_no_trace_is_refused(tmp_path):
+    (tmp_path / "other.txt").write_text("rsi somebody 00\n")
+    with pytest.raises(ValueError, match="neither device nor driver"):
+        Trace.load(tmp_path / "other.txt")

@@ -1,0 +1,22 @@
+"""One hurt message in a whole run: a good end or a named error, a readable recording, and never a wrong centre in it."""
+
+from __future__ import annotations
+
+import pytest
+from whole_run import WholeRun
+
+from mbcacq.conformance import Case
+
+
+@pytest.fixture(scope="module")
+def run():
+    made = WholeRun()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("case", [Case("data", "device", 5, "close"), Case("rsi", "device", 900, "garbage")], ids=str)
+def test_one_hurt_message(run, case):
+    verdict = run.inject(case)
+    assert verdict.good, f"{case}: {verdict.result}: {verdict.detail}"
+    assert verdict.result != "not reached"

@@ -1,0 +1,129 @@
+"""A whole run of a small plan, its robot and scanner behind proxies: what one hurt message does to the recording and its centres."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mbcacq import pipeline
+from mbcacq.conformance import Case, Channel, Proxy, TcpProxy, UdpProxy, Verdict, bounded, counted
+from mbcacq.conformance.bounded import Hang, eventually, sentence
+from mbcacq.conformance.injection import NAMED, RECOVERED, UNREACHED
+from mbcacq.devices import MbcacqError, load_driver
+from mbcacq.plan import expand, load
+from mbcacq.recording import load as load_recording
+
+PLANS = Path(__file__).resolve().parents[2] / "plans"
+LIMIT_S, NOISE_MM = 90.0, 0.15     # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away
+HASTY = {"timeout_s": 2.0, "reply_limit_s": 2.0, "connect_timeout_s": 2.0}
+
+
+def small_plan(folder: Path) -> Path:
+    """Four poses of the quick plan, one exposure each."""
+    plan = yaml.safe_load((PLANS / "quick.yaml").read_text())
+    plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
+    plan["robot"]["options"]["silence_s"] = 1.5
+    plan["artefacts"] = [str(PLANS / a) for a in plan["artefacts"]]
+    plan["exposures"] = 1
+    plan["steps"] = plan["steps"][1:]
+    plan["steps"][0]["views"] = plan["steps"][0]["views"][:4]
+    path = folder / "small.yaml"
+    path.write_text(yaml.safe_dump(plan, sort_keys=False))
+    return path
+
+
+@contextmanager
+def cell(loaded: Any, poses: list[Any]) -> Iterator[tuple[Any, dict[str, dict[str, Any]], dict[str, Proxy]]]:
+    """The fake cell with proxies in front: (cell, overrides for the drivers, proxies)."""
+    with ExitStack() as stack:
+        fake = stack.enter_context(load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=3))
+        overrides = fake.overrides()
+        scanner, robot = overrides["scanner"], overrides["robot"]
+        proxies: dict[str, Proxy] = {}
+        for link in ("control", "data", "health"):
+            proxies[link] = stack.enter_context(TcpProxy(Channel(link), (scanner["address"], scanner[f"{link}_port"]), cut=counted(),
+                                                         cut_driver=counted()))
+            scanner[f"{link}_port"] = proxies[link].port
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            free = probe.getsockname()[1]
+        proxies["rsi"] = stack.enter_context(UdpProxy(Channel("rsi"), ("127.0.0.1", free), port=robot["port"]))
+        overrides["robot"] = {**robot, "port": free}
+        overrides["scanner"] = {**scanner, **HASTY}
+        yield fake, overrides, proxies
+
+
+class WholeRun:
+    """``centres`` of the undisturbed run by (pose, ball): (3,) mm; ``counts`` of its messages."""
+
+    def __init__(self) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="whole-"))
+        self._loaded = load(small_plan(self._folder))
+        self._poses = expand(self._loaded)
+        with cell(self._loaded, self._poses) as (_, overrides, proxies):
+            self._execute(overrides, "undisturbed")
+            self.counts = {(link, sender): n for link, proxy in proxies.items() for sender, n in proxy.channel.count.items()}
+        self.centres = self._centres("undisturbed")
+        assert len({pose for pose, _ in self.centres}) == len(self._poses)
+
+    def close(self) -> None:
+        shutil.rmtree(self._folder)
+
+    def inject(self, case: Case) -> Verdict:
+        began = time.monotonic()
+
+        def verdict(result: str, detail: str = "") -> Verdict:
+            return Verdict(case, result, detail, time.monotonic() - began)
+
+        name, error = "run", None
+        shutil.rmtree(self._folder / name, ignore_errors=True)
+        with cell(self._loaded, self._poses) as (fake, overrides, proxies):
+            proxies[case.link].channel.set(case.action, case.sender, index=case.index, seconds=3.0)
+            try:
+                bounded(str(case), lambda: self._execute(overrides, name), LIMIT_S)
+            except Hang as hang:
+                return verdict("hang", str(hang))
+            except MbcacqError as caught:
+                error = caught
+                sentence(caught)
+            except Exception as foreign:
+                return verdict("wrong", f"{type(foreign).__name__}: {foreign}")
+            struck = proxies[case.link].channel.struck
+            try:
+                eventually(lambda: fake.arm.read().standstill, 10.0, "the arm did not come to rest")
+            except AssertionError as moving:
+                return verdict("not at rest", str(moving))
+        try:
+            found = self._centres(name)
+        except MbcacqError as unread:
+            if error is None or "no " not in str(unread):
+                return verdict("unreadable", str(unread))
+            found = {}
+        strange = [f"pose {pose} ball {ball}" for (pose, ball), xyz in found.items()
+                   if (pose, ball) not in self.centres or np.abs(xyz - self.centres[pose, ball]).max() > NOISE_MM]
+        if strange:
+            return verdict("wrong", f"centres of {', '.join(strange[:4])} are not those of the undisturbed run")
+        if error is not None:
+            return verdict(NAMED, f"{type(error).__name__}: {error}")
+        if {pose for pose, _ in found} != {pose for pose, _ in self.centres}:    # a ball at the edge may be seen in one scan and not in the next
+            return verdict("wrong", f"the run ended well without some of its poses ({len(found)} of {len(self.centres)} centres)")
+        return verdict(RECOVERED if struck else UNREACHED)
+
+    def _execute(self, overrides: dict[str, dict[str, Any]], name: str) -> None:
+        run = pipeline.plan_run(self._loaded, self._poses, frozenset(), 0, "the fake cell of seed 3")
+        run.folder = self._folder / name
+        run.folder.mkdir()
+        run.execute(overrides)
+
+    def _centres(self, name: str) -> dict[tuple[int, int], np.ndarray]:
+        seen = load_recording(self._folder / name)
+        return {(int(seen.pose_id[p]), int(seen.cell.ball_ids[b])): xyz for p, b, xyz in zip(seen.pose, seen.ball, seen.xyz, strict=True)}

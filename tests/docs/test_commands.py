@@ -1,0 +1,83 @@
+"""Every command that README or docs/ shows in a ``sh`` block is executed, page by page, as a reader would paste it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from doc_pages import ROOT, Page, pages
+
+from mbcacq.recording import rerun_program
+
+WITH_COMMANDS = [page for page in pages() if page.script.strip()]
+# What a reader does once for the computer is done by the continuous integration itself.
+INSTALLING = re.compile(r"python3 -m venv \.venv|\bpip install\b|\bapt-get install\b|^sudo |\bpython -m pytest\b")
+# Programs with a window: a stand-in checks that what they are to show is there. Without a window, rerun is rerun.
+STAND_IN = """#!/bin/sh
+case "$1" in --bind) shift 3 ;; --hide-welcome-screen) shift ;; *) case "$0" in *rerun) exec {rerun} "$@" ;; esac ;; esac
+for what in "$@"; do test -e "$what" || {{ echo "$what does not exist" >&2; exit 1; }}; done
+"""
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Path:
+    """A folder like a fresh checkout, with this Python as its environment."""
+    shutil.copytree(ROOT / "plans", tmp_path / "plans")
+    for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
+        (tmp_path / entry).symlink_to(ROOT / entry)
+    bin = tmp_path / ".venv" / "bin"
+    bin.mkdir(parents=True)
+    for program in Path(sys.executable).parent.iterdir():
+        if program.name.startswith("python"):  # a link would not find the environment
+            (bin / program.name).write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+            (bin / program.name).chmod(0o755)
+        else:
+            (bin / program.name).symlink_to(program)
+    for window in ("rerun", "xdg-open"):
+        (bin / window).unlink(missing_ok=True)
+        (bin / window).write_text(STAND_IN.format(rerun=rerun_program.program()))
+        (bin / window).chmod(0o755)
+    return tmp_path
+
+
+def without_installing(script: str) -> str:
+    """The script with the installing parts of its `&&` chains left out."""
+    lines = []
+    for line in script.replace("\\\n", " ").splitlines():
+        kept = [part for part in line.split("&&") if not INSTALLING.search(part.strip())]
+        lines.append("&&".join(kept).strip())
+    return "\n".join(lines)
+
+
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
+def test_commands_of_a_page_work_when_pasted(page: Page, desk: Path):
+    script = without_installing(page.script)
+    if not script.strip():
+        return
+    environment = dict(os.environ, PATH=f"{desk / '.venv' / 'bin'}:{os.environ['PATH']}", DISPLAY=":0", RERUN_CLI_PATH=str(desk / ".venv" / "bin" / "rerun"))
+    shell = subprocess.Popen(["bash", "-euo", "pipefail", "-c", script], cwd=desk, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                             text=True, start_new_session=True)
+    try:
+        out, err = shell.communicate(timeout=380)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(shell.pid, signal.SIGKILL)  # nothing that a page starts in the background outlives it
+    assert shell.returncode == 0, f"{page.name}: exit {shell.returncode}\n{script}\n--- stdout\n{out[-3000:]}\n--- stderr\n{err[-3000:]}"
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_commands_are_shown_only_where_they_are_executed(page: Page):
+    """An indented or untagged block with a command would escape the test above."""
+    outside = re.sub(r"^```.*?^```$", "", page.text, flags=re.DOTALL | re.MULTILINE)
+    assert not re.findall(r"^(?: {4}|\t)\$? ?mbcacq .*", outside, flags=re.MULTILINE)
+    for language, body in re.findall(r"^```(\w*).*?\n(.*?)^```$", page.text, flags=re.DOTALL | re.MULTILINE):
+        if language not in ("sh", "text"):
+            assert not re.search(r"^\$? ?(\.venv/bin/)?mbcacq ", body, flags=re.MULTILINE), f"{page.name}: tag this block sh"

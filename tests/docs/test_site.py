@@ -1,0 +1,38 @@
+"""The documentation is complete and true to the code: the site builds without a warning, generated pages are current."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from doc_pages import ROOT
+
+MAKE = ROOT / "docs" / "_make"
+
+
+def test_site_builds_without_warnings(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},  # a banner of the theme, about the future of mkdocs
+    )
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    assert (tmp_path / "site" / "index.html").exists()
+
+
+def test_site_asks_nothing_of_other_hosts(tmp_path):
+    subprocess.run([sys.executable, "-m", "mkdocs", "build", "-q", "--site-dir", str(tmp_path / "site")], cwd=ROOT, check=True, capture_output=True)
+    for page in (tmp_path / "site").rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        for tag in ('<script src="http', '<link rel="stylesheet" href="http', '<img src="http', "fonts.googleapis"):
+            assert tag not in text, f"{page.name}: {tag}"
+
+
+@pytest.mark.parametrize("page", ["command-line.md", "plan-schema.md", "errors.md"])
+def test_generated_reference_is_current(page, monkeypatch):
+    monkeypatch.syspath_prepend(str(MAKE))
+    import reference
+
+    assert (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8") == reference.PAGES[page](), "run python docs/_make/reference.py"

@@ -1,0 +1,112 @@
+"""``mbcacq controller-files``: the plan's numbers stand in the files, and the files are what the driver and the fake work with."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from defusedxml.ElementTree import fromstring
+from mbcacq_fakes.krc.eki_config import read_config
+from mbcacq_kuka.eki.driver import KukaEki
+from mbcacq_kuka.rsi.driver import KukaRsi
+
+from mbcacq.cli.app import app
+from mbcacq.devices import ConfigError, load_driver
+
+PLANS = Path(__file__).parents[2] / "plans"
+LIMITS = [(-170.0, 170.0), (-190.0, 45.0), (-120.0, 156.0), (-185.0, 185.0), (-120.0, 120.0), (-350.0, 350.0)]
+FACTS = {"plan": "a plan", "robot": "KR 10", "speed_share": 0.42, "tool_frame": (1.5, -2.25, 260.0, 90.0, -1.0, 179.5), "load_kg": 2.3, "load_centre_mm": (0.0, 1.0, 32.0)}
+EKI = {"address": "10.1.2.3", "port": 54605, "limits_deg": LIMITS, "speed_deg_s": [200.0] * 6, "tool": 7, "base": 2, "acceleration_percent": 35,
+       "path_speed_mm_s": 120.0, "controller_silence_ms": 800, "state_ms": 36}
+
+
+def number(text, name):
+    return float(re.search(rf"^\s*(?:DECL .*? )?{re.escape(name)}=(\S+)$", text, re.M)[1])
+
+
+def test_the_plans_numbers_stand_in_the_eki_files():
+    files = KukaEki.controller_files("arm", "KR 10", EKI, FACTS)
+    for system in ("kss", "iiqka"):
+        data = files[f"{system}/Program/mbcacq_eki.dat"]
+        assert [number(data, n) for n in ("mb_tool", "mb_base", "mb_max_vel", "mb_max_acc", "mb_max_path", "mb_silence", "mb_period")] == [7, 2, 42, 35, 120, 800, 36]
+        for k, (low, high) in enumerate(LIMITS, 1):
+            assert low - 0.0011 <= number(data, f"mb_low[{k}]") <= low
+            assert high <= number(data, f"mb_high[{k}]") <= high + 0.0011
+        assert read_config(files[f"{system}/EthernetKRL/mbcacq_eki.xml"]).port == 54605
+    assert fromstring(files["kss/EthernetKRL/mbcacq_eki.xml"]).findtext("CONFIGURATION/INTERNAL/IP") == "10.1.2.3"
+    kss, new = (files[f"{system}/Program/mbcacq_eki.src"].splitlines() for system in ("kss", "iiqka"))
+    assert len(kss) - len(new) == 2  # the message interrupt, which iiQKA.OS2 does not have
+    assert not any("IR_STOPM" in line or "FLAG[110]" in line for line in new)
+    assert any("INTERRUPT DECL 21" in line for line in new)
+    assert "TOOL_DATA[7]={X 1.5000,Y -2.2500,Z 260.0000,A 90.0000,B -1.0000,C 179.5000}" in files["tool_data.txt"]
+    assert "LOAD_DATA[7]={M 2.300,CM {X 0.0,Y 1.0,Z 32.0," in files["tool_data.txt"]
+
+
+def test_the_plans_numbers_stand_in_the_rsi_files():
+    options = {"bind": "172.31.1.9", "port": 50001, "limits_deg": LIMITS, "cycle_ms": 12, "sen_type": "Mine", "correction": "AKorr", "stop_element": "Halt",
+               "correction_limit_deg": [11, 12, 13, 14, 15, 16]}
+    files = KukaRsi.controller_files("arm", "KR 10", options, FACTS)
+    for name in (n for n in files if n.endswith("mbcacq_ethernet.xml")):
+        root = fromstring(files[name])
+        assert [root.findtext(f"CONFIG/{t}") for t in ("IP_NUMBER", "PORT", "SENTYPE")] == ["172.31.1.9", "50001", "Mine"]
+        assert [e.get("TAG") for e in root.find("RECEIVE/ELEMENTS")] == ["Halt", *(f"AKorr.A{i}" for i in range(1, 7))]
+    assert "RSI_ON(#ABSOLUTE,#IPO)" in files["kss85/Program/mbcacq_rsi.src"]
+    assert "RSI_ON(#ABSOLUTE,#IPO)" in files["kss_older/Program/mbcacq_rsi.src"]
+    for name in ("kss85/Program/mbcacq_rsi.dat", "iiqka/Program/mbcacq_rsi.dat"):
+        assert number(files[name], "lim_low[2]") == pytest.approx(-190.0, abs=0.0011)
+        assert number(files[name], "lim_high[6]") == pytest.approx(350.0, abs=0.0011)
+    old = fromstring(files["kss_older/SensorInterface/mbcacq.rsi.xml"])
+    values = {p.get("Name"): p.get("ParamValue") for p in old.iter("Parameter")}
+    assert [values[f"UpperLimA{i}"] for i in range(1, 7)] == [str(10 + i) for i in range(1, 7)]
+    assert [values[f"LowerLimA{i}"] for i in range(1, 7)] == [str(-10 - i) for i in range(1, 7)]
+    assert [values[f"MaxA{i}"] for i in range(1, 7)] == [str(11 + i) for i in range(1, 7)]
+    model = files["kss_older/SensorInterface/mbcacq.rsi"]
+    assert [re.search(rf'name="{n}A{i}" value="([^"]*)"', model)[1] for i in range(1, 7) for n in ("UpperLim", "LowerLim", "Max")] == [
+        values[f"{n}A{i}"] for i in range(1, 7) for n in ("UpperLim", "LowerLim", "Max")]
+
+
+@pytest.mark.parametrize(("driver", "change", "says"), [
+    (KukaEki, {"address": "krc.local"}, "address in numbers"), (KukaEki, {"port": 7000}, "54600 to 54615"),
+])
+def test_what_a_controller_cannot_take_is_refused(driver, change, says):
+    with pytest.raises(ConfigError, match=says):
+        driver.controller_files("arm", "KR 10", {**EKI, **change}, FACTS)
+
+
+def test_rsi_files_need_a_stop_element():
+    with pytest.raises(ConfigError, match="stop_element"):
+        KukaRsi.controller_files("arm", "", {"limits_deg": LIMITS, "stop_element": ""}, FACTS)
+
+
+@pytest.mark.parametrize("plan", ["kuka.yaml", "kuka-eki.yaml"])
+def test_the_command_writes_them_once(tmp_path, plan):
+    out = tmp_path / "files"
+    done = CliRunner().invoke(app, ["controller-files", str(PLANS / plan), "--out", str(out)], standalone_mode=False, catch_exceptions=False)
+    assert done.exit_code == 0
+    written = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    guide = written["README.txt"].decode("ascii")
+    for name, data in written.items():
+        assert data.isascii()
+        assert data.count(b"\n") == data.count(b"\r\n") > 0
+        stem = Path(name).stem
+        assert name in ("README.txt",) or stem in guide or f"{name.split('/')[-2]}/*" in guide, name
+    assert "KUKA KR 10 R1100-2" in guide
+    with pytest.raises(ConfigError, match=r"exists already.*--replace"):
+        CliRunner().invoke(app, ["controller-files", str(PLANS / plan), "--out", str(out)], standalone_mode=False, catch_exceptions=False)
+    again = CliRunner().invoke(app, ["controller-files", str(PLANS / plan), "--out", str(out), "--replace", "--json"], standalone_mode=False, catch_exceptions=False)
+    assert "README.txt" in again.output
+
+
+def test_both_spellings_of_a_driver():
+    assert load_driver("robots", "kuka-eki") is load_driver("robots", "kuka_eki") is KukaEki
+    assert load_driver("robots", "kuka-rsi") is KukaRsi
+
+
+def test_the_two_plans_differ_in_the_robots_connection_only():
+    from mbcacq.plan import load
+
+    rsi, eki = (load(PLANS / name) for name in ("kuka.yaml", "kuka-eki.yaml"))
+    same = {"name": "", "robot": rsi.plan.robot.model_copy(update={"driver": "", "options": {}})}
+    assert rsi.plan.model_copy(update=same) == eki.plan.model_copy(update={**same, "robot": eki.plan.robot.model_copy(update={"driver": "", "options": {}})})
+    np.testing.assert_array_equal(rsi.cell.robot.chain.rows, eki.cell.robot.chain.rows)

@@ -1,0 +1,130 @@
+"""A package that is none of ours registers an entry point and works as our own drivers do: listed, checked, run, proven by the suite."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import PACKAGE, install
+
+from mbcacq.conformance import CHECKS, Bench, Channel, Stand, TcpProxy, check, ended
+from mbcacq.errors import ConfigError
+
+ROOT = Path(__file__).parents[2]
+
+
+def mbcacq(site, *arguments):
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    return subprocess.run([Path(sys.executable).parent / "mbcacq", *map(str, arguments)], cwd=ROOT, env=environment, capture_output=True,
+                          text=True, timeout=120, stdin=subprocess.DEVNULL)
+
+
+def listed(site):
+    done = mbcacq(site, "drivers", "--json")
+    assert done.returncode == 0, done.stderr
+    return {(d["kind"], d["name"]): d for d in json.loads(done.stdout)["drivers"]}
+
+
+def test_it_is_listed_with_its_package_beside_ours(site):
+    drivers = listed(site)
+    ours = drivers["sensors", "acme_probe"]
+    assert (ours["package"], ours["version"], ours["problem"]) == ("acme-probe", "1.2", "")
+    assert ours["tried"] == "T-1000, by the author"
+    assert drivers["robots", "kuka_rsi"]["tried"] == ""
+    text = mbcacq(site, "drivers").stdout
+    assert re.search(r"sensors +acme_probe +acme-probe 1\.2 +yes +T-1000, by the author", text)
+    assert re.search(r"robots +kuka_rsi +mbcacq \S+ +yes +not yet", text)
+
+
+@pytest.mark.parametrize(("source", "words"), [
+    ("import no_such_library\n", "cannot be imported: ModuleNotFoundError: No module named 'no_such_library'"),
+    ("raise RuntimeError('licence expired')\n", "cannot be imported: RuntimeError: licence expired"),
+    ("class AcmeProbe:\n    def connect(self): ...\n", "lacks describe, stop, close, read, __enter__, __exit__"),
+])
+def test_one_that_cannot_be_used_says_why_and_spoils_no_other(tmp_path, source, words):
+    site = install(tmp_path)
+    (site / "acme_probe" / "__init__.py").write_text(source)
+    drivers = listed(site)
+    assert words in drivers["sensors", "acme_probe"]["problem"]
+    assert drivers["sensors", "serial"]["problem"] == ""
+
+
+def test_two_packages_with_one_name_are_refused_not_mixed_up(tmp_path, monkeypatch):
+    site = install(tmp_path)
+    other = site / "other_probe-1.0.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-probe\nVersion: 1.0\n")
+    (other / "entry_points.txt").write_text("[mbcacq.sensors]\nacme_probe = other_probe:Probe\n")
+    assert "2 packages register this name" in listed(site)["sensors", "acme_probe"]["problem"]
+    monkeypatch.syspath_prepend(str(site))
+    from mbcacq.devices import load_driver
+
+    with pytest.raises(ConfigError, match="registered 2 times.*acme_probe:AcmeProbe, other_probe:Probe"):
+        load_driver("sensors", "acme_probe")
+
+
+def plan_with_probe(folder, address):
+    plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
+    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
+    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
+    plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
+    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan))
+    return path
+
+
+def test_a_run_records_what_it_reads(outside, tmp_path):
+    from acme_probe.fake import FakeProbe
+
+    with FakeProbe() as probe:
+        plan = plan_with_probe(tmp_path, probe.address)
+        looked = mbcacq(outside, "doctor", plan, "--json")
+        lines = {line["topic"]: line for line in json.loads(looked.stdout)["lines"]}
+        assert lines["sensor 1"]["level"] == "ok"
+        assert lines["sensor 1"]["text"] == "T-1000 0815: air_C 21 C"
+        run = tmp_path / "run"
+        done = mbcacq(outside, "run", plan, "--dry-run", "--out", run)
+        assert done.returncode == 0, done.stderr
+        told = probe.told[1:]
+    from mbcacq.recording import load
+
+    assert load(run).temperatures["air_C"].tolist() == told
+    assert len(told) == 4
+
+
+def bench():
+    from acme_probe import AcmeProbe
+    from acme_probe.fake import FakeProbe
+
+    @contextmanager
+    def opened():
+        with FakeProbe() as probe, TcpProxy(Channel("line"), probe.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
+            def use(sensor):
+                got = sensor.read()
+                assert got == {"air_C": probe.told[-1]}, f"it reads {got}, the probe told {probe.told[-1:]}"
+
+            def make(model="T-1000", **more):
+                return AcmeProbe("air", model, {"address": "127.0.0.1", "port": proxy.port, **more})
+
+            yield Stand(make, use, {"line": proxy}, lambda: make("T-2000"), hasty={"timeout_s": 0.3})
+
+    return Bench("acme_probe", "sensor", opened)
+
+
+@pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
+def test_it_passes_the_suite_every_driver_must_pass(outside, each):
+    result = check(bench(), each)
+    assert result.status in ("passed", "skipped"), str(result)
+
+
+def test_the_page_about_it_shows_exactly_this_package():
+    page = (ROOT / "docs" / "write-a-driver.md").read_text()
+    blocks = re.findall(r"^```(?:python|toml)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    for name in ("pyproject.toml", "acme_probe/__init__.py", "acme_probe/fake.py"):
+        assert (PACKAGE / name).read_text() in blocks, f"docs/write-a-driver.md does not show {name} as it is"

@@ -1,0 +1,130 @@
+"""What is drawn is true: distances to the sphere, the way of the flange, spikes of a curve, the arm of a URDF."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import synthetic
+
+from mbcacq.cell import Artefact
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.recording import Recorder, Recording, eye, layout
+from mbcacq.recording.cell_yaml import parse_cell
+from mbcacq.recording.drawing import flange_strips
+from mbcacq.recording.result import round_scale
+from mbcacq.recording.urdf_arm import UrdfArm
+
+CELL = parse_cell(synthetic.CELL)
+
+
+def sphere(rng, centre, radius, count, scatter=0.0):
+    towards = rng.normal(size=(count, 3))
+    return centre + (radius + scatter * rng.normal(size=(count, 1))) * towards / np.linalg.norm(towards, axis=1, keepdims=True)
+
+
+def test_points_are_coloured_by_their_distance_to_the_certified_sphere():
+    rng = np.random.default_rng(0)
+    artefact = Artefact("mbc", "", (4, 9), np.zeros((2, 3)), np.array([12.0, 20.0]))
+    centres = np.array([[0.0, 0, 0], [40, 0, 0]])
+    points = np.vstack([sphere(rng, centres[0], 6.030, 3000), sphere(rng, centres[1], 9.985, 3000, 0.004), rng.uniform(60, 90, (9000, 3))])
+    seen = eye.look(points.astype(np.float32), artefact, np.array([4, 9]), centres)
+    np.testing.assert_allclose(seen.radius_um, [30.0, -15.0], atol=0.5)
+    np.testing.assert_allclose(seen.form_um, [0.0, 2 * 1.96 * 4.0], atol=1.0)     # 95 % of a normal distribution
+    first = seen.colours[: eye.MOST_ON_BALL // 2].astype(int)
+    assert (first == eye.OUTSIDE).all()                                           # 30 um outside: the end of the scale
+    last = seen.colours[-eye.MOST_ON_BALL // 2:].astype(int)
+    assert (last[:, 2] > last[:, 0]).mean() > 0.95                                # inside: towards blue
+    assert len(seen.on_balls) <= 2 * eye.MOST_ON_BALL
+    assert 0 < len(seen.beside) <= eye.MOST_BESIDE
+    assert seen.beside.min() > 59
+
+
+def test_a_scan_without_balls_is_all_beside():
+    seen = eye.look(np.random.default_rng(0).uniform(0, 9, (50, 3)), CELL.artefacts[0], np.zeros(0, int), np.zeros((0, 3)))
+    assert len(seen.on_balls) == 0
+    assert len(seen.beside) == 50
+
+
+def test_each_way_ends_at_its_pose():
+    rng = np.random.default_rng(1)
+    route = {7: rng.normal(size=(3, 6)), 8: rng.normal(size=(1, 6))}
+    strips = flange_strips(CELL, np.zeros(6), route)
+    for strip, legs in zip(strips, route.values(), strict=True):
+        np.testing.assert_allclose(strip[-1], CELL.robot.chain.flange(legs[-1:])[0, :3, 3], atol=1e-3)
+    np.testing.assert_allclose(strips[1][0], strips[0][-1], atol=1e-3)
+
+
+def test_a_spike_between_two_drawn_points_is_drawn(tmp_path):
+    rng = np.random.default_rng(0)
+    batch = synthetic.cycles(rng, 0.0, 100)
+    batch.columns["q_command"] = batch.columns["q"].copy()
+    batch.columns["q_command"][53, 2] -= np.radians(3.0)
+    with Recorder(tmp_path) as recorder:
+        recorder(synthetic.start())
+        recorder(synthetic.events.CyclesReceived(0.5, batch))
+    following = Recording(tmp_path / "run.rrd").columns(layout.FOLLOWING, "rerun.archetypes.Scalars")["scalars"]
+    assert len(following) == 20
+    assert following[:, 2].min() == pytest.approx(-3.0)
+    assert np.abs(np.delete(following, 2, axis=1)).max() < 1e-9
+
+
+def test_rows_carry_pose_step_and_time_of_day(a_run):
+    row = next(r for r in Recording(a_run / "run.rrd").rows(layout.BALLS_FOUND) if "scalars" in r and layout.POSE in r)
+    assert row[layout.STEP_INDEX] == 0
+    started = np.datetime64("2026-01-02T03:04:05", "ns").astype(np.int64)
+    assert row[layout.CLOCK] == started + row[layout.TIME]
+
+
+@pytest.mark.parametrize(("wanted", "scale"), [(1999.0, 1000.0), (2000.0, 2000.0), (7.3, 5.0), (0.25, 0.2), (0.0, 1.0), (np.nan, 1.0)])
+def test_magnifications_are_round(wanted, scale):
+    assert round_scale(wanted) == pytest.approx(scale)
+
+
+def urdf(chain, turned=None):
+    """A URDF of a chain: each joint's frame where its axis is at zero."""
+    out, before = ['<robot name="arm"><link name="base_link"/>'], np.eye(4)
+    for i, T in enumerate(chain.frames(np.zeros((1, chain.n)))[0][:-1]):
+        xyz, (yaw, pitch, roll) = se3.to_abc(se3.inverse(before) @ T)
+        sign = int(chain.sign[i]) * (-1 if i == turned else 1)
+        shape = '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
+        out.append(f'<link name="link{i}">{shape}</link><joint name="joint{i}" type="revolute"><parent link="{f"link{i - 1}" if i else "base_link"}"/>'
+                   f'<child link="link{i}"/><origin xyz="{xyz[0] / 1e3} {xyz[1] / 1e3} {xyz[2] / 1e3}" rpy="{roll} {pitch} {yaw}"/>'
+                   f'<axis xyz="0 0 {sign}"/><limit lower="-6" upper="6" effort="1" velocity="1"/></joint>')
+        before = T
+    return "".join([*out, "</robot>"])
+
+
+def test_a_urdf_of_the_same_arm_is_drawn_and_moves(tmp_path):
+    from dataclasses import replace
+
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf(CELL.robot.chain))
+    with Recorder(tmp_path / "run") as recorder:
+        recorder(replace(synthetic.start(), urdf=str(file)))
+        for event in synthetic.pose(np.random.default_rng(0), 0, 1.0):
+            recorder(event)
+    recording = Recording(tmp_path / "run" / "run.rrd")
+    joints = [r for r in recording.rows(f"{layout.URDF}/joints/joint2") if "quaternion" in r]
+    assert len(joints) > 2
+    assert not np.allclose(joints[0]["quaternion"], joints[-1]["quaternion"])
+    assert not list(recording.rows(f"{layout.link(2)}/body"))                     # its links are not drawn twice
+
+
+@pytest.mark.parametrize(("text", "what"), [
+    (urdf(CELL.robot.chain, turned=2), "do not move as those of six axes"),
+    ("<robot name='a'><link name='base'/></robot>", "has 0 moving joints"),
+    ("no xml", "cannot be read as a URDF"),
+])
+def test_another_urdf_is_told_and_the_links_are_drawn(tmp_path, text, what):
+    from dataclasses import replace
+
+    file = tmp_path / "arm.urdf"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=what):
+        UrdfArm(file, CELL)
+    with Recorder(tmp_path / "run") as recorder:
+        recorder(replace(synthetic.start(), urdf=str(file)))
+    recording = Recording(tmp_path / "run" / "run.rrd")
+    assert any(what in r["text"][0] for r in recording.rows(layout.LOG) if "text" in r)
+    assert list(recording.rows(f"{layout.link(2)}/body"))

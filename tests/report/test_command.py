@@ -1,0 +1,123 @@
+"""``mbcacq report`` on data of every kind, and what it says of a run's devices and diagnosis."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from made_up import devices, diagnosis, pictures
+from test_report import Page, make_observations, make_result
+
+from mbcacq.cli.app import app
+from mbcacq.errors import ConfigError
+from mbcacq.report import everything_about, report_from_result, write_diagnosis_page
+from mbcacq.report.told import split_unit, told
+
+
+@pytest.fixture(scope="module")
+def a_set(tmp_path_factory):
+    """A small recording of a known cell, as an observation set."""
+    from dataclasses import replace
+
+    from mbcacq.recording import write_observation_set
+
+    obs = make_observations()
+    rng = np.random.default_rng(2)
+    P, state = 24, rng.uniform(-1.2, 1.2, (24, 6))
+    from mbcacq.cell import Artefact, Cell, Station
+    from mbcacq.geometry import se3
+
+    balls = np.array([[0.0, 0, 0], [40, 0, 5], [0, 40, -5], [35, 35, 12]])
+    artefact = Artefact("mbc", "MBC", (1, 2, 3, 4), balls, np.full(4, 12.0))
+    places = np.array([[600.0, 0, 100], [500, 300, -100], [700, -200, 300]])
+    cell = Cell(obs.cell.robot, se3.transform(np.diag([1.0, -1, -1]), np.array([0, 0, 260.0])), (artefact,), tuple(Station(f"s{i}", "mbc") for i in range(3)))
+    station = np.arange(P) % 3
+    T = cell.robot.chain.flange(state) @ cell.T_flange_scanner
+    points = se3.apply(se3.inverse(T)[:, None], (balls[None] + places[station][:, None]).reshape(P, -1, 3))
+    xyz = (points + rng.normal(0, 0.005, points.shape)).reshape(-1, 3)
+    made = replace(obs, cell=cell, pose_id=np.arange(P), station=station, q=state, pose=np.repeat(np.arange(P), 4), ball=np.tile(np.arange(4), P), xyz=xyz, phase=None)
+    folder = tmp_path_factory.mktemp("data") / "set"
+    write_observation_set(made, folder)
+    return folder
+
+
+def test_a_report_of_an_observation_set(a_set, tmp_path):
+    done = CliRunner().invoke(app, ["report", str(a_set), "--out", str(tmp_path / "set.html"), "--json"], standalone_mode=False)
+    assert done.exception is None, done.exception
+    said = json.loads(done.stdout)
+    page = Page((tmp_path / "set.html").read_text(encoding="utf-8"))
+    assert said["bytes"] == (tmp_path / "set.html").stat().st_size
+    assert "Calibrated, not verified" in page.words
+    assert "Next: Measure an artefact that judges" in page.words
+    assert "No diagnosis was made of these data" in page.words
+    assert "Accuracy map" in page.words
+
+
+def test_a_file_needs_a_place_for_its_report(a_set, tmp_path):
+    with pytest.raises(ConfigError, match="--out"):
+        CliRunner().invoke(app, ["report", str(a_set / "cell.yaml")], standalone_mode=False, catch_exceptions=False)
+
+
+def test_the_diagnosis_of_a_run_folder_is_told(tmp_path):
+    (tmp_path / "diagnosis.json").write_text(json.dumps(diagnosis()))
+    (tmp_path / "diagnosis-pictures.json").write_text(json.dumps(pictures()))
+    info = everything_about(tmp_path)
+    words = Page(report_from_result(make_result(), path=tmp_path / "r.html", observations=make_observations(), run_info=info).read_text(encoding="utf-8")).words
+    assert "Joint compliance at A2" in words
+    assert "A2 compliance 2.094 0.092 µrad/(N m)" in words
+    assert "A2 order [2] 100.08 0.021" in words
+    assert "data that took no part (by station) 14.9 µm (χ²/dof 2.10) 9.7 µm (χ²/dof 1.03)" in words
+    assert "below 1%" in words
+    assert "Mind it where you use the cell: joint compliance at A2" in words
+
+
+def test_pictures_that_are_damaged_leave_the_words(tmp_path):
+    assert told(diagnosis(), {"format": "other"}).curves == []
+    assert told(diagnosis(), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
+    (tmp_path / "diagnosis.json").write_text('{"torn')
+    assert "diagnosis" not in everything_about(tmp_path)
+
+
+def test_a_diagnosis_as_a_page_of_its_own(tmp_path):
+    page = Page(write_diagnosis_page(diagnosis(), pictures(), tmp_path / "d.html").read_text(encoding="utf-8"))
+    assert page.loads == []
+    assert "The effects below bring the simulation down to the measured noise" in page.words
+
+
+def test_devices_are_told(tmp_path):
+    words = Page(report_from_result(make_result(), path=tmp_path / "r.html", run_info={"devices": devices()}).read_text(encoding="utf-8")).words
+    assert "pose 7 left out: 2 of 8 balls found" in words
+    assert "scanner: temperature_C 40 45 44" in words
+
+
+@pytest.mark.parametrize(("change", "what"), [
+    ({}, "Put the result to use"),
+    ({"verification": None}, "Measure an artefact that judges"),
+    ({"limit": 0.3}, "Ask why"),
+    ({"noise": 3.0}, "Ask why"),
+    ({"limit": 0.457}, "Decide with a better certificate"),
+])
+def test_the_one_thing_to_do_next(tmp_path, change, what):
+    result = make_result(change.get("limit", 0.5))
+    if "verification" in change:
+        result["verification"] = None
+    if "noise" in change:
+        result["noise"]["check_factor"] = [1.0, 1.0, change["noise"]]
+    words = Page(report_from_result(result, path=tmp_path / "r.html", observations=make_observations()).read_text(encoding="utf-8")).words
+    assert f"Next: {what}" in words
+
+
+def test_units_are_told_apart_from_names():
+    assert split_unit("A2.compliance_rad_per_Nm") == ("A2 compliance", "µrad/(N m)")
+    assert split_unit("link2.time_constant_s") == ("link2 time constant", "s")
+    assert split_unit("A4.order") == ("A4 order", "")
+
+
+def test_the_largest_recording_makes_a_small_page(tmp_path):
+    """Fifteen thousand poses: what is drawn is thinned, the largest are all there."""
+    from mbcacq.report.charts import MOST, thinned
+
+    size = np.abs(np.random.default_rng(0).normal(size=15_000))
+    keep = thinned(size)
+    assert len(keep) <= MOST
+    assert set(np.argsort(-size)[:100]) <= set(keep.tolist())

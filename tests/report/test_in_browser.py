@@ -1,0 +1,70 @@
+"""The page in a real browser (headless Chromium): draws everything, asks for nothing, fits a desk and a phone, and prints."""
+
+import numpy as np
+import pytest
+from chromium import Browser, program
+from made_up import devices, diagnosis, pictures
+from test_report import make_observations, make_result
+
+from mbcacq.report import report_from_result
+
+pytestmark = pytest.mark.skipif(program() is None, reason="no Chromium is installed (apt-get install chromium)")
+
+TOO_WIDE = """Array.from(document.querySelectorAll('main *'))
+  .filter(e => !e.closest('svg') && !e.closest('.scroll') && !e.closest('pre') && !e.closest('details:not([open])'))
+  .filter(e => e.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(e => e.tagName + ' ' + e.className)"""
+EMPTY = """Array.from(document.querySelectorAll('.plot')).filter(p => !p.querySelector('.main-svg .plot *, .main-svg .cartesianlayer *')).map(p => p.id)"""
+UNLABELLED = """Array.from(document.querySelectorAll('.plot')).filter(p => Object.keys(p.layout).filter(k => /^[xy]axis/.test(k))
+  .some(k => p.layout[k].visible !== false && !((p.layout[k].title || {}).text || '').trim())).map(p => p.id)"""
+# what plotly draws outside of its own frame is cut off there
+CUT_OFF = """Array.from(document.querySelectorAll('.plot')).flatMap(p => { const f = p.getBoundingClientRect();
+  return Array.from(p.querySelectorAll('.main-svg text')).filter(t => t.textContent.trim()).filter(t => { const r = t.getBoundingClientRect();
+  return r.width && (r.left < f.left - 1 || r.right > f.right + 1 || r.top < f.top - 1 || r.bottom > f.bottom + 1); })
+  .map(t => p.id + ': ' + t.textContent); })"""
+
+
+@pytest.fixture(scope="module")
+def whole_page(tmp_path_factory):
+    """Everything that a report can hold."""
+    result = make_result()
+    grid = np.stack(np.meshgrid(*[np.arange(-1000, 1001, 250.0)] * 3), axis=-1).reshape(-1, 3)
+    result["accuracy_map"] = {"cell_mm": 250.0, "centres_mm": grid.tolist(), "sigma_mm": (1e-5 * np.linalg.norm(grid, axis=1)).tolist(), "postures": [1] * len(grid)}
+    obs = make_observations()
+    info = {"name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "folder": "runs/today", "diagnosis": diagnosis(), "pictures": pictures(), "devices": devices(),
+            "hashes": [("run.rrd", "1 234", "0" * 64)], "versions": {"numpy": "2.4.6"}, "plan_yaml": "format: mbcacq-plan/1\n" + "x" * 300}
+    from dataclasses import replace
+
+    rng = np.random.default_rng(1)
+    obs = replace(obs, n_points=rng.integers(800, 1600, obs.n_centres).astype(float), rms_mm=rng.uniform(0.010, 0.012, obs.n_centres))
+    return report_from_result(result, path=tmp_path_factory.mktemp("page") / "report.html", observations=obs, run_info=info)
+
+
+@pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 900, False), (390, 844, True)])
+def test_everything_is_drawn_and_nothing_asked_for(whole_page, width, height, mobile):
+    with Browser(width, height, mobile) as browser:
+        browser.open(whole_page)
+        assert browser.console == []
+        assert [r for r in browser.requests if not r.startswith(("file:", "data:", "blob:"))] == []
+        assert browser.run("document.querySelectorAll('.plot').length") >= 22
+        assert browser.run(EMPTY) == []
+        assert browser.run(UNLABELLED) == []
+        assert browser.run(CUT_OFF) == []
+        assert browser.run(TOO_WIDE) == []
+        assert browser.run("document.documentElement.scrollWidth") <= width
+
+
+def test_the_first_screen_answers(whole_page):
+    with Browser(1280, 900) as browser:
+        browser.open(whole_page)
+        for part in (".verdict", ".picture", ".next", "dl.numbers"):
+            assert browser.run(f"document.querySelector('{part}').getBoundingClientRect().bottom") < 900, part
+
+
+def test_it_prints_with_every_figure_at_the_width_of_the_paper(whole_page, tmp_path):
+    with Browser() as browser:
+        browser.open(whole_page)
+        browser.pdf(tmp_path / "report.pdf")
+        assert (tmp_path / "report.pdf").read_bytes()[:5] == b"%PDF-"
+        browser.run("window.dispatchEvent(new Event('beforeprint'))")
+        assert browser.run("Math.max(...Array.from(document.querySelectorAll('.plot')).map(p => p.querySelector('.main-svg').getBoundingClientRect().width))") <= 671
+        assert browser.console == []

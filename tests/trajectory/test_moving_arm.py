@@ -1,0 +1,93 @@
+"""The fake arm in motion (MuJoCo bodies, drives with faults): what it conceals is found, by name, place and size."""
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("mujoco")
+
+from mbcacq_fakes.moving.bodies import Bodies
+from mbcacq_fakes.moving.recorded import recorded
+
+from mbcacq import library
+from mbcacq.cellfile import RobotSpec
+from mbcacq.challenge.trajectory_score import judge
+from mbcacq.diagnosis.trajectory import diagnose_trajectories
+from mbcacq.errors import ConfigError
+from mbcacq.geometry.gravity import gravity_torque
+from mbcacq.recording.trajectory import Trajectory, moves
+
+
+@pytest.fixture(scope="module")
+def kr10():
+    return RobotSpec.model_validate(yaml.safe_load(library.robot_file("kr10_r1100_2").read_text())).model()
+
+
+def told(robot, faults, seed=7, seconds=10.0):
+    made = [recorded(robot, faults, seed, motion, seconds) for motion in (0, 1)]
+    trajectories = [Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque) for r in made]
+    return diagnose_trajectories(trajectories, proof=False), made[0].truth
+
+
+def test_two_engines_hold_the_same_weight(kr10):
+    tool = np.array([5.0, 6, 70])
+    bodies = Bodies(kr10.chain.sign, kr10.chain.rows, kr10.mass, kr10.com, (3.0, tool), kr10.gravity)
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (5, 6))
+    pull = gravity_torque(kr10.chain, kr10.chain.frames(q), kr10.mass, kr10.com, 3.0, tool, kr10.gravity)
+    for pose, torque in zip(q, pull, strict=True):
+        np.testing.assert_allclose(bodies.at(pose, np.zeros(6))[1], -torque, atol=1e-3)
+
+
+def test_an_arm_as_described_shows_nothing(kr10):
+    diagnosis, _ = told(kr10, [])
+    assert diagnosis["verdict"] == "none"
+    assert diagnosis["effects"] == []
+
+
+def test_wind_up_friction_and_a_late_clock_together(kr10):
+    """Friction loads the drive, not the gear: its torque must not be taken for wind-up; a delay must not be taken for either."""
+    diagnosis, truth = told(kr10, [{"name": "joint_compliance", "where": "A3", "compliance_rad_per_Nm": 6e-6},
+                                   {"name": "friction", "where": "A3", "kind": "plain"},
+                                   {"name": "channel_latency", "where": "q_joint", "latency_s": 0.002}])
+    named, extra, _, sigmas = judge(truth, [True] * 3, diagnosis)
+    assert named
+    assert extra == []
+    assert len(sigmas) == 4
+    assert max(sigmas.values()) < 4.0
+
+
+def test_a_tool_that_is_not_described_and_a_ripple(kr10):
+    diagnosis, truth = told(kr10, [{"name": "payload", "mass_kg": 4.0}, {"name": "torque_ripple", "where": "A2"}])
+    named, extra, _, sigmas = judge(truth, [True] * 2, diagnosis)
+    assert named
+    assert extra == []
+    assert max(sigmas.values()) < 4.0
+
+
+def test_a_current_is_worth_what_the_arm_weighs(kr10):
+    """Percent of a drive, in proportion to its torque: friction found in N m, without anyone having said what a percent is."""
+    made = recorded(kr10, [{"name": "friction", "where": "A2", "kind": "plain"}], 7, 0, 10.0)
+    percent = made.torque * np.array([0.2, 0.15, 0.4, 2.0, 2.0, 5.0])
+    diagnosis = diagnose_trajectories([Trajectory(kr10, made.time_s, made.q, current=percent, current_unit="percent")], proof=False)
+    found = next(e for e in diagnosis["effects"] if e["where"] == ["A2"])
+    assert found["name"] == "friction"
+    true = made.truth[0]["parameters"]["A2.coulomb_Nm"]
+    assert found["parameters"]["A2.coulomb_Nm"]["value"] == pytest.approx(true, rel=0.08)
+
+
+def test_an_unknown_fault_is_refused(kr10):
+    with pytest.raises(ConfigError, match="knows no fault 'rust'"):
+        recorded(kr10, [{"name": "rust"}], 1)
+
+
+def test_the_moves_of_a_run_are_cut_out_from_rest_to_rest(kr10):
+    t = np.arange(0, 20, 0.004)
+    q = np.zeros((len(t), 6))
+    for start in (3.0, 11.0):  # two moves of 2 s with long rests
+        share = np.clip((t - start) / 2.0, 0, 1)
+        q[:, 1] += 0.3 * share**3 * (10 - 15 * share + 6 * share**2)
+    found = moves(Trajectory(kr10, t, q))
+    assert len(found) == 2
+    assert [m.q[0, 1] for m in found] == pytest.approx([0.0, 0.3], abs=1e-3)
+    assert [m.q[-1, 1] for m in found] == pytest.approx([0.3, 0.6], abs=1e-3)
+    assert sum(len(m.q) for m in found) * 0.004 == pytest.approx(5.0, abs=0.7)

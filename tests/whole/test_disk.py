@@ -1,0 +1,41 @@
+"""A disk that runs full in the middle of a run: named, nothing lost, resumed when there is room again."""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+from test_run import MBCACQ, ROOT, mbcacq
+
+CAN_MOUNT = sys.platform == "linux" and subprocess.run(
+    ["unshare", "-Urm", "sh", "-c", "mount -t tmpfs none /mnt"], capture_output=True).returncode == 0 if sys.platform == "linux" else False
+
+
+@pytest.mark.skipif(not CAN_MOUNT, reason="needs a file system of its own (user namespaces)")
+def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(tmp_path):
+    """A disk of 300 MiB, eaten by another program after three poses; freed, the run is resumed on it and then copied out."""
+    script = textwrap.dedent(f"""
+        mkdir {tmp_path}/disk && mount -t tmpfs -o size=320m none {tmp_path}/disk && cd {ROOT}
+        {MBCACQ} run plans/quick.yaml --dry-run --out {tmp_path}/disk/run 2> {tmp_path}/first &
+        until grep -q pose_done {tmp_path}/disk/run/journal.jsonl 2>/dev/null; do sleep 0.02; done
+        dd if=/dev/zero of={tmp_path}/disk/other bs=1M 2>/dev/null
+        wait $!; echo $? > {tmp_path}/code
+        cp -r {tmp_path}/disk/run {tmp_path}/full
+        rm {tmp_path}/disk/other
+        {MBCACQ} run plans/quick.yaml --dry-run --resume {tmp_path}/disk/run > /dev/null 2> {tmp_path}/second; echo $? > {tmp_path}/again
+        cp -r {tmp_path}/disk/run {tmp_path}/run
+    """)
+    subprocess.run(["unshare", "-Urm", "sh", "-c", script], timeout=110, capture_output=True)
+    first = (tmp_path / "first").read_text()
+    assert (tmp_path / "code").read_text().strip() == "6", first
+    assert "Traceback" not in first
+    assert "disk" in first
+    assert "resume the run" in first or "mbcacq recover" in first
+    from mbcacq.recording import find_gaps, load
+
+    assert mbcacq("recover", tmp_path / "full").returncode == 0
+    kept = load(tmp_path / "full").pose_id.tolist()
+    assert 1 <= len(kept) < 10
+    assert any("planned poses were not measured" in gap for gap in find_gaps(tmp_path / "full"))
+    assert (tmp_path / "again").read_text().strip() == "0", (tmp_path / "second").read_text()
+    assert sorted(load(tmp_path / "run").pose_id.tolist()) == list(range(10))

@@ -1,0 +1,146 @@
+"""kill -9 and --resume: the same observations as an undisturbed run, number by number; a changed plan is refused.
+
+benchmarks/kill_and_resume.md has fifty random moments; here are a few.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file
+
+from mbcacq.recording import Recording, find_gaps, layout, load
+
+
+def two_stations(plan):
+    plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
+    plan["steps"][0]["offsets_mm"] = [[10, 0, 0]]
+    plan["steps"][1] |= {"stations": ["p1", "p2"], "views": plan["steps"][1]["views"][:3]}
+    plan["fake"] = {"draws": "pose"}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    plan = plan_file(folder, two_stations)
+    done = mbcacq("run", plan, "--dry-run", "--out", folder / "run", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["gaps"] == []
+    return plan, folder / "run"
+
+
+def killed_after(plan, run, poses, then_s=0.0):
+    process = subprocess.Popen([MBCACQ, "run", plan, "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.DEVNULL,
+                               stdout=subprocess.DEVNULL, start_new_session=True)
+    journal, deadline = run / "journal.jsonl", time.monotonic() + 60
+    while time.monotonic() < deadline and not (journal.exists() and journal.read_text().count("pose_done") >= poses):
+        time.sleep(0.01)
+    time.sleep(then_s)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def equal(run, whole):
+    a, b = load(whole), load(run)
+    assert sorted(b.pose_id.tolist()) == a.pose_id.tolist() == list(range(7))
+    order = np.argsort(b.pose_id)
+    rows = np.argsort(np.argsort(order)[b.pose], kind="stable")
+    np.testing.assert_array_equal(b.ball[rows], a.ball)
+    np.testing.assert_array_equal(b.xyz[rows], a.xyz)
+    np.testing.assert_array_equal(b.direction[order], a.direction)
+    np.testing.assert_allclose(b.q[order], a.q, rtol=0, atol=1e-12)   # the mean over another number of equal cycles
+
+
+@pytest.mark.parametrize(("poses", "then_s"), [(0, 0.0), (2, 0.07), (4, 0.13)])
+def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, poses, then_s):
+    plan, whole = undisturbed
+    run = tmp_path / "run"
+    killed_after(plan, run, poses, then_s)
+    resumed = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
+    assert resumed.returncode == 0, resumed.stderr
+    equal(run, whole)
+    gaps = json.loads(resumed.stdout)["gaps"]
+    if poses:                           # else it had not begun
+        assert len(gaps) == 1
+        assert "interrupted" in gaps[0]
+        assert "killed" in gaps[0]
+    if len(layout.parts(run)) > 1:      # the parts are one recording, and one recording id
+        merged = run / "whole.rrd"
+        assert sorted({int(row["pose"][0]) for row in Recording(merged).observed()}) == list(range(7))
+        assert len({Recording(path).recording_id for path in (*layout.parts(run), merged)}) == 1
+    if poses == 2:
+        again = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
+        assert again.returncode == 0
+        assert "nothing moves" in again.stderr
+
+
+def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
+    plan, whole = undisturbed
+    data = (whole / "run.rrd").read_bytes()
+    journal = (whole / "journal.jsonl").read_text().splitlines(keepends=True)
+    for keep in (7, len(data) // 2):
+        run = tmp_path / str(keep)
+        run.mkdir()
+        for name in ("plan.yaml", "plan.files.json"):
+            (run / name).write_text((whole / name).read_text())
+        (run / "run.rrd").write_bytes(data[:keep])
+        (run / "journal.jsonl").write_text("".join(journal[:6]) + journal[6][:20])     # ahead of the recording, and torn itself
+        resumed = mbcacq("run", plan, "--dry-run", "--resume", run)
+        assert resumed.returncode == 0, resumed.stderr
+        assert "was torn" in resumed.stderr
+        equal(run, whole)
+        assert [p for p in run.iterdir() if p.read_bytes()[:keep] == data[:keep]]      # the torn file is still there
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda p: p["robot"].update(speed=0.5), "the plan was changed: robot.speed was 0.25 and is 0.5"),
+    (lambda p: p["steps"][1]["views"].pop(), "steps[1].views was a list of 3 and is one of 2"),
+    (lambda p: p["scanner"].pop("exposure_us"), "scanner.exposure_us was 8000 and is not there"),
+])
+def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, change, words):
+    _, whole = undisturbed
+    plan = plan_file(tmp_path, lambda p: (two_stations(p), change(p)))
+    done = mbcacq("run", plan, "--dry-run", "--resume", whole)
+    assert done.returncode == 2
+    assert words in one_sentence(done)
+
+
+def test_a_changed_robot_file_is_refused_a_comment_is_not(undisturbed, tmp_path):
+    plan, whole = undisturbed
+    text = plan.read_text()
+    other = tmp_path / "plan.yaml"
+    other.write_text("# a remark\n" + text)
+    assert mbcacq("run", other, "--dry-run", "--resume", whole).returncode == 0
+    content = yaml.safe_load(text)
+    model = tmp_path / "robot.yaml"
+    model.write_text(Path(content["robot"]["model"]).read_text().replace("d_mm: 515", "d_mm: 516"))
+    kept = json.loads((whole / "plan.files.json").read_text())
+    (whole / "plan.files.json").write_text(json.dumps(kept | {"files": {**kept["files"], content["robot"]["model"]: model.read_text()}}))
+    try:
+        done = mbcacq("run", plan, "--dry-run", "--resume", whole)
+        assert done.returncode == 2
+        assert "links[3].d_mm was 516 and is 515" in one_sentence(done)
+    finally:
+        (whole / "plan.files.json").write_text(json.dumps(kept))
+
+
+def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbed):
+    plan, whole = undisturbed
+    for options in (["--yes"], ["--dry-run", "--seed", "1"]):
+        done = mbcacq("run", plan, "--resume", whole, *options)
+        assert done.returncode == 2
+        assert "was recorded with the fake cell of seed 0" in one_sentence(done)
+
+
+def test_an_interrupted_run_says_what_is_missing(undisturbed, tmp_path):
+    plan, _ = undisturbed
+    run = tmp_path / "run"
+    killed_after(plan, run, 2)
+    gaps = find_gaps(run)
+    assert any("of 7 planned poses were not measured" in gap for gap in gaps)
