@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from mbcacq.conformance.bench import Bench, Stand
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
-from mbcacq.conformance.steps import Skip, fault, need_proxies, rests, segments, works_anew
+from mbcacq.conformance.steps import Skip, comes_back, fault, need_proxies, rests, segments, works_anew
 from mbcacq.devices import Aborted, ConfigError, ConnectError, IdentityError
 
 Check = Callable[[Bench, Stand], None]
@@ -104,6 +104,7 @@ def connects_again(bench: Bench, stand: Stand) -> None:
         proxy.cut()
     outcome("use after the connection was cut", lambda: stand.use(driver), bench.limit_s)
     bounded("close", driver.close, bench.limit_s)
+    comes_back(bench, stand)
     bounded("connect", driver.connect, bench.limit_s)
     bounded("use", lambda: stand.use(driver), bench.limit_s)
     bounded("close", driver.close, bench.limit_s)

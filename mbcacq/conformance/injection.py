@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mbcacq.conformance.bench import Bench, Stand
-from mbcacq.conformance.bounded import Hang, bounded, eventually, outcome
+from mbcacq.conformance.bounded import Hang, bounded, outcome
 from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER
+from mbcacq.conformance.steps import comes_back, rests
 
 _CALM_S = 0.05    # a fault at the very last message takes effect after the work
 RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"
@@ -79,10 +80,8 @@ def inject(bench: Bench, case: Case, delay_s: float = 1.0) -> Verdict:
         proxy.channel.heal()
         try:
             time.sleep(_CALM_S)
-            eventually(lambda: all(each.ready for each in stand.proxies.values()), bench.limit_s, "the link did not come back")
-            eventually(stand.ready, bench.limit_s, "the device does not take a new driver")
-            if stand.at_rest is not None:
-                eventually(stand.at_rest, bench.limit_s, "the device did not come to rest")
+            comes_back(bench, stand)
+            rests(bench, stand)
         except AssertionError as moving:
             return verdict("not at rest", str(moving))
         try:

@@ -61,10 +61,12 @@ class PtyProxy(Proxy):
         self._plugged.set()
 
     def _name(self) -> None:
-        with suppress(FileNotFoundError):
-            os.unlink(self.path)
         if self._fds and not self._refusing:
-            os.symlink(os.ttyname(self._fds[1]), self.path)
+            os.symlink(os.ttyname(self._fds[1]), f"{self.path}.new")
+            os.replace(f"{self.path}.new", self.path)    # the name never leads nowhere while the cable is in
+        else:
+            with suppress(FileNotFoundError):
+                os.unlink(self.path)
 
     def _unplug(self) -> None:
         fds, self._fds = self._fds, ()

@@ -47,13 +47,19 @@ def segments(bench: Bench, stand: Stand, action: str) -> None:
 
 def works_anew(bench: Bench, stand: Stand) -> None:
     """Whatever was, the next driver finds a device that works."""
-    eventually(stand.ready, bench.limit_s, "the device does not take a new driver")
+    comes_back(bench, stand)
     driver = stand.make()
     bounded("connect, afterwards", driver.connect, bench.limit_s)
     try:
         bounded("use, afterwards", lambda: stand.use(driver), bench.limit_s)
     finally:
         bounded("close, afterwards", driver.close, bench.limit_s)
+
+
+def comes_back(bench: Bench, stand: Stand) -> None:
+    """After a cut the links are made anew, and the device hears of its lost driver, in their own time."""
+    eventually(lambda: all(proxy.ready for proxy in stand.proxies.values()), bench.limit_s, "the link did not come back")
+    eventually(stand.ready, bench.limit_s, "the device does not take a new driver")
 
 
 def rests(bench: Bench, stand: Stand) -> None:
