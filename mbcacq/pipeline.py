@@ -187,17 +187,20 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     Returns the result as written, with 'files' naming all of them. limit_mm: the plan's limit of the sphere spacing error.
     """
     from mbcacq.calibration import Options, calibrate, verify
+    from mbcacq.calibration.accuracy_map import accuracy_map
     from mbcacq.recording import find_gaps, load, log_result
     from mbcacq.recording.csvfile import write_text
     from mbcacq.recording.recovery import WHOLE
-    from mbcacq.report import write_report
+    from mbcacq.report import everything_about, report_from_result
 
     observations = load(run)
     calibration = calibrate(observations, Options(refuse="position" in observations.phase))
-    verification = verify(observations, calibration, limit_mm=limit_mm)
-    result = calibration.to_dict() | {"verification": verification.to_dict(), "gaps": find_gaps(run)}
+    result = calibration.to_dict() | {
+        "verification": verify(observations, calibration, limit_mm=limit_mm).to_dict(),
+        "accuracy_map": accuracy_map(calibration).to_dict(), "gaps": find_gaps(run),
+    }
     write_text(run / "result.json", json.dumps(result, indent=1))
-    report = write_report(run, observations=observations, calibration=calibration, verification=verification)
+    report = report_from_result(result, path=run / "report.html", observations=observations, run_info=everything_about(run))
     log_result(run, observations, calibration.state, calibration.preliminary)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     return result | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}

@@ -7,10 +7,12 @@ import time
 import numpy as np
 
 from mbcacq.acquisition.pump import CyclePump
+from mbcacq.cell import Cell
 from mbcacq.devices import MotionLimits, Robot, RobotState, SafetyStop
 from mbcacq.plan import LoadedPlan
 
 POLL_S = 0.003
+T1_MM_S = 250.0                  # a controller's reduced speed, ISO 10218-1
 DEFAULT_SPEED = np.radians(60.0)  # rad/s, for a model whose source gives no speeds
 MOVED = 1e-4                      # rad; less is no motion that could change the sense of a gear
 
@@ -36,18 +38,29 @@ def check_target(target: np.ndarray, limits: np.ndarray) -> None:
         raise SafetyStop(f"A{axis + 1} would go to {angle:.2f} deg, outside its limits {low:g}..{high:g} deg; nothing was moved")
 
 
-def longest_duration(start: np.ndarray, target: np.ndarray, limits: MotionLimits) -> float:
-    """Generous bound (s, robot clock) on how long a motion may take before something is wrong."""
+def arms_beyond(cell: Cell) -> np.ndarray:
+    """(n,) mm: how far the scanner's origin can at most be from each axis, all links behind it stretched."""
+    chain = cell.robot.chain
+    links = np.hypot(chain.a, chain.d)
+    return np.cumsum(links[::-1])[::-1] + float(np.linalg.norm(cell.T_flange_scanner[:3, 3]))
+
+
+def longest_duration(travel: np.ndarray, limits: MotionLimits, arms: np.ndarray) -> float:
+    """Generous bound (s, robot clock) on how long a motion may take before something is wrong: travel (n,) rad by the plan's limits, or
+    where that takes longer as a controller drives in T1, no point faster than its reduced speed. arms: (n,) mm of ``arms_beyond``."""
     ramp = np.max(limits.speed / limits.acceleration + limits.acceleration / limits.jerk)
-    return 10.0 + limits.settle_s + 3.0 * float(np.max(np.abs(target - start) / limits.speed) + 2.0 * ramp)
+    planned = 3.0 * float(np.max(np.abs(travel) / limits.speed) + 2.0 * ramp)
+    reduced = float(np.abs(travel) @ arms) / T1_MM_S
+    return 10.0 + limits.settle_s + max(planned, reduced)
 
 
 class Mover:
     """Moves the arm and remembers from which side each axis arrived."""
 
-    def __init__(self, robot: Robot, joint_limits: np.ndarray, limits: MotionLimits, pump: CyclePump) -> None:
-        self._robot, self._joint_limits, self._limits, self._pump = robot, joint_limits, limits, pump
-        self.direction = np.zeros(len(joint_limits), dtype=int)
+    def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, pump: CyclePump) -> None:
+        self._robot, self._joint_limits, self._limits, self._pump = robot, cell.robot.limits, limits, pump
+        self._arms = arms_beyond(cell)
+        self.direction = np.zeros(cell.robot.n, dtype=int)
 
     def go(self, target: np.ndarray) -> RobotState:
         """Move to ``target`` (n,) rad, wait until the measured joints stand there. Raises what stopped the arm."""
@@ -56,7 +69,7 @@ class Mover:
         travel = target - start.q
         self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)
         self._robot.move_to(target, self._limits)
-        deadline = start.time_s + longest_duration(start.q, target, self._limits)
+        deadline = start.time_s + longest_duration(travel, self._limits, self._arms)
         while True:
             self._pump.check()
             state = self._robot.state()

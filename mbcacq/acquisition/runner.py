@@ -103,7 +103,7 @@ class Runner:
         with CyclePump(robot, self.bus) as pump, ExitStack() as stack:
             stack.callback(robot.stop)  # before the pump is waited for, which may hang on a slow disk
             self.confirm(robot.state().q)
-            mover = Mover(robot, self.loaded.cell.robot.limits, self._limits, pump)
+            mover = Mover(robot, self.loaded.cell, self._limits, pump)
             self._pass([self.way_home[-1]], mover)
             station = step = None
             missed = 0
@@ -131,7 +131,8 @@ class Runner:
         late = "" if pump.late is None else f", {pump.late} of them answered late"
         lost = f", {pump.missing} more missing" if pump.missing else ""
         again = f"; the scanner was lost {self._scanner.losses} times and came back" if self._scanner.losses else ""
-        return f"all poses measured, {missed} of them without enough balls; {pump.count} robot cycles{late}{lost}{again}"
+        few = f", {missed} of them without enough balls" if missed else ""
+        return f"all poses measured{few}; {pump.count} robot cycles{late}{lost}{again}"
 
     def _pass(self, waypoints: Sequence[np.ndarray], mover: Mover) -> None:
         if waypoints:

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mbcacq.acquisition.motion import T1_MM_S
 from mbcacq.cell_address import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan, PlannedPose
     from mbcacq.plan.sweep import Swept
-
-T1_MM_S = 250.0     # a controller's reduced speed, ISO 10218-1
 
 
 def ask_before_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept, arm: bool) -> None:

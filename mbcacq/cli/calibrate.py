@@ -44,7 +44,7 @@ def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_
     from mbcacq.calibration import Options, calibrate, verify
     from mbcacq.calibration.held_out import held_out as leave_out
     from mbcacq.errors import ConfigError
-    from mbcacq.recording import load
+    from mbcacq.recording import find_gaps, load
 
     options = Options(method=method, pairs=pairs, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release,
                       noise=noise, robust=not keep_outliers, refuse=not even_if_undetermined)
@@ -52,6 +52,7 @@ def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_
     calibration = calibrate(observations, options)
     result = calibration.to_dict()
     result["verification"] = verify(observations, calibration).to_dict()
+    result["gaps"] = find_gaps(data)
     if with_map:
         from mbcacq.calibration.accuracy_map import accuracy_map
 
@@ -85,7 +86,7 @@ def _draw_l_curve(result: dict[str, Any], path: Path) -> None:
 
 
 def print_result(result: dict[str, Any]) -> None:
-    """Show a result (content of result.json, with 'verification', 'held_out', 'files' where there are) as tables on stdout."""
+    """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout."""
     from rich.console import Console
 
     from mbcacq.cli import tables
@@ -114,5 +115,7 @@ def print_result(result: dict[str, Any]) -> None:
             console.print(line)
     if result.get("held_out"):
         console.print(tables.held_out(result["held_out"]))
+    for gap in result.get("gaps") or ():
+        console.print(f"Gap in the recording: {gap}", markup=False)
     for name, path in (result.get("files") or {}).items():
         console.print(f"{name}: {path}", soft_wrap=True)

@@ -85,8 +85,6 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
         from mbcacq.cli.calibrate import print_result
 
         print_result(result)
-        for gap in result["gaps"]:
-            click.echo(f"gap: {gap}")
     worst = (result.get("verification") or {}).get("after", {}).get("max_mm")
     if limit is not None and worst is not None and worst > limit:
         raise CalibrationError(f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {limit:g} mm; "

@@ -8,12 +8,15 @@ import numpy as np
 import rerun.blueprint as rrb
 import yaml
 
+from mbcacq.cell import Cell
 from mbcacq.geometry.chain import Chain
 from mbcacq.recording import layout
 from mbcacq.recording.eye import RANGE_MM
 
 Point = tuple[float, float, float]
 NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
+LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[rrb.encodings.TimelineColumn(layout.TIME)], text_log_columns=[
+    rrb.encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")])
 ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white 0, orange +{1e3 * RANGE_MM:.0f} um"
 
 
@@ -34,23 +37,25 @@ class Camera:
     target: Point = (450.0, 0.0, 450.0)
 
 
-def blueprint(at: Camera = Camera(), enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
-    """The five tabs. live: follow what comes."""
+def blueprint(at: Camera = Camera(), enlarged: Enlarged = Enlarged(), live: bool = False, balls: int = 10) -> rrb.Blueprint:
+    """The five tabs; those of calibration and diagnosis without their curves until there are some. live: follow what comes. balls: how many
+    the cell has."""
     return rrb.Blueprint(
-        rrb.Tabs(*(build(at, enlarged) for build in (_cell, _motion, _spheres, _calibration, _diagnosis)), active_tab=0, name="mbcacq"),
+        rrb.Tabs(_cell(at, enlarged, balls), *(build(at, enlarged) for build in (_motion, _spheres, _calibration, _diagnosis)),
+                 active_tab=0, name="mbcacq"),
         rrb.TimePanel(state="collapsed", timeline=layout.TIME, play_state="following" if live else "paused"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
-def _cell(at: Camera, enlarged: Enlarged) -> rrb.Container:
+def _cell(at: Camera, enlarged: Enlarged, balls: int) -> rrb.Container:
     arrows = "" if enlarged.pose is None else f", arrows: error after calibration, {enlarged.pose:g} times enlarged"
     cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], at)
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
-    texts = rrb.Tabs(rrb.TextLogView(name="Log", origin=layout.LOG), rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
-                     rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
-    found = _curves("Balls found", [layout.BALLS_FOUND])
+    texts = rrb.Tabs(rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
+                     rrb.TextDocumentView(name="Plan", origin=layout.PLAN), rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
+    found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10))
     return rrb.Horizontal(rrb.Vertical(cell, states, row_shares=[8, 2.3]), rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
                           column_shares=[3, 2], name="Cell")
 
@@ -70,16 +75,19 @@ def _spheres(at: Camera, enlarged: Enlarged) -> rrb.Container:
         rrb.Vertical(_curves("Fit residual of each ball (rms), um", [layout.BALL_RMS]),
                      _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False),
                      _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE], legend=False),
-                     _curves("Points on each ball", [layout.BALL_POINTS], legend=False), row_shares=[5, 3, 3, 3]),
+                     _curves("Points on each ball", [layout.BALL_POINTS], legend=False), row_shares=[6, 3, 3, 3]),
         column_shares=[2, 3], name="Spheres")
 
 
 def _calibration(at: Camera, enlarged: Enlarged) -> rrb.Container:
-    times = "" if enlarged.all is None else f", {enlarged.all:g} times enlarged"
-    errors = _space(f"Errors before (orange) and after (blue){times}", [
+    told = "The cell" if enlarged.all is None else f"Errors before (orange) and after (blue), {enlarged.all:g} times enlarged"
+    errors = _space(told, [
         f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], at)
+    result = rrb.TextDocumentView(name="Result", origin=layout.SUMMARY)
+    if enlarged.all is None:
+        return rrb.Horizontal(errors, result, column_shares=[2, 1], name="Calibration")
     return rrb.Horizontal(
-        rrb.Vertical(errors, rrb.TextDocumentView(name="Result", origin=layout.SUMMARY), row_shares=[3, 2]),
+        rrb.Vertical(errors, result, row_shares=[1, 1]),
         rrb.Vertical(_curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"]),
                      _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False),
                      _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
@@ -89,11 +97,15 @@ def _calibration(at: Camera, enlarged: Enlarged) -> rrb.Container:
 
 
 def _diagnosis(at: Camera, enlarged: Enlarged) -> rrb.Container:
-    times = "" if enlarged.diagnosis is None else f", {enlarged.diagnosis:g} times enlarged"
-    cell = _space(f"Recorded (white); from where it was simulated, before (orange) and after (blue){times}", [
+    told = "The cell" if enlarged.diagnosis is None else (
+        f"Recorded (white); from where it was simulated, before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
+    cell = _space(told, [
         f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], at)
+    words = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
+    if enlarged.diagnosis is None:
+        return rrb.Horizontal(cell, words, column_shares=[2, 1], name="Diagnosis")
     return rrb.Horizontal(
-        rrb.Vertical(cell, rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT), row_shares=[3, 2]),
+        rrb.Vertical(cell, words, row_shares=[3, 2]),
         rrb.Vertical(_curves("Difference of simulation and recording at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
                      _curves("What is held responsible", [f"{layout.CAUSE}/**"])),
         column_shares=[1, 1], name="Diagnosis")
@@ -113,8 +125,10 @@ def _scan() -> rrb.Spatial3DView:
         eye_controls=rrb.EyeControls3D(position=(22.0, -85.0, 90.0), look_target=(0.0, 0.0, -5.0), eye_up=(0.0, 0.0, 1.0)))
 
 
-def _curves(name: str, entities: list[str], legend: bool = True) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=name, contents=[f"+ /{e}" for e in entities], plot_legend=rrb.PlotLegend(visible=legend))
+def _curves(name: str, entities: list[str], legend: bool = True, most: float | None = None) -> rrb.TimeSeriesView:
+    """most: upper end of an axis that begins at 0; without it the axis fits what is shown."""
+    axis = None if most is None else rrb.ScalarAxis(range=(0.0, most))
+    return rrb.TimeSeriesView(name=name, contents=[f"+ /{e}" for e in entities], plot_legend=rrb.PlotLegend(visible=legend), axis_y=axis)
 
 
 def _bars(name: str, entity: str) -> rrb.BarChartView:
@@ -127,9 +141,9 @@ def alone(at: Camera, diagnosis: float) -> rrb.Blueprint:
                          rrb.SelectionPanel(state="collapsed"), rrb.BlueprintPanel(state="collapsed"))
 
 
-def for_cell(chain: Chain, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
+def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
     """The blueprint with its camera placed so that the arm and the planned stations fill the view."""
-    return blueprint(camera(chain, stations(plan_yaml)), enlarged, live)
+    return blueprint(camera(cell.robot.chain, stations(plan_yaml)), enlarged, live, len(cell.ball_ids))
 
 
 def camera(chain: Chain, places: np.ndarray) -> Camera:

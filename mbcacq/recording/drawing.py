@@ -32,8 +32,8 @@ class Drawing:
         self._cell, self._route = cell, list(event.route)
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
-        self._rec.log(layout.SUMMARY, rr.TextDocument("No calibration yet: `mbcacq run` makes one at its end."), static=True)
-        self._rec.log(layout.DIAGNOSIS_TEXT, rr.TextDocument("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
+        self._rec.log(layout.SUMMARY, _words("No calibration yet: `mbcacq run` makes one at its end."), static=True)
+        self._rec.log(layout.DIAGNOSIS_TEXT, _words("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
         if event.route:
             strips = flange_strips(cell, scene.home(event.plan_yaml, cell.robot.n), event.route)
             self._rec.log(layout.PATH, rr.LineStrips3D(strips, radii=[rr.Radius.ui_points(0.6)]), static=True)
@@ -101,6 +101,10 @@ class Drawing:
         out = np.full((len(ids), values.shape[1]), np.nan)
         out[[ids.index(b) for b in np.asarray(ball).tolist()]] = values
         return out
+
+
+def _words(markdown: str) -> rr.TextDocument:
+    return rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
 
 
 def flange_strips(cell: Cell, home: np.ndarray, route: dict[int, np.ndarray]) -> list[np.ndarray]:

@@ -13,7 +13,8 @@ NAMED = 12   # pose numbers written out
 
 
 def find_gaps(folder: Path | str) -> list[str]:
-    """One sentence a gap of a run folder: poses left out or never reached, values missing, interruptions. Empty for an undisturbed run."""
+    """One sentence a gap of a run folder: poses left out or never reached, values missing, interruptions. Empty for an undisturbed run,
+    and for data that no journal belongs to."""
     folder = Path(folder)
     if not (folder / layout.JOURNAL_FILE).exists():
         return []

@@ -101,11 +101,22 @@ def read_journal(folder: Path | str) -> list[dict[str, Any]]:
     """The entries of a run folder's journal; a torn last line is left out. Raises RecordingError if there is none."""
     path = Path(folder) / layout.JOURNAL_FILE
     try:
-        lines = path.read_bytes().decode("utf-8", errors="replace").splitlines()
+        return _entries(path)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; is this a run folder?") from None
+
+
+def read_log(folder: Path | str) -> list[dict[str, Any]]:
+    """The entries of a run folder's log, none where it has no log; a torn last line is left out."""
+    try:
+        return _entries(Path(folder) / layout.LOG_FILE)
+    except OSError:
+        return []
+
+
+def _entries(path: Path) -> list[dict[str, Any]]:
     entries = []
-    for line in lines:
+    for line in path.read_bytes().decode("utf-8", errors="replace").splitlines():
         try:
             entry = json.loads(line)
         except ValueError:

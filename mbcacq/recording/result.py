@@ -41,7 +41,7 @@ def log_result(run: Path | str, observations: Observations, after: CellState, be
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
         scale = _scales(observations, after, errors, shown)
-        stream.save(partial, default_blueprint=for_cell(after.chain, recordings[0].text(layout.PLAN), scale))
+        stream.save(partial, default_blueprint=for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
         _log_static(stream, scale)
         for k, number in enumerate(observations.pose_id.tolist()):
             if number not in times or not known[observations.station[k]]:
@@ -144,13 +144,13 @@ def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray
     lengths = {name: 1e3 * np.linalg.norm(error[shown], axis=1) for name, error in errors.items()}
     for label, of in (("3D rms, um", lambda v: np.sqrt(np.mean(v**2))), ("median, um", np.median), ("largest, um", np.max)):
         lines.append(f"| {label} | " + " | ".join(f"{of(v):.1f}" for v in lengths.values()) + " |")
+    lines += ["", "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell.",
+              f"Arrows here are {scale.all:g} times, those of the tab Cell {scale.pose:g} times as long as the errors.",
+              "The whole result with uncertainties: report.html in the folder of the run."]
     ids = np.array(obs.cell.ball_ids)
     lines += ["", "| ball | " + " | ".join(f"{name}, 3D rms, um" for name in errors) + " |", "|---|" + "---|" * len(errors)]
     for b in np.unique(obs.ball[shown]):
         lines.append(f"| {ids[b]} | " + " | ".join(f"{1e3 * _rms(e[shown & (obs.ball == b)]):.1f}" for e in errors.values()) + " |")
-    lines += ["", "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell.",
-              f"Arrows here are {scale.all:g} times, those of the tab Cell {scale.pose:g} times as long as the errors.",
-              "", "The whole result with uncertainties: report.html in the folder of the run."]
     return "\n".join(lines)
 
 

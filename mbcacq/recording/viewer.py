@@ -18,7 +18,8 @@ from mbcacq.recording import layout, rerun_program
 
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
-SETTLE_S, TAB_SETTLE_S = 7.0, 2.0   # until the viewer's notices have gone from the picture; until a tab is drawn
+SETTLE_S, TAB_SETTLE_S = 7.0, 1.0   # until the viewer's notices have gone from the picture; until it turns to a tab
+STILL_S, DRAWN_TIMEOUT_S = 1.0, 40.0   # a picture that stays the same for so long is complete: what still loads turns
 
 
 def files(path: Path | str) -> list[Path]:
@@ -72,11 +73,20 @@ def screenshots(sources: Sequence[Path | str], folder: Path, size: tuple[int, in
             _turn_to(client, tab)
             _go_to(client, tab, moment)
             time.sleep(TAB_SETTLE_S if written else SETTLE_S)
-            picture = folder / f"{tab.lower()}.png"
-            picture.unlink(missing_ok=True)
-            client.save_screenshot(str(picture))
-            written.append(picture)
+            written.append(_picture(client, folder / f"{tab.lower()}.png"))
     return written
+
+
+def _picture(client: Any, path: Path) -> Path:
+    """The window as it looks once nothing in it changes any more."""
+    path.unlink(missing_ok=True)
+    deadline, before = time.monotonic() + DRAWN_TIMEOUT_S, b""
+    while True:
+        client.save_screenshot(str(path))
+        if (now := path.read_bytes()) == before or time.monotonic() > deadline:
+            return path
+        before = now
+        time.sleep(STILL_S)
 
 
 def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str]:
@@ -95,7 +105,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
         return list(sources)
     path = folder / "layout.rrd"
     stream = rr.RecordingStream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
-    stream.save(path, default_blueprint=for_cell(cell.robot.chain, plan, enlarged(sources)))
+    stream.save(path, default_blueprint=for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
     stream.flush(timeout_sec=10.0)
     stream.disconnect()

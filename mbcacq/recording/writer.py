@@ -135,7 +135,7 @@ class Recorder:
         about = rows.row(layout.RUN_ARCHETYPE, layout=layout.VERSION, name=event.name, started=event.started, n_poses=event.n_poses,
                          offset_s=self._offset, versions_names=list(event.versions), versions_values=list(event.versions.values()))
         rec.log(layout.RUN, about, static=True)
-        shown = for_cell(self._cell.robot.chain, event.plan_yaml, live=bool(self.live_url))
+        shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
         rec.send_blueprint(shown, make_active=False, make_default=True)
         self._draw_from_urdf(event.urdf)
         scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 from mbcacq.report.run_folder import about_run, everything_about
 
 if TYPE_CHECKING:
-    from mbcacq.calibration import Calibration, Verification
     from mbcacq.observations import Observations
 
-__all__ = ["about_run", "everything_about", "report_from_result", "write_diagnosis_page", "write_report"]
+__all__ = ["about_run", "everything_about", "report_from_result", "write_diagnosis_page"]
 
 
 def report_from_result(result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None,
                        run_info: Mapping[str, Any] | None = None) -> Path:
-    """Write the report of a result.json, with 'verification' and 'accuracy_map' in it or not.
+    """Write the report of a result.json, with 'verification', 'accuracy_map' and 'gaps' in it or not.
 
     observations: the recording, for residuals, histogram and coverage. run_info: what ``everything_about`` a run says: optional texts
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'devices', 'hashes'. Raises
@@ -27,18 +26,6 @@ def report_from_result(result: Mapping[str, Any], *, path: str | Path, observati
     from mbcacq.report.page import render, write
 
     return write(render(content_of(result, observations, run_info)), path)
-
-
-def write_report(run_folder: str | Path, *, observations: Observations, calibration: Calibration, verification: Verification | None = None,
-                 run_info: Mapping[str, Any] | None = None, path: str | Path | None = None) -> Path:
-    """Write the report of a calibration to ``path``, or report.html in the run folder."""
-    from mbcacq.calibration.accuracy_map import accuracy_map
-
-    result = calibration.to_dict() | {"accuracy_map": accuracy_map(calibration).to_dict()}
-    if verification is not None:
-        result["verification"] = verification.to_dict()
-    info = everything_about(run_folder) if run_info is None else run_info
-    return report_from_result(result, path=path or Path(run_folder) / "report.html", observations=observations, run_info=info)
 
 
 def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any], path: str | Path, title: str = "Diagnosis") -> Path:

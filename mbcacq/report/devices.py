@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mbcacq.recording import layout
+from mbcacq.recording.gaps import find_gaps
+from mbcacq.recording.journal import read_log
 from mbcacq.report.content import Devices
 
 MAX_LOST = 40
@@ -72,22 +73,10 @@ def _health(recordings: list) -> list[tuple[str, str, str, str]]:
 
 
 def lost(run: Path) -> list[str]:
-    """What the journal says is missing, and the warnings and errors of the log."""
-    out: list[str] = []
-    for name, wanted in ((layout.JOURNAL_FILE, lambda e: e.get("event") == "gap"),
-                         (layout.LOG_FILE, lambda e: e.get("level") in ("warning", "error"))):
-        try:
-            with (run / name).open(encoding="utf-8", errors="replace") as lines:
-                for line in lines:
-                    try:
-                        entry = json.loads(line)
-                    except ValueError:
-                        continue
-                    if isinstance(entry, dict) and wanted(entry) and entry.get("text"):
-                        out.append(str(entry["text"]))
-        except OSError:
-            continue
-    return list(dict.fromkeys(out))[:MAX_LOST]
+    """What the recording lacks, and the warnings and errors of the log."""
+    out = [*find_gaps(run), *(str(e["text"]) for e in read_log(run) if e.get("level") in ("warning", "error") and e.get("text"))]
+    out = list(dict.fromkeys(out))
+    return out if len(out) <= MAX_LOST else [*out[:MAX_LOST], f"and {len(out) - MAX_LOST} more: see {layout.LOG_FILE}"]
 
 
 def _seconds(value: Any) -> float:

@@ -200,6 +200,9 @@ def _warnings(result: Mapping[str, Any]) -> list[str]:
     if factor and max(factor) > SUSPICIOUS:
         out.append(f"The residuals need {max(factor):.1f} times the noise that was stated for the {_instrument(result)}: "
                    "something is not in the model. mbcacq diagnose looks for it.")
+    if gaps := result.get("gaps"):
+        more = f"; and {len(gaps) - 2} more, under Devices and timing" if len(gaps) > 2 else ""
+        out.append(f"The recording lacks something: {'; '.join(map(str, gaps[:2]))}{more}.")
     rejected = result.get("rejected", ())
     if rejected:
         listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])

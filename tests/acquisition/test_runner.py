@@ -11,7 +11,7 @@ from mbcacq import devices
 from mbcacq.acquisition import events
 from mbcacq.acquisition.bus import EventBus
 from mbcacq.acquisition.cell_devices import CellDevices
-from mbcacq.acquisition.motion import check_target
+from mbcacq.acquisition.motion import arms_beyond, check_target, longest_duration, motion_limits
 from mbcacq.acquisition.observe import predicted_centres
 from mbcacq.acquisition.runner import Runner
 from mbcacq.cell import Artefact, Cell, RobotModel, Station
@@ -272,3 +272,15 @@ def test_a_wrong_setting_ends_the_wait_for_the_other_devices(world):
     with pytest.raises(devices.ConfigError, match="not a terminal"):
         runner.run()
     assert closed.is_set()
+
+
+def test_a_motion_at_the_reduced_speed_of_t1_is_no_arm_that_never_arrives(world):
+    """The scanner's way along straight joint motions, driven at 250 mm/s, takes less than the runner waits."""
+    loaded = world[0]
+    limits, arms = motion_limits(loaded), arms_beyond(loaded.cell)
+    low, high = loaded.cell.robot.limits.T
+    rng = np.random.default_rng(3)
+    for start, target in zip(rng.uniform(low, high, (20, 6)), rng.uniform(low, high, (20, 6)), strict=True):
+        T = loaded.cell.robot.chain.flange(start + np.linspace(0, 1, 400)[:, None] * (target - start)) @ loaded.cell.T_flange_scanner
+        way_mm = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
+        assert way_mm / 250.0 < longest_duration(target - start, limits, arms)

@@ -27,6 +27,7 @@ def headless() -> set[str]:
 def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, vulkan, monkeypatch):
     monkeypatch.setattr(viewer, "SETTLE_S", 0.5)
     monkeypatch.setattr(viewer, "TAB_SETTLE_S", 0.5)
+    monkeypatch.setattr(viewer, "STILL_S", 0.3)
     before = headless()
     pictures = viewer.screenshots(viewer.files(a_run), tmp_path / "pictures", (800, 600), pose=1)
     assert headless() <= before

@@ -1,6 +1,7 @@
 """``mbcacq report`` on data of every kind, and what it says of a run's devices and diagnosis."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ from click.testing import CliRunner
 from made_up import devices, diagnosis, pictures
 from test_report import Page, make_observations, make_result
 
+from mbcacq.acquisition import events
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
+from mbcacq.recording import Journal
 from mbcacq.report import everything_about, report_from_result, write_diagnosis_page
 from mbcacq.report.told import split_unit, told
 
@@ -51,6 +54,24 @@ def test_a_report_of_an_observation_set(a_set, tmp_path):
     assert "Next: Measure an artefact that judges" in page.words
     assert "No diagnosis was made of these data" in page.words
     assert "Accuracy map" in page.words
+
+
+def test_what_a_recording_lacks_is_said_by_calibrate_and_by_the_report(a_set, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(a_set, run)
+    with Journal(run) as journal:
+        journal(events.RunStarted(0.0, "x", "2026-11-21T10:00:00+00:00", "", "", 25, {}))
+        journal(events.Gap(1.0, "cycles", "3 cycles of the controller were lost after pose 4", 4))
+        for pose in range(24):
+            none = np.zeros(0)
+            journal(events.PoseDone(2.0, pose, "s0", "position", "s", none, none, 0.0, none, none, none, none, none, 1))
+    shown = CliRunner().invoke(app, ["calibrate", str(run)], standalone_mode=False)
+    assert shown.exception is None, shown.exception
+    said = json.loads(CliRunner().invoke(app, ["calibrate", str(run), "--json"], standalone_mode=False).stdout)["gaps"]
+    assert said == ["3 cycles of the controller were lost after pose 4", "1 of 25 planned poses were not measured: 24"]
+    assert all(f"Gap in the recording: {gap}" in shown.stdout for gap in said)
+    CliRunner().invoke(app, ["report", str(run)], standalone_mode=False, catch_exceptions=False)
+    assert f"The recording lacks something: {'; '.join(said)}." in Page((run / "report.html").read_text(encoding="utf-8")).words
 
 
 def test_a_file_needs_a_place_for_its_report(a_set, tmp_path):

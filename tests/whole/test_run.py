@@ -51,6 +51,9 @@ def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
     again = mbcacq("calibrate", tmp_path / "run", "--json")
     same = json.loads(again.stdout)
     assert [p["value"] for p in same["parameters"]] == [p["value"] for p in result["parameters"]]
+    report = mbcacq("report", tmp_path / "run")
+    assert report.returncode == 0
+    assert "calibrating" not in report.stderr       # everything that the page shows stands in result.json
     back = tmp_path / "observations"
     assert mbcacq("export", tmp_path / "run", "--observations", back).returncode == 0
     folder = json.loads(mbcacq("calibrate", back, "--json").stdout)
