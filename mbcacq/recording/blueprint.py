@@ -54,7 +54,8 @@ def _cell(at: Camera, enlarged: Enlarged, balls: int) -> rrb.Container:
     cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], at)
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
     texts = rrb.Tabs(rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
-                     rrb.TextDocumentView(name="Plan", origin=layout.PLAN), rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
+                     rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
+                     rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
     found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10))
     return rrb.Horizontal(rrb.Vertical(cell, states, row_shares=[8, 2.3]), rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
                           column_shares=[3, 2], name="Cell")
