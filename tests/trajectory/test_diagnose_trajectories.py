@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from mbcacq.cell import RobotModel
 from mbcacq.diagnosis.trajectory import diagnose_trajectories
@@ -40,17 +42,25 @@ def torque(q, qd, qdd):
     return np.stack([first, second], axis=1)
 
 
-def recording(seed, *, latency=0.0, compliance=0.0, coulomb=0.0, viscous=0.0, wave=0.0, play=0.0, noise=True):
+def recording(seed, *, latency=0.0, compliance=0.0, coulomb=0.0, viscous=0.0, wave=0.0, play=0.0, noise=True, late_torque=0.0,
+              ripple=0.0, load_share=0.0, heavier=1.0, flank_s=None):
     rng = np.random.default_rng(1000 + seed)
     t, q, qd, qdd, shape = motion(seed)
-    tau = torque(q, qd, qdd)
+    tau = heavier * torque(q, qd, qdd)
     late = at(shape, t - latency)
-    joint = late - compliance * tau + wave * np.sin(20.0 * late + 0.5) - 0.5 * play * np.sign(qd)
-    drive = tau + coulomb * np.sign(qd) + viscous * qd
+    flank = np.sign(qd) if flank_s is None else follow(np.sign(tau), flank_s)
+    joint = late - compliance * tau + wave * np.sin(20.0 * late + 0.5) - 0.5 * play * flank
+    drive = tau + (coulomb + load_share * np.abs(tau)) * np.sign(qd) + viscous * qd + ripple * np.sin(90.0 * q + 0.5)
+    drive = CubicSpline(t, drive)(np.clip(t - late_torque, 0, t[-1]))
     noise = 1.0 if noise else 0.0
     return SimpleNamespace(
         time_s=t, q=q, q_set=None, q_joint=joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001, torque=drive + noise * rng.normal(0, 0.3, q.shape),
         motor_torque=None, current=None, robot=ARM)
+
+
+def follow(signal, time_constant_s):
+    keep = np.exp(-STEP / time_constant_s)
+    return signal[0] + lfilter([1 - keep], [1, -keep], signal - signal[0], axis=0)
 
 
 def named(result):
@@ -80,6 +90,30 @@ def test_latency_of_the_joint_encoder():
     found = value(result, "channel_latency", "latency_s")
     assert abs(found["value"] - 0.003) < max(3 * found["std"], 2e-5)
     assert ("channel_latency", "q_joint") in named(result)
+
+
+def test_ripple_is_late_with_its_channel():
+    """A delay that shifts a fast ripple by half a radian leaves delay and amplitude alone."""
+    result = diagnose_trajectories([recording(k, late_torque=0.004, ripple=5.0) for k in (1, 2)], proof=False)
+    late = value(result, "channel_latency", "latency_s")
+    assert abs(late["value"] - 0.004) < 3 * late["std"] < 2e-4
+    for axis in ("A1", "A2"):
+        found = value(result, "torque_ripple", f"{axis}.amplitude_Nm")
+        assert abs(found["value"] - 5.0) < 3 * found["std"] < 0.2
+
+
+def test_friction_grows_with_the_load_there_is_not_with_the_load_described():
+    result = diagnose_trajectories([recording(k, coulomb=5.0, load_share=0.15, heavier=1.08) for k in (1, 2)], proof=False)
+    for name, true in (("A2.load_dependent", 0.15), ("A2.coulomb_Nm", 5.0)):
+        found = value(result, "friction", name)
+        assert abs(found["value"] - true) < 3 * found["std"]
+
+
+def test_play_is_crossed_in_a_time_of_its_own():
+    result = diagnose_trajectories([recording(k, play=1e-4, flank_s=0.012) for k in (1, 2)], proof=False)
+    width = value(result, "backlash", "A1.width_deg")
+    assert abs(width["value"] - np.degrees(1e-4)) < 3 * width["std"] < 0.1 * np.degrees(1e-4)
+    assert value(result, "backlash", "A1.crossing_s")["value"] == pytest.approx(0.012, rel=0.3)
 
 
 def test_wind_up_is_told_from_friction_and_latency():

@@ -6,23 +6,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from mbcacq.cell import RobotModel
 from mbcacq.diagnosis.trajectory.conclude import Explained, conclude
 from mbcacq.diagnosis.trajectory.currents import with_torque
 from mbcacq.diagnosis.trajectory.ledger import parts
-from mbcacq.diagnosis.trajectory.outcome import noise_floor, outcome
+from mbcacq.diagnosis.trajectory.load import with_load
+from mbcacq.diagnosis.trajectory.outcome import outcome
 from mbcacq.diagnosis.trajectory.runs import groups, prepare
 from mbcacq.diagnosis.trajectory.select import Selection
 from mbcacq.errors import ConfigError
 from mbcacq.physics.trajectory.effect import Run
 
-LOAD_WINDOW_S = 0.1
 WORKERS = 2
-DOUBT = 0.05         # of a load that is the drive's torque: a rotor's part of it is not told apart
-UNDERSTOOD = 4.0     # chi2 per degree of freedom below which the torque of a joint counts as explained
-OF_THE_DRIVE = ("friction", "channel_latency", "torque_ripple")
 OPTIONAL = ("q_set", "qd_set", "qdd_set", "qddd_set", "q_joint", "torque", "load", "rigid", "gravity", "rigid_set", "payload", "load_doubt")
 
 
@@ -104,29 +100,3 @@ def _common(runs: list[Run]) -> tuple[Run, ...]:
     """Keep only the signals that every run has."""
     missing = {name: None for name in OPTIONAL if any(getattr(r, name) is None for r in runs)}
     return tuple(replace(r, **missing) for r in runs)
-
-
-def with_load(runs: tuple[Run, ...], torque: Explained) -> tuple[Run, ...]:
-    """The runs with the torque that passes the gears, joint by joint.
-
-    Where the torque is explained, that of the arm as it was found, without what stays in the drive: friction, rotor, ripple, a late
-    clock. Else what the drive gave, less its friction.
-    """
-    out = []
-    understood = torque.train_end < UNDERSTOOD * noise_floor(torque) ** 2
-    for k, run in enumerate(runs):
-        load = run.rigid.copy()
-        window = min(max(2 * int(LOAD_WINDOW_S / run.step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
-        for place, joint in enumerate(torque.group.joints):
-            if understood[place]:
-                others = sum(f.contributions[place][k] for f in torque.found if f.name not in OF_THE_DRIVE)
-                load[:, joint] += torque.links[place][k] + others
-            else:  # smoothed: noise of a covariate would shrink its coefficient
-                lost = sum(f.contributions[place][k] for f in torque.found if f.name in OF_THE_DRIVE)
-                load[:, joint] = savgol_filter(run.torque[:, joint] - lost, window, 2)
-        doubt = np.zeros(load.shape[1])
-        for place, joint in enumerate(torque.group.joints):
-            spread = float(load[:, joint].std())
-            doubt[joint] = torque.links_doubt[place] / max(spread, 1e-9) if understood[place] else DOUBT
-        out.append(replace(run, load=load, load_doubt=doubt))
-    return tuple(out)

@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.trajectory.clock import lateness
+from mbcacq.diagnosis.trajectory.doubt import load_doubt
 from mbcacq.diagnosis.trajectory.hyper import refine, slopes
-from mbcacq.diagnosis.trajectory.select import Selection
+from mbcacq.diagnosis.trajectory.ledger import Ledger
+from mbcacq.diagnosis.trajectory.noise import covariance
+from mbcacq.diagnosis.trajectory.select import Selection, Taken
 from mbcacq.physics.trajectory.effect import Candidate, Group
 
 
@@ -33,8 +37,8 @@ class Found:
 @dataclass(frozen=True)
 class Explained:
     """A group with what was found. before, after: left per joint and run by the base alone and with all effects; used: which samples
-    count. links: torque (T,) per joint and run by which the links differ from their description, as fitted; links_doubt:
-    (J,) its standard deviation. held_start, held_end,
+    count. links: torque (T,) per joint and run by which the links differ from their description, as fitted; load_doubt:
+    (J,) relative standard deviation of the torque that passes the gear. held_start, held_end,
     train_start, train_end: (J,) mean squares."""
 
     group: Group
@@ -48,15 +52,18 @@ class Explained:
     train_end: np.ndarray
     split: str
     links: list[list[np.ndarray]]
-    links_doubt: np.ndarray
+    load_doubt: np.ndarray
 
 
 def conclude(selection: Selection) -> Explained:
     ledger = selection.ledger
-    start = np.array(ledger.base)
-    weights0 = selection.weights(start)
-    x0 = ledger.solve(ledger.normal(weights0), start)
     refine(selection)
+    delay = ledger.delay
+    ledger.retime(0.0)   # what there was to explain is what was recorded
+    start = np.array(ledger.base)
+    x0 = ledger.solve(ledger.normal(selection.weights(start)), start)
+    before, train_start = _left(selection, start, x0), ledger.errors(start, x0).sum(axis=0)
+    ledger.retime(delay)
     chosen = selection.chosen()
     weights = selection.weights(chosen)
     N = ledger.normal(weights)
@@ -65,16 +72,17 @@ def conclude(selection: Selection) -> Explained:
     slope = slopes(selection, chosen, x)
     ids = np.concatenate([chosen, *(i for _, i in slope)]).astype(int)
     everything = np.concatenate([x, np.zeros(len(slope))])
-    covariance = ledger.covariance(weights, ids, everything)
-    hyper_std = {id(t): float(np.sqrt(max(covariance[len(chosen) + k, len(chosen) + k], 0.0))) for k, (t, _) in enumerate(slope)}
+    # A part held out tells a prediction, not how sure it is: there the quicker estimate does.
+    spread = (covariance if ledger.whole else Ledger.covariance)(ledger, weights, ids, everything)
+    hyper_std = {id(t): float(np.sqrt(max(spread[len(chosen) + k, len(chosen) + k], 0.0))) for k, (t, _) in enumerate(slope)}
     position = {int(c): i for i, c in enumerate(chosen)}
-    found = _found(selection, x, covariance, position, hyper_std)
+    found = _found(selection, x, spread, position, hyper_std)
     n = np.maximum(ledger.count.sum(axis=0), 1.0)
     result = Explained(
-        selection.group, found, _left(selection, start, x0), _left(selection, chosen, x),
+        selection.group, found, before, _left(selection, chosen, x),
         [[u[:, k] for u in selection.group.use] for k in range(len(selection.group.joints))],
-        selection.mean_square(selection.start), held, ledger.errors(start, x0).sum(axis=0) / n, ledger.errors(chosen, x).sum(axis=0) / n,
-        ledger.split, _links(selection, x), _doubt(selection, covariance))
+        selection.mean_square(selection.start), held, train_start / n, ledger.errors(chosen, x).sum(axis=0) / n,
+        ledger.split, _links(selection, x), load_doubt(selection, chosen, x, spread))
     ledger.forget(selection.mark)
     return result
 
@@ -95,27 +103,13 @@ def _links(selection: Selection, x: np.ndarray) -> list[list[np.ndarray]]:
     return [[group.base[r][:, k, :-n] @ inertial for r in range(len(selection.runs))] for k in range(J)]
 
 
-def _doubt(selection: Selection, covariance: np.ndarray) -> np.ndarray:
-    """(J,) N m, rms over the motion of the standard deviation of the links' torque, from that of their inertial parameters."""
-    group, n, J = selection.group, selection.runs[0].q.shape[1], len(selection.group.joints)
-    if group.name != "tau":
-        return np.zeros(J)
-    own = slice(J, len(selection.ledger.base) - n)
-    v = covariance[own, own]
-    out = []
-    for k in range(J):
-        base = np.concatenate([b[::10, k, :-n] for b in group.base])
-        out.append(np.sqrt(max(float(np.einsum("ti,ij,tj->t", base, v, base).mean()), 0.0)))
-    return np.array(out)
-
-
-def _found(selection: Selection, x: np.ndarray, covariance: np.ndarray, position: dict[int, int], hyper_std: dict) -> list[Found]:
+def _found(selection: Selection, x: np.ndarray, spread: np.ndarray, position: dict[int, int], hyper_std: dict) -> list[Found]:
     out: dict[tuple, Found] = {}
     for t in selection.taken:
         at = [position[int(i)] for i in t.variant.ids]
-        c, v = x[at], covariance[np.ix_(at, at)]
+        c, v = x[at], spread[np.ix_(at, at)]
         told = t.candidate.report(c, v, t.variant.hyper, hyper_std.get(id(t), 0.0))
-        added = _contribution(selection, t.candidate, t.variant.hyper, c)
+        added = _late(selection, t, c) if t.candidate.tuned else _contribution(selection, t.candidate, t.variant.hyper, c)
         step = {"adds": list(told), "before": t.before.tolist(), "after": t.after.tolist()}
         key = t.candidate.place
         if key not in out:
@@ -140,3 +134,8 @@ def _join(one: dict, other: dict) -> dict:
 def _contribution(selection: Selection, candidate: Candidate, hyper: float | None, c: np.ndarray) -> list[list[np.ndarray]]:
     return [[candidate.columns(run, joint, hyper) @ c if joint in candidate.joints else np.zeros(len(run.q)) for run in selection.runs]
             for joint in selection.group.joints]
+
+
+def _late(selection: Selection, t: Taken, c: np.ndarray) -> list[list[np.ndarray]]:
+    return [[-lateness(selection.group, run, k, place, t.variant.hyper + float(c[0])) for k, run in enumerate(selection.runs)]
+            for place in range(len(selection.group.joints))]

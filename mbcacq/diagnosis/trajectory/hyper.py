@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from mbcacq.diagnosis.trajectory.clock import fitted, settle
+from mbcacq.physics.trajectory.effect import OF_THE_DRIVE
 
 if TYPE_CHECKING:
     from mbcacq.diagnosis.trajectory.select import Selection, Taken
 
 ROUNDS = 4
-MOST = 0.05    # s: a longer delay of a channel is not credible
 SMALL = 1e-3   # relative step of a hyper-parameter for its derivative
 
 
 def refine(selection: Selection) -> None:
     """Gauss-Newton on the continuous hyper-parameters, all coefficients refitted, within the spacing of what was tried."""
     ledger = selection.ledger
-    _tune(selection)
+    settle(selection)
+    renew(selection)
     free = [t for t in selection.taken if t.variant.hyper is not None and t.candidate.refine]
     if not free:
         return
@@ -40,23 +44,27 @@ def refine(selection: Selection) -> None:
             low, high = spans[id(t)]
             t.variant.hyper = float(np.clip(t.variant.hyper + s, low, high))
             t.variant.ids = ledger.candidate(t.candidate, t.variant.hyper)
+    settle(selection)
+    renew(selection)
 
 
-def _tune(selection: Selection) -> None:
-    """Hyper-parameters that are their own first coefficient, by substitution."""
-    ledger = selection.ledger
-    for _ in range(ROUNDS):
-        moved = 0.0
-        chosen = selection.chosen()
-        x = ledger.solve(ledger.normal(selection.weights(chosen)), chosen)
-        position = {int(c): i for i, c in enumerate(chosen)}
-        for t in selection.taken:
-            if t.candidate.tuned:
-                value = float(np.clip(x[position[int(t.variant.ids[0])]], -MOST, MOST))
-                moved = max(moved, abs(value - t.variant.hyper) / max(abs(value), 1e-300))
-                t.variant.hyper, t.variant.ids = value, ledger.candidate(t.candidate, value)
-        if moved < SMALL:
-            return
+def renew(selection: Selection) -> None:
+    """Effects that follow the load see it as it is now known, no longer as the arm is described."""
+    by_load = [t for t in selection.taken if t.candidate.by_load]
+    if not by_load:
+        return
+    x = fitted(selection)
+    position = {int(c): i for i, c in enumerate(selection.chosen())}
+    runs = []
+    for k, run in enumerate(selection.runs):
+        load = run.rigid.copy()
+        for place, joint in enumerate(selection.group.joints):
+            load[:, joint] += selection.simulated(place, k, x, position, OF_THE_DRIVE, rotors=False)
+        runs.append(replace(run, load=load))
+    selection.runs = selection.ledger.runs = tuple(runs)
+    for t in by_load:
+        columns = [selection.ledger.columns(t.candidate, j, t.variant.hyper) for j in t.candidate.joints]
+        selection.ledger.replace(t.variant.ids, [selection.group.joints.index(j) for j in t.candidate.joints], columns)
 
 
 def _neighbours(t: Taken) -> tuple[float, float]:

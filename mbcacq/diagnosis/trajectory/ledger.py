@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from mbcacq.diagnosis.trajectory.clock import lateness
 from mbcacq.physics.trajectory.effect import Group, Run
 
 PIECE_S = 0.5
@@ -67,6 +68,7 @@ class Ledger:
 
     def __init__(self, group: Group, runs: tuple[Run, ...], held: int | None = None) -> None:
         self.group, self.runs = group, runs
+        self.whole = held is None
         self.pieces, self.split = pieces(runs, held)
         self.folds = sorted({p.fold for p in self.pieces})
         self._start = np.cumsum([0, *(len(r.q) for r in runs)])
@@ -78,7 +80,8 @@ class Ledger:
         self._run = np.array([p.run for p in self.pieces])
         J = range(len(group.joints))
         self._use = [np.concatenate([u[:, k] for u in group.use]).astype(float) for k in J]
-        self.Z = [np.concatenate([m[:, k] for m in group.mismatch])[:, None] * self._use[k][:, None] for k in J]
+        self.delay = 0.0
+        self.Z = [self._mismatch(k)[:, None] for k in J]
         self.ids = [np.array([-1]) for _ in J]
         self.count = np.stack([[u[s].sum() for s in self._slices] for u in self._use], axis=1)
         self.G = [self._products(z, z) for z in self.Z]
@@ -106,6 +109,32 @@ class Ledger:
             self.ids[place] = np.concatenate([self.ids[place], new])
             self._sums[place] = None
         return new
+
+    def _mismatch(self, place: int) -> np.ndarray:
+        out = np.concatenate([m[:, place] for m in self.group.mismatch])
+        if self.delay != 0.0:
+            out = out + np.concatenate([lateness(self.group, r, k, place, self.delay) for k, r in enumerate(self.runs)])
+        return out * self._use[place]
+
+    def retime(self, delay: float) -> None:
+        """Move the recorded channel of all joints forward by so many s, from where it was recorded."""
+        if delay == self.delay:
+            return
+        self.delay = delay
+        for place in range(len(self.Z)):
+            self._put(place, [0], self._mismatch(place)[:, None])
+
+    def replace(self, numbers: np.ndarray, places: list[int], columns: list[np.ndarray]) -> None:
+        """Other columns (Ttot, k) for each of the joints at ``places`` instead of those numbered so."""
+        for place, column in zip(places, columns, strict=True):
+            at = [int(np.flatnonzero(self.ids[place] == i)[0]) for i in numbers]
+            self._put(place, at, column * self._use[place][:, None])
+
+    def _put(self, place: int, at: list[int], fresh: np.ndarray) -> None:
+        self.Z[place][:, at] = fresh
+        cross = self._products(self.Z[place], fresh)
+        self.G[place][:, :, at], self.G[place][:, at, :] = cross, np.swapaxes(cross, 1, 2)
+        self._sums[place] = None
 
     def add_many(self, batches: list[tuple[int, np.ndarray]], sigmas: list[np.ndarray]) -> list[np.ndarray]:
         """Columns (Ttot, k) of single joints, (place, columns) each with their priors (k,); faster than one by one. Returns their
@@ -219,11 +248,8 @@ class Ledger:
         order = {c: i for i, c in enumerate(chosen)}
         return self.Z[place][:, 0] - self.Z[place][:, mine] @ x[[order[i] for i in ids[mine]]]
 
-    def covariance(self, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Of the coefficients: from pieces taken as independent (sandwich), right however the noise is coloured within one; never less
-        than for white noise."""
-        factor, scale = self.factor(self.normal(weights), chosen)
-        inverse = cho_solve(factor, np.eye(len(chosen)), check_finite=False) * np.outer(scale, scale)
+    def scores(self, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """(pieces, c): what is left, weighted, times each column, summed over each piece."""
         scores = np.zeros((len(self.pieces), len(chosen)))
         position = np.full(len(self.prior) + 1, -1)
         position[chosen] = np.arange(len(chosen))
@@ -232,6 +258,13 @@ class Ledger:
             full = np.zeros(len(ids))
             full[mine], full[ids < 0] = -x[position[ids[mine]]], 1.0
             scores[:, position[ids[mine]]] += weights[k] * (self.G[k] @ full)[:, mine]
+        return scores
+
+    def covariance(self, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Of the coefficients: from pieces taken as independent (sandwich), never less than for white noise."""
+        factor, scale = self.factor(self.normal(weights), chosen)
+        inverse = cho_solve(factor, np.eye(len(chosen)), check_finite=False) * np.outer(scale, scale)
+        scores = self.scores(weights, chosen, x)
         n = len(scores)
         meat = scores.T @ scores * n / max(n - 1, 1)
         robust = inverse @ meat @ inverse
@@ -240,6 +273,18 @@ class Ledger:
         known = np.maximum(np.diag(robust), 1e-9 * least + 1e-300)
         grow = np.sqrt(np.maximum(least / known, 1.0))
         return robust * np.outer(grow, grow) + np.diag(np.maximum(least - np.diag(robust) * grow**2, 0.0))
+
+    def taking_part(self, place: int, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (Ttot, k) of a joint that are chosen, zero where a sample takes no part, and where they stand in ``chosen``."""
+        position = np.full(len(self.prior) + 1, -1)
+        position[chosen] = np.arange(len(chosen))
+        ids = self.ids[place]
+        mine = np.flatnonzero((ids >= 0) & (position[ids] >= 0))
+        return self.Z[place][:, mine] * self.training[:, None], position[ids[mine]]
+
+    def present(self, place: int) -> np.ndarray:
+        """(Ttot,) one where a sample of a joint takes part."""
+        return self._use[place] * self.training
 
     def slices(self, run: int) -> slice:
         return slice(int(self._start[run]), int(self._start[run + 1]))

@@ -17,7 +17,7 @@ PRESLIDING_RAD = 2e-5  # a joint's sense has turned after so much travel
 STANDSTILL = 0.02      # of a joint's fastest speed: below, friction may be anything up to the stiction
 HIGHEST_RATE_HZ = 500.0
 FEWEST_SAMPLES = 200
-JUMP = 8.0             # a gap in the clock of that many steps: the recording has been interrupted
+EDGE_S = 0.05          # at both ends: a late channel has its past there, or its future, outside the recording
 
 
 def prepare(trajectory) -> tuple[Run, np.ndarray]:
@@ -117,8 +117,8 @@ def sense(q: np.ndarray, step: float) -> np.ndarray:
 
 def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Group]:
     """Every kind of mismatch that these recordings can show."""
-    out, n = [], runs[0].q.shape[1]
-    everywhere = tuple(np.ones((len(run.q), n), dtype=bool) for run in runs)
+    out = []
+    inner = tuple(_inside(run) for run in runs)
     if all(run.torque is not None for run in runs):
         joints = _finite([run.torque for run in runs])
         if joints:
@@ -127,7 +127,8 @@ def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Gro
             base = tuple(np.concatenate([(c * sigma)[:, joints][:, :, wanted], _rotors(run, robot, joints)], axis=2)
                          for c, run in zip(inertial, runs, strict=True))
             out.append(Group("tau", "N m", joints, tuple((run.torque - run.rigid)[:, joints] for run in runs),
-                             tuple(_moving(run)[:, joints] for run in runs), base, np.ones(base[0].shape[2]), refit=False))
+                             tuple((_moving(run) & k)[:, joints] for run, k in zip(runs, inner, strict=True)), base,
+                             np.ones(base[0].shape[2]), refit=False, signal=tuple(run.torque[:, joints] for run in runs)))
     for name, signal, sign in (("q_joint", "q_joint", 1.0), ("q_set", "q_set", -1.0)):
         if any(getattr(run, signal) is None for run in runs):
             continue
@@ -135,12 +136,22 @@ def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Gro
         if joints:
             mismatch = tuple(sign * (getattr(run, signal) - run.q)[:, joints] for run in runs)
             base = tuple(np.zeros((len(run.q), len(joints), 0)) for run in runs)
-            out.append(Group(name, "rad", joints, mismatch, tuple(u[:, joints] for u in everywhere), base, np.zeros(0), refit=True))
+            late = name == "q_joint"  # a late set point and a late drive are one and the same
+            use = tuple((k if late else np.ones_like(k))[:, joints] for k in inner)
+            out.append(Group(name, "rad", joints, mismatch, use, base, np.zeros(0), refit=True,
+                             signal=tuple(run.q_joint[:, joints] for run in runs) if late else ()))
     return out
 
 
 def _finite(signals: list[np.ndarray]) -> tuple[int, ...]:
     return tuple(j for j in range(signals[0].shape[1]) if all(np.isfinite(s[:, j]).all() for s in signals))
+
+
+def _inside(run: Run) -> np.ndarray:
+    """(T, n): away from both ends of the recording."""
+    out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(EDGE_S / run.step_s))
+    out[:edge] = out[len(out) - edge:] = False
+    return out
 
 
 def _moving(run: Run) -> np.ndarray:

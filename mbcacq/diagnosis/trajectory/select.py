@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -99,6 +99,20 @@ class Selection:
     def mean_square(self, blocks: np.ndarray) -> np.ndarray:
         return blocks.sum(axis=0) / np.maximum(self.ledger.count.sum(axis=0), 1.0)
 
+    def simulated(self, place: int, k: int, x: np.ndarray, position: dict[int, int], but: Collection[str],
+                  rotors: bool) -> np.ndarray:
+        """What the links, the rotors if asked for and the effects, without those named in ``but``, add (T,) at the joint at ``place``
+        in run number k; position: of x by column."""
+        run, joint, group = self.runs[k], self.group.joints[place], self.group
+        out = np.zeros(len(run.q))
+        if group.base[k].shape[2]:
+            own = self.ledger.base[len(group.joints): None if rotors else -run.q.shape[1]]   # the last are the rotors
+            out += group.base[k][:, place, :len(own)] @ x[[position[int(i)] for i in own]]
+        for t in self.taken:
+            if t.candidate.name not in but and joint in t.candidate.joints:
+                out += t.candidate.columns(run, joint, t.variant.hyper) @ x[[position[int(i)] for i in t.variant.ids]]
+        return out
+
     # choosing
 
     def _variants(self, candidate: Candidate, hyper: np.ndarray | None = None) -> list[Variant]:
@@ -128,7 +142,7 @@ class Selection:
             if wave:
                 taken.variant.ids = self.ledger.candidate(taken.candidate, taken.variant.hyper)
             self.taken.append(taken)
-            if taken.variant.hyper is not None and (taken.candidate.refine or taken.candidate.tuned):
+            if taken.variant.hyper is not None and (taken.candidate.refine or taken.candidate.tuned) or taken.candidate.by_load:
                 refine(self)  # before anything else is looked for beside it
             self._extend(taken)
             self.mark = len(self.ledger.prior)
@@ -246,7 +260,7 @@ class Selection:
             for t in self.taken:
                 if not t.candidate.extends and any(o.candidate.extends and o.candidate.place == t.candidate.place for o in self.taken):
                     continue
-                without = self.mean_square(self.held(weights, self.chosen(without=t), normals))
+                without = self._held_without(t, weights, normals)
                 if not t.relieves:
                     losses.append((float(np.max(1.0 - full / np.maximum(without, 1e-300))), t))
             if not losses:
@@ -255,6 +269,17 @@ class Selection:
             if least >= 0.5 * LEAST_GAIN:
                 return
             self.taken.remove(weakest)
+            if weakest.candidate.tuned:
+                self.ledger.retime(0.0)
+
+    def _held_without(self, t: Taken, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
+        if not t.candidate.tuned:
+            return self.mean_square(self.held(weights, self.chosen(without=t), normals))
+        delay = self.ledger.delay
+        self.ledger.retime(0.0)
+        out = self.mean_square(self.held(weights, self.chosen(without=t)))
+        self.ledger.retime(delay)
+        return out
 
 
 def improvement_p(before: np.ndarray, after: np.ndarray) -> float:

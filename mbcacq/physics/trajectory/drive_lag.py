@@ -11,13 +11,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbcacq.physics.trajectory.effect import RESOLUTION_S, Candidate, Group, Run, low_pass, plain_report
+from mbcacq.physics.trajectory.effect import Candidate, Group, Run, low_pass, plain_report
 
 NAME = "drive_lag"
+RESOLUTION_S = 2e-6   # neither dead time nor lag is claimed to be known better: both filters, the arm's and this one, step in time
 SLOW_S = 0.2          # a longer time constant is that of a position loop, not of a drive
 FAST = np.concatenate([[1e-5], np.geomspace(0.001, 0.15, 9)])
 LIKELY = (0.5, 1.0, 1.0)   # too much speed, s of too much acceleration, share of what was away at the start
 SLOW = np.geomspace(0.25, 100.0, 12)
+BETWEEN = float(np.log(SLOW[1] / SLOW[0])) / np.sqrt(12.0)   # share by which a slow one lies off those tried
 
 
 def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
@@ -90,7 +92,7 @@ def _loop_report(axis: str):
     def report(c: np.ndarray, v: np.ndarray, lag: float | None, std: float) -> dict:
         s = np.sqrt(np.maximum(np.diag(v), 0.0))
         return {f"{axis}.latency_s": {"value": -float(c[1]), "std": float(s[1])},
-                f"{axis}.time_constant_s": {"value": float(lag), "std": float(std)},
+                f"{axis}.time_constant_s": {"value": float(lag), "std": float(np.hypot(std, BETWEEN * lag))},
                 f"{axis}.speed_gain": {"value": float(c[0]), "std": float(s[0])}}
 
     return report

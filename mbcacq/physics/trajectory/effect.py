@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-RESOLUTION_S = 2e-5   # no delay is claimed to be known better: a two-hundredth of a cycle
+OF_THE_DRIVE = ("friction", "channel_latency", "torque_ripple")   # what of a torque never passes the gear, beside the rotor
 FINER = 4     # samples between samples where a filter is as fast as the clock
 
 
@@ -53,6 +53,7 @@ class Group:
     joints: which; mismatch[run] and use[run]: (T, J), use False where a sample says nothing (standstill in torque).
     base[run]: (T, J, b) columns with coefficients common to all joints, prior (b,) their sigma: inertial parameters.
     refit: an offset is convention (zero of an encoder) and is found again in data held out.
+    signal[run]: (T, J) the recorded channel that is compared with the simulation on the clock of q, and may be late; none for 'q_set'.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Group:
     base: tuple[np.ndarray, ...]
     prior: np.ndarray
     refit: bool
+    signal: tuple[np.ndarray, ...] = ()
 
 
 Report = Callable[[np.ndarray, np.ndarray, "float | None", float], dict]
@@ -76,7 +78,8 @@ class Candidate:
     positive: physics demands a positive first coefficient. search: number of independent hyper values tried, for the p-value.
     extends: a refinement of the effect of this name and place, offered only once that is there; its parameters join that one's.
     refine: the hyper-parameter is continuous and is estimated with the coefficients. follows: it is that of the effect extended.
-    tuned: the hyper-parameter is the first coefficient itself, found in turn.
+    tuned: the hyper-parameter is the delay of the channel, which is put right in the recording itself; the coefficient is what is left.
+    by_load: its columns follow the load, which is known better the further the torque is explained.
     sigma: what a coefficient may reasonably be (one sigma), one number or one each; it bounds what the data do not determine.
     """
 
@@ -94,6 +97,7 @@ class Candidate:
     follows: bool = False
     sigma: float | tuple[float, ...] = np.inf
     tuned: bool = False
+    by_load: bool = False
     tag: str = ""
 
     @property

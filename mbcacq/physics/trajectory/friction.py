@@ -32,7 +32,7 @@ def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
                       tag="direction"),
         ]
         if all(np.ptp(np.abs(run.rigid[:, j])) > LEAST_LOAD * np.ptp(run.torque[:, j]) for run in runs):
-            out.append(Candidate(NAME, *place, _load, plain_report(f"{axis}.load_dependent"), extends=True, tag="load"))
+            out.append(Candidate(NAME, *place, _load, plain_report(f"{axis}.load_dependent"), extends=True, tag="load", by_load=True))
     return out
 
 
@@ -45,7 +45,8 @@ def _stribeck(run: Run, joint: int, speed: float | None) -> np.ndarray:
 
 
 def _load(run: Run, joint: int, _: float | None) -> np.ndarray:
-    return (run.sense[:, joint] * np.abs(run.rigid[:, joint]))[:, None]
+    load = run.rigid if run.load is None else run.load
+    return (run.sense[:, joint] * np.abs(load[:, joint]))[:, None]
 
 
 def _uneven(run: Run, joint: int, _: float | None) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""Stated standard deviations against the scatter of many recordings, and against what was known before any recording."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from mbcacq.diagnosis.trajectory.ledger import Ledger
+from mbcacq.diagnosis.trajectory.noise import covariance
+from mbcacq.physics.trajectory.effect import Group, Run
+
+STEP, LENGTH = 0.004, 3000
+TIME = STEP * np.arange(LENGTH)
+COLUMN = np.sin(2.1 * TIME + 0.3 * np.sin(0.7 * TIME))[:, None]
+
+
+def run():
+    still = np.zeros((LENGTH, 1))
+    return Run(STEP, still, still, still, still, still)
+
+
+def ledger(noise):
+    group = Group("q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True)
+    return Ledger(group, (run(),))
+
+
+def fitted(noise, prior=None):
+    """Coefficient of COLUMN in pure noise and its stated standard deviation."""
+    own = ledger(noise)
+    number = own.add([0], [COLUMN], prior)
+    chosen = np.concatenate([own.base, number])
+    weights = np.array([1.0 / np.mean(noise**2)])
+    x = own.solve(own.normal(weights), chosen)
+    return x[-1], float(np.sqrt(covariance(own, weights, chosen, x)[-1, -1]))
+
+
+@pytest.mark.parametrize("memory_s", [0.0, 0.02, 0.1])
+def test_stated_deviation_is_the_scatter_also_where_noise_has_a_memory(memory_s):
+    rng = np.random.default_rng(5)
+    keep = np.exp(-STEP / memory_s) if memory_s else 0.0
+    told = np.array([fitted(lfilter([1.0], [1.0, -keep], rng.normal(size=LENGTH + 500))[500:]) for _ in range(150)])
+    scatter, stated = told[:, 0].std(), np.median(told[:, 1])
+    assert stated == pytest.approx(scatter, rel=0.2)
+
+
+def test_what_the_recording_does_not_determine_stays_as_doubtful_as_it_was():
+    value, std = fitted(1e6 * np.random.default_rng(6).normal(size=LENGTH), np.array([0.3]))
+    assert std == pytest.approx(0.3, rel=0.02)
+    assert abs(value) < 0.1
