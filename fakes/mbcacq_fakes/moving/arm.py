@@ -33,6 +33,7 @@ class Links:
         self.q[self._elastic] -= h[self._elastic] / stiff
         self._now = self.q.copy()
         self.qd = np.zeros(bodies.n)
+        self._ahead = np.zeros(len(self._elastic))   # from the middle of the last step, where their rates stand, to its end
         self._sense = np.zeros(bodies.n)
         self._link_sense = np.zeros(bodies.n)
         self._flank = np.sign(h)
@@ -57,11 +58,13 @@ class Links:
         h = h - self._spring_torque() + d.link_coulomb * self._link_sense
         qdd = acceleration * ratio
         if len(e):
-            pull = self._stiff * ((motor * ratio)[e] - self.q[e]) + self._damp * ((speed * ratio)[e] - self.qd[e])
+            rate = self.qd[e] + self._ahead
+            pull = self._stiff * ((motor * ratio)[e] - self.q[e]) + self._damp * ((speed * ratio)[e] - rate)
             qdd[e] = np.linalg.solve(M[np.ix_(e, e)], pull - h[e] - M[np.ix_(e, np.flatnonzero(rigid))] @ qdd[rigid])
         gear = M @ qdd + h
         if len(e):
             gear[e] = pull
+            self._ahead = 0.5 * dt * qdd[e]
             self.qd[e] += dt * qdd[e]
             self.q[e] += dt * self.qd[e]
         self.gear = gear

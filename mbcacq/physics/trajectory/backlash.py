@@ -9,6 +9,7 @@ from mbcacq.physics.trajectory.effect import Candidate, Group, Run, plain_report
 
 NAME = "backlash"
 CROSSING_S = np.array([0.001, 0.003, 0.01, 0.03])   # time constants of crossing the play that are tried
+LEAST_LOAD = 0.002  # of the largest: below, as at rest, the flank in contact is not known and nothing is said
 FINER = 8           # the load changes its sign between two samples
 
 
@@ -33,7 +34,8 @@ def _by_motion(run: Run, joint: int, _: float | None) -> np.ndarray:
 def _by_load(run: Run, joint: int, crossing_s: float | None) -> np.ndarray:
     """The flank in contact follows the sign of the load, in the time that it takes to cross the play."""
     time = np.arange(len(run.load))
-    flank = np.sign(np.interp(np.arange((len(run.load) - 1) * FINER + 1) / FINER, time, run.load[:, joint]))
+    load = np.interp(np.arange((len(run.load) - 1) * FINER + 1) / FINER, time, run.load[:, joint])
+    flank = np.sign(load) * (np.abs(load) > LEAST_LOAD * float(np.abs(load).max()))
     keep = np.exp(-run.step_s / FINER / crossing_s)
     followed = flank[0] + lfilter([1.0 - keep], [1.0, -keep], flank - flank[0])
     return -0.5 * followed[::FINER, None]
