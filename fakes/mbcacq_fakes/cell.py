@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -16,7 +17,7 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes import options as fake_options
 from mbcacq_fakes.arm_state import ArmState
 from mbcacq_fakes.build import check, make_world
-from mbcacq_fakes.cell_controller import CLOCK_START_MS, EKI, RSI, normal, start_controller
+from mbcacq_fakes.cell_controller import CLOCK_START_MS, EKI, RSI, check_options, normal, start_controller
 from mbcacq_fakes.cell_faults import CellFaults
 from mbcacq_fakes.cell_ports import scanner_place
 from mbcacq_fakes.krc import FakeEkiController, FakeKrc
@@ -45,6 +46,7 @@ class FakeCell:
         pace_s = PACE_S * self._options.climate.time_scale
         self._facts: CellFacts = replace(from_cell(loaded.cell, plan.scanner.field_of_view), planned_q=self._planned_q, pace_s=pace_s)
         check(self._options, self._facts)
+        check_options(plan.robot.driver, self._options.robot)
         make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later
         self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
         self._state: ArmState | None = None
@@ -82,6 +84,9 @@ class FakeCell:
             except (subprocess.TimeoutExpired, ValueError, BrokenPipeError):
                 process.kill()
                 process.wait()
+            for pipe in (process.stdin, process.stdout):
+                with suppress(OSError):      # of what was still to be said to it
+                    pipe.close()
         krc, self._krc = self._krc, None
         if krc is not None:
             krc.stop()

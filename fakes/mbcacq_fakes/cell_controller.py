@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from mbcacq.errors import ConfigError
 from mbcacq_fakes.arm_state import ArmState
 from mbcacq_fakes.cell_ports import LOOPBACK, ipv4, udp_port
 from mbcacq_fakes.krc import FakeEkiController, FakeKrc
+from mbcacq_fakes.krc.eki_settings import EkiSettings
+from mbcacq_fakes.krc.settings import KrcSettings
 
 CLOCK_START_MS = 1_000_000
 RSI, EKI = "kuka_rsi", "kuka_eki"
@@ -32,17 +35,26 @@ def start_controller(loaded: Any, state: ArmState, rows: tuple[tuple[float, ...]
         "realtime": realtime, "start_deg": tuple(map(float, use.home_deg)), "dh": rows,
         "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())),
     }
+    check_options(use.driver, given)
     if "moving" in given:
         from mbcacq_fakes.moving.online import description
 
-        faults = given["moving"]
-        if not isinstance(faults, list | tuple):
-            raise ConfigError("fake.robot.moving must be a list of faults (name, where, sizes), [] for none; correct the plan")
-        given = {"layout": "motion", **given, "moving": description(robot, faults, seed)}
+        given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
     if robot.speed is not None:
         settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
-    start = _eki if normal(use.driver) == EKI else _rsi
-    return start(loaded, state, settings, given, ports, seed)
+    return (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+
+
+def check_options(driver: str, given: Mapping[str, Any]) -> None:
+    """Raises ConfigError where ``fake.robot`` names something that the controller of this driver does not have."""
+    known = [f.name for f in fields(EkiSettings if normal(driver) == EKI else KrcSettings)]
+    if "moving" in given and "moving" not in known:
+        raise ConfigError("fake.robot.moving is of an arm driven by kuka_rsi, whose telegrams carry torques: those of kuka_eki do not; "
+                          "correct the plan")
+    if unknown := sorted(set(given) - set(known)):
+        raise ConfigError(f"fake.robot: unknown option {', '.join(unknown)}; known are {', '.join(known)}; correct the plan")
+    if not isinstance(given.get("moving", []), list | tuple):
+        raise ConfigError("fake.robot.moving must be a list of faults (name, where, sizes), [] for none; correct the plan")
 
 
 def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[str, Any], ports: str, seed: int) -> Any:

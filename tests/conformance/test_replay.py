@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 
 import numpy as np
@@ -15,6 +16,8 @@ from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.conformance import Replay, Trace
 from mbcacq.conformance.bounded import eventually
+
+IPOC = re.compile(rb"<IPOC>\d+</IPOC>")
 
 
 @pytest.fixture
@@ -61,7 +64,8 @@ def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(save
     with kuka_rsi(trace) as stand, stand.make(stop_at_close=False) as robot:
         robot.state()
     lines = saved(trace).lines
-    start = next(i for i, line in enumerate(lines) if line.sender == "driver") - 1    # telegrams before that found nobody
+    answered = IPOC.search(next(line.data for line in lines if line.sender == "driver"))[0]
+    start = next(i for i, line in enumerate(lines) if answered in line.data)    # telegrams before that found nobody
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

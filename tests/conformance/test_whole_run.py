@@ -15,6 +15,7 @@ def run():
     made.close()
 
 
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("case", [Case("data", "device", 5, "close"), Case("rsi", "device", 900, "garbage")], ids=str)
 def test_one_hurt_message(run, case):
     verdict = run.inject(case)

@@ -23,7 +23,7 @@ from mbcacq.plan import expand, load
 from mbcacq.recording import load as load_recording
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
-LIMIT_S, NOISE_MM = 90.0, 0.15     # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away
+LIMIT_S, NOISE_MM = 180.0, 0.15     # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away
 HASTY = {"timeout_s": 2.0, "reply_limit_s": 2.0, "connect_timeout_s": 2.0}
 
 

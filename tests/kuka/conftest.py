@@ -24,7 +24,7 @@ def motion_limits(speed=90.0, acceleration=360.0, jerk=3600.0, settle_s=0.1):
     return MotionLimits(*(np.radians(np.full(6, v)) for v in (speed, acceleration, jerk)), tolerance=2e-4, settle_s=settle_s)
 
 
-def wait(condition, timeout_s=20.0):
+def wait(condition, timeout_s=100.0):
     """A generous bound against hanging, not a statement about time."""
     deadline = time.monotonic() + timeout_s
     while not (result := condition()):
@@ -56,7 +56,7 @@ def cell():
     def start(krc=None, robot=None):
         port = free_port()
         fake = FakeKrc(**{"client": ("127.0.0.1", port), "realtime": False, "limits_deg": LIMITS_DEG, "start_deg": tuple(HOME_DEG), **(krc or {})})
-        driver = KukaRsi("arm", "test", {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 0.4, "connect_timeout_s": 20.0, **(robot or {})})
+        driver = KukaRsi("arm", "test", {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 1.5, "connect_timeout_s": 20.0, **(robot or {})})
         opened.extend([fake.start(), driver])
         driver.connect()
         return fake, driver

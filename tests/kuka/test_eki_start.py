@@ -1,5 +1,7 @@
 """A controller is made ready over EKI, and the wrong robot is never moved."""
 
+import threading
+
 import numpy as np
 import pytest
 from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits
@@ -14,13 +16,16 @@ from mbcacq.devices import DeviceFault, IdentityError
 def test_rsi_is_started_over_eki():
     port = free_port()
     krc = FakeKrc(client=("127.0.0.1", port), realtime=False, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG)
-    with FakeEki(model="#KR210R2700_2 C4 FLR", on_start=lambda mode, cycle: krc.start()) as eki:
+    starting = threading.Thread(target=krc.start)
+    with FakeEki(model="#KR210R2700_2 C4 FLR", on_start=lambda mode, cycle: starting.start()) as eki:
         try:
             with KukaRsi("arm", "KUKA KR 210 R2700-2", {"limits_deg": LIMITS_DEG, "port": port, "eki": f"127.0.0.1:{eki.port}"}) as robot:
                 target = np.radians(HOME_DEG + [2.0, 0, 0, 0, 0, 0])
                 robot.move_to(target, motion_limits())
                 np.testing.assert_allclose(arrive(robot).q, target, atol=2e-4)
         finally:
+            if starting.ident is not None:
+                starting.join()
             krc.stop()
     assert eki.requests == [(0, 1, 1), (2, 1, 1), (6, 1, 1), (1, 1, 1)]
 

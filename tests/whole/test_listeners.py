@@ -1,8 +1,11 @@
 """Nothing in the tool listens on any address but loopback unless the plan says so."""
 
+import os
+import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 
 import pytest
 from listeners import bound
@@ -14,7 +17,7 @@ BUS = [{"driver": "modbus", "options": {"host": "127.0.0.1", "port": 5020, "valu
        {"driver": "serial", "options": {"port": "socket://127.0.0.1:5021", "line": "T=(?P<air_C>[0-9.]+)"}}]
 
 
-def watched(*arguments, until, within_s=60):
+def watched(*arguments, until, within_s=240):
     """Everything bound at any moment until the condition holds."""
     process = subprocess.Popen([MBCACQ, *map(str, arguments)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     found, deadline = set(), time.monotonic() + within_s
@@ -40,17 +43,18 @@ def test_a_live_dry_run_with_every_kind_of_device(tmp_path):
 
 
 def test_a_fake_cell_in_the_foreground(tmp_path):
-    def change(plan):
-        plan["robot"]["options"] = {"bind": "127.0.0.1", "port": 49871}
-        plan["scanner"]["options"] = {"address": "127.0.0.1", "control_port": 49872, "health_port": 49873, "data_port": 49874}
+    with ExitStack() as stack:
+        held = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(4)]
+        robot, control, health, data = (each.getsockname()[1] for each in held)
 
-    found = watched("fakes", plan_file(tmp_path, change), until=lambda f: {49872, 49873, 49874} <= {port for _, _, port in f})
+    def change(plan):
+        plan["robot"]["options"] = {"bind": "127.0.0.1", "port": robot}
+        plan["scanner"]["options"] = {"address": "127.0.0.1", "control_port": control, "health_port": health, "data_port": data}
+
+    found = watched("fakes", plan_file(tmp_path, change), until=lambda f: {control, health, data} <= {port for _, _, port in f})
     assert not [each for each in found if not each[1].is_loopback]
 
 
 def test_the_check_itself_sees_a_listener_on_every_address():
-    import os
-    import socket
-
     with socket.create_server(("", 0)) as everywhere:
         assert ("tcp", 0, everywhere.getsockname()[1]) in {(p, int(a), port) for p, a, port in bound(os.getpid())}

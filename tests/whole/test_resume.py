@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file
+from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 from mbcacq.recording import Recording, find_gaps, layout, load
 
@@ -38,9 +38,8 @@ def undisturbed(tmp_path_factory):
 def killed_after(plan, run, poses, then_s=0.0):
     process = subprocess.Popen([MBCACQ, "run", plan, "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.DEVNULL,
                                stdout=subprocess.DEVNULL, start_new_session=True)
-    journal, deadline = run / "journal.jsonl", time.monotonic() + 60
-    while time.monotonic() < deadline and not (journal.exists() and journal.read_text().count("pose_done") >= poses):
-        time.sleep(0.01)
+    journal = run / "journal.jsonl"
+    until(lambda: journal.exists() and journal.read_text().count("pose_done") >= poses)
     time.sleep(then_s)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()

@@ -6,16 +6,16 @@ import threading
 import time
 from collections.abc import Callable
 
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, SafetyStop
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.link import RETRY_S, Link, LinkLost, dial
+from mbcacq_kuka.eki.meeting import meet, refuse_moved
 from mbcacq_kuka.eki.options import Options
 from mbcacq_kuka.eki.record import Record
 from mbcacq_kuka.eki.telegrams import BEAT, STOP, Hello, State
 from mbcacq_kuka.eki.watch import Move, Watch
 
 _POLL_S, _FIRST_S = 0.05, 3.0
-_MOVED_DEG = 0.05      # more between two connections: somebody moved the arm
 
 
 class Session:
@@ -193,19 +193,11 @@ class Session:
         return True
 
     def _resume(self, link: Link, deadline: float, before: State) -> None:
-        """The same cell, with the arm where it was? Raises MbcacqError, LinkLost."""
+        """Raises MbcacqError, LinkLost."""
         try:
-            hello = state = None
-            while hello is None or state is None or hello.session != state.session:
-                if self._quit.is_set() or time.monotonic() > deadline:
-                    raise LinkLost("it tells neither who nor where it is")
-                for arrival, new_hello, new_state in link.receive(_POLL_S):
-                    self._heard, hello, state = arrival, new_hello or hello, new_state or state
+            self._heard, hello, state = meet(link, deadline, self._quit, _POLL_S)
             self._check(hello, state)
-            moved = max(abs(a - b) for a, b in zip(before.axis, state.axis, strict=True))
-            if moved > _MOVED_DEG:
-                raise SafetyStop(f"robot '{self._name}': the arm was moved by {moved:.2f} deg while the connection was lost; "
-                                 "start the run again")
+            refuse_moved(self._name, before, state)
         except BaseException:
             link.close()
             raise

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any
 
+from mbcacq_kuka.rsi.arrival import Arrival
 from mbcacq_kuka.rsi.motion import Motion, Refused
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, finite
@@ -22,7 +23,6 @@ _PATIENCE = 5        # telegrams that are no use before we say so
 _EMPTY = 50          # the same for those that are only empty: they queue up while we start
 _STILL_DEG = 1e-3    # less motion in a cycle is standing still
 _REST_CYCLES = 5     # standing still so long is being at rest
-_COARSE_CYCLES = 100  # standing so long next to the target: look whether rounding hides the arrival
 _END_CYCLES = 12     # and so long, before the session is ended
 _STOP_CYCLES = 125
 _CLOSE_S = 5.0
@@ -43,7 +43,7 @@ class Session:
         self._controller: Any = None
         self._parser: Parser | None = None
         self._seq = shared.command_seq
-        self._arrived, self._command = True, None
+        self._arrival = Arrival()
         self.last_heard = self._close_began = 0.0
         self._stops = self._still = 0
 
@@ -186,9 +186,9 @@ class Session:
         still = all(abs(a - b) < _STILL_DEG for a, b in zip(measured, self._previous, strict=True))
         self._previous = measured
         self._still = self._still + 1 if still and not motion.moving else 0
-        if not self._arrived:
-            self._judge_arrival(measured, time_s)
-        flags = (0 if self._still >= _REST_CYCLES else MOVING) | (ARRIVED if self._arrived else 0) | (ANSWERED if in_time else 0)
+        if not motion.moving and (too_coarse := self._arrival.judge(measured, self._still, time_s)):
+            self._fail("coarse", too_coarse)
+        flags = (0 if self._still >= _REST_CYCLES else MOVING) | (ARRIVED if self._arrival.arrived else 0) | (ANSWERED if in_time else 0)
         self._shared.append(now, time_s, flags, self._seq, position, row)
         return self._compose(digits, self._closing and self._ending(now))
 
@@ -218,28 +218,13 @@ class Session:
             return
         elif command.kind == STOP:
             self._motion.stop()
-            if not self._arrived:
-                self._command = None
+            self._arrival.leave()
         elif command.kind == MOVE:
-            self._arrived, self._command, self._inside_since = False, command, None
+            self._arrival.begin(command)
             try:
                 self._motion.move(command)
             except Refused as error:
                 self._fail("refused", str(error))
-
-    def _judge_arrival(self, measured: tuple[float, ...], time_s: float) -> None:
-        command = self._command
-        if command is None or self._motion.moving:
-            return
-        if any(abs(m - t) > command.tolerance for m, t in zip(measured, command.target, strict=True)):
-            self._inside_since = None
-            if self._still == _COARSE_CYCLES and (digits := _rounded_to(measured, command.target)) is not None:
-                self._fail("coarse", f"the telegrams show joint angles with {digits} decimals only, too coarse to see an arrival within "
-                                     f"{command.tolerance:g} deg; set Precision to 6 at the ETHERNET object of the RSI context")
-        elif self._inside_since is None:
-            self._inside_since = time_s
-        elif time_s - self._inside_since >= command.settle_s:
-            self._arrived = True
 
     def _ending(self, now: float) -> bool:
         """While closing: True once the arm stands and the controller may be told to end the session."""
@@ -251,14 +236,9 @@ class Session:
 
     def _fail(self, kind: str, text: str) -> None:
         self._shared.fail(kind, text)
-        self._command = None
+        self._arrival.leave()
         if self.connected:
             self._motion.stop()
-
-
-def _rounded_to(measured: Sequence[float], target: Sequence[float]) -> int | None:
-    """If the arm stands at its target but for rounding: to how many decimals."""
-    return next((d for d in (1, 2, 3) if all(abs(round(t, d) - m) < 1e-9 for m, t in zip(measured, target, strict=True))), None)
 
 
 def _text(source: Any) -> str:
