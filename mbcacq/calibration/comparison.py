@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from mbcacq.calibration.estimate import select_phases
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.held_out import about_best_station, prediction_error
 from mbcacq.calibration.options import Options
 from mbcacq.calibration.rivals import RIVALS
+from mbcacq.calibration.selection import select_phases
 from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError
 from mbcacq.observations import Observations

@@ -16,6 +16,7 @@ from mbcacq.calibration.options import Noise, Options
 from mbcacq.calibration.rank import Undetermined, hold_undetermined
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.screen import distances, screen
+from mbcacq.calibration.selection import select_phases
 from mbcacq.calibration.solve import Solution, Weights, solve, system
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.errors import CalibrationError
@@ -85,7 +86,8 @@ def adjust(obs: Observations, options: Options, first: Adjustment | None = None)
         start = Estimate(preliminary, tuple(np.zeros(t.size) for t in options.terms))
         noise = variance.first_noise(obs.cell)
     else:
-        preliminary, start, noise = with_all_stations(obs, first.preliminary), Estimate(with_all_stations(obs, first.state)), first.noise
+        preliminary, whole = (starting.with_all_stations(obs, state) for state in (first.preliminary, first.state))
+        start, noise = Estimate(whole), first.noise
     layout = blocks.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at = system(lineariser, start, noise, weights)
@@ -119,28 +121,6 @@ def thin(obs: Observations, size: int) -> Observations:
         there = np.flatnonzero(obs.station == s)
         keep[there[np.unique(np.linspace(0, len(there) - 1, min(per_station, len(there))).astype(int))]] = True
     return obs.select(keep)
-
-
-def with_all_stations(obs: Observations, state: CellState) -> CellState:
-    """The state with every station placed by the points seen there."""
-    placed = starting.place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
-    return replace(state, T_base_station=placed)
-
-
-def select_phases(obs: Observations, options: Options) -> Observations:
-    """The poses to fit: of the phases asked for, else all but 'verification' where there are others."""
-    if obs.phase is None:
-        keep = np.ones(obs.n_poses, bool)
-    elif options.phases is not None:
-        keep = np.isin(obs.phase, options.phases)
-    else:
-        keep = obs.phase != "verification"
-        keep = keep if keep.any() else ~keep
-    keep &= np.bincount(obs.pose, minlength=obs.n_poses) > 0
-    if not keep.any():
-        raise CalibrationError(f"there is no pose with a measured centre{f' in the phases {options.phases}' if options.phases else ''}; "
-                               "nothing can be calibrated")
-    return obs if keep.all() else obs.select(keep)
 
 
 def fit_hand_eye(obs: Observations, options: Options) -> CellState:

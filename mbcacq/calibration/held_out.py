@@ -12,10 +12,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from mbcacq.calibration import blocks
-from mbcacq.calibration.estimate import calibrate, select_phases
+from mbcacq.calibration.estimate import calibrate
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
 from mbcacq.calibration.options import Noise, Options
+from mbcacq.calibration.selection import select_phases
 from mbcacq.calibration.solve import Weights, solve
 from mbcacq.calibration.start import place_stations
 from mbcacq.cell import TARGET_IN_BASE

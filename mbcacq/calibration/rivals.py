@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.estimate import calibrate, with_all_stations
+from mbcacq.calibration.estimate import calibrate
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.options import Options
+from mbcacq.calibration.start import with_all_stations
 from mbcacq.cell import TARGET_IN_BASE
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3

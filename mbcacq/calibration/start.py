@@ -6,6 +6,8 @@ entries of the transform once each point's own place is eliminated by subtractin
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.calibration.forward import CellState
@@ -171,3 +173,9 @@ def _linear_l1(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np
         off = np.linalg.norm(A @ x - b, axis=1)
         weight = 1.0 / np.maximum(off, 0.2 * np.median(off) + 1e-9)
     return x
+
+
+def with_all_stations(obs: Observations, state: CellState) -> CellState:
+    """The state with every station placed by the points seen there."""
+    placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
+    return replace(state, T_base_station=placed)

@@ -45,6 +45,18 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
+    def invoke(self, ctx: click.Context) -> object:
+        """Who reads our output may have enough of it, as `head` has: that is no error."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)   # what is still in the buffer goes nowhere
+            return ExitCode.OK
+        except SystemExit as end:
+            if isinstance(end.__context__, BrokenPipeError):   # rich's way of saying it
+                return ExitCode.OK
+            raise
+
     def main(self, *args, standalone_mode: bool = True, **kwargs):
         """Run, and end with the exit code that belongs to what happened: one sentence on stderr, no stack trace."""
         if not standalone_mode:
@@ -61,8 +73,6 @@ class LazyGroup(click.Group):
         except MbcacqError as error:
             click.echo(f"mbcacq: {error}", err=True)
             sys.exit(error.exit_code)
-        except BrokenPipeError:
-            sys.exit(ExitCode.OK)
         except Exception as error:
             if os.environ.get("MBCACQ_DEBUG"):
                 raise

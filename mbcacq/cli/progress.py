@@ -47,8 +47,8 @@ class RunProgress:
                     self._bar.start()
             case events.RunStopped():
                 self._bar.stop()
-                after = "" if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses: "
-                self._console.print(after + event.reason, markup=False, soft_wrap=True)
+                told = event.reason if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses"
+                self._console.print(told, markup=False, soft_wrap=True)    # why, the command says itself
         if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
             self._bar.update(self._task, completed=self._done, description=self._step or "connecting", station=self._station,
                              balls=str(self._balls))

@@ -11,10 +11,10 @@ import numpy as np
 from mbcacq.calibration import Calibration, Noise, Options, blocks, rank
 from mbcacq.calibration.adequacy import refuse_degenerate
 from mbcacq.calibration.blocks import Estimate
-from mbcacq.calibration.estimate import select_phases
 from mbcacq.calibration.linearise import Lineariser
 from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.rank import Undetermined
+from mbcacq.calibration.selection import select_phases
 from mbcacq.calibration.solve import Weights, system
 from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
 from mbcacq.calibration.verification import ball_positions, verification_poses, verify

@@ -56,7 +56,7 @@ def _cell(at: Camera, enlarged: Enlarged, balls: int) -> rrb.Container:
     texts = rrb.Tabs(rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
                      rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
                      rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
-    found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10))
+    found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10) + 1)   # round, and its label in the frame
     return rrb.Horizontal(rrb.Vertical(cell, states, row_shares=[8, 2.3]), rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
                           column_shares=[3, 2], name="Cell")
 
@@ -108,7 +108,7 @@ def _diagnosis(at: Camera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Vertical(cell, words, row_shares=[3, 2]),
         rrb.Vertical(_curves("Difference of simulation and recording at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
-                     _curves("What is held responsible", [f"{layout.CAUSE}/**"])),
+                     _curves("What is held responsible (empty: nothing)", [f"{layout.CAUSE}/**"])),
         column_shares=[1, 1], name="Diagnosis")
 
 

@@ -10,6 +10,7 @@ import rerun as rr
 from mbcacq.acquisition import events
 from mbcacq.cell import Artefact, Cell
 from mbcacq.devices import Scan
+from mbcacq.geometry import se3
 from mbcacq.recording import eye, layout, scene
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
@@ -27,6 +28,7 @@ class Drawing:
         self._scan: Scan | None = None
         self._form: list[np.ndarray] = []
         self._warm: set[str] = set()
+        self._balls: dict[str, dict[int, np.ndarray]] = {}
 
     def start(self, cell: Cell, event: events.RunStarted) -> None:
         self._cell, self._route = cell, list(event.route)
@@ -82,6 +84,16 @@ class Drawing:
         self.warmth(event.sensors)
         if event.current is not None:
             self._rec.log(layout.CURRENT, rr.Scalars(np.asarray(event.current, dtype=float)))
+        if len(event.ball):
+            self._show_balls(self._cell, event)
+
+    def _show_balls(self, cell: Cell, event: events.PoseDone) -> None:
+        """Where the balls of a station stand as measured so far, nominal arm."""
+        T = cell.robot.chain.flange(event.q[None])[0] @ cell.T_flange_scanner
+        artefact = next(s.artefact for s in cell.stations if s.id == event.station)
+        balls = self._balls.setdefault(event.station, {})
+        balls.update(zip(np.asarray(event.ball).tolist(), se3.apply(T, np.asarray(event.xyz)), strict=True))
+        scene.log_balls(self._rec, event.station, cell.artefact(artefact), balls)
 
     def warmth(self, values: Mapping[str, float]) -> None:
         """The temperatures among some values, by the ending of their names."""

@@ -19,7 +19,7 @@ from mbcacq.recording import layout, rerun_program
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
 SETTLE_S, TAB_SETTLE_S = 7.0, 1.0   # until the viewer's notices have gone from the picture; until it turns to a tab
-STILL_S, DRAWN_TIMEOUT_S = 1.0, 40.0   # a picture that stays the same for so long is complete: what still loads turns
+STILL_S, DRAWN_TIMEOUT_S = 1.0, 60.0   # a picture that stays the same for so long is complete: what still loads turns
 
 
 def files(path: Path | str) -> list[Path]:
@@ -82,8 +82,14 @@ def _picture(client: Any, path: Path) -> Path:
     path.unlink(missing_ok=True)
     deadline, before = time.monotonic() + DRAWN_TIMEOUT_S, b""
     while True:
-        client.save_screenshot(str(path))
-        if (now := path.read_bytes()) == before or time.monotonic() > deadline:
+        late = time.monotonic() > deadline
+        try:
+            client.save_screenshot(str(path))
+        except TimeoutError:            # a busy viewer
+            if late:
+                raise
+            continue
+        if (now := path.read_bytes()) == before or late:
             return path
         before = now
         time.sleep(STILL_S)
@@ -176,7 +182,7 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
                 time.sleep(0.2)
         try:
             yield client
-        except RuntimeError as error:
+        except (RuntimeError, TimeoutError) as error:
             raise RecordingError(f"no picture could be made ({str(error).splitlines()[0]}); try again, or look with mbcacq view") from error
     finally:
         rerun_program.end(child)

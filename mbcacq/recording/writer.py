@@ -16,7 +16,6 @@ import rerun as rr
 from mbcacq.acquisition import events
 from mbcacq.cell import Cell
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
-from mbcacq.geometry import se3
 from mbcacq.recording import layout, rows, scene
 from mbcacq.recording.blueprint import blueprint, for_cell
 from mbcacq.recording.cell_yaml import parse_cell
@@ -67,7 +66,6 @@ class Recorder:
         self._started_s: float | None = None       # POSIX time of run time 0
         self._cell: Cell | None = None
         self._T_base_scanner = np.eye(4)
-        self._balls: dict[str, dict[int, np.ndarray]] = {}
         self._drawing = Drawing(self._rec)
         self._n_poses, self._done = 0, 0
         self._failed = False
@@ -222,20 +220,10 @@ class Recorder:
         if len(event.ball):
             self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
             self._rec.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
-            self._draw_balls(event)
         self._sink.flush()
         self._done += 1
         if self._done == FORECAST_AFTER:
             self._sink.foresee(self._done, self._n_poses)
-
-    def _draw_balls(self, event: events.PoseDone) -> None:
-        if self._cell is None:
-            return
-        T = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
-        artefact = next(s.artefact for s in self._cell.stations if s.id == event.station)
-        balls = self._balls.setdefault(event.station, {})
-        balls.update(zip(np.asarray(event.ball).tolist(), se3.apply(T, np.asarray(event.xyz)), strict=True))
-        scene.log_balls(self._rec, event.station, self._cell.artefact(artefact), balls)
 
     @_write.register
     def _(self, event: events.RunStopped) -> None:

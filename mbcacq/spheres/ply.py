@@ -21,7 +21,7 @@ def read_tensor_cloud(path: str | Path):
     """Open3D tensor point cloud of a PLY or PCD file. Raises ConfigError naming the file where it holds no points."""
     path = Path(path)
     if not path.is_file():
-        raise ConfigError(f"{path}: there is no such cloud")
+        raise ConfigError(f"{path}: there is no such cloud; give the PLY or PCD file of a scan")
     if path.suffix.lower() not in (".ply", ".pcd"):
         raise ConfigError(f"{path}: a cloud must be a .ply or .pcd file")
     if path.stat().st_size > MAX_BYTES:

@@ -54,7 +54,7 @@ def test_a_reader_that_has_enough_is_no_error(command):
     process.stderr.close()
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
     done = mbcacq("run", "plans/kuka.yaml", "--dry-run", "--out", tmp_path / "run", "--json")
     assert done.returncode == 0, done.stderr

@@ -9,7 +9,6 @@ import numpy as np
 from mbcacq.calibration import blocks, rank
 from mbcacq.calibration.adequacy import refuse_one_station
 from mbcacq.calibration.blocks import Block, Estimate, Layout
-from mbcacq.calibration.estimate import select_phases, with_all_stations
 from mbcacq.calibration.forward import CellState
 from mbcacq.calibration.linearise import Lineariser
 from mbcacq.calibration.options import Options
@@ -18,7 +17,9 @@ from mbcacq.calibration.paper.pairs import one_pair, several_balls
 from mbcacq.calibration.paper.propagation import Measured, scanner_noise
 from mbcacq.calibration.paper.stages import adjust_angles, preliminary
 from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.selection import select_phases
 from mbcacq.calibration.solve import Weights, system
+from mbcacq.calibration.start import with_all_stations
 from mbcacq.cell import TARGET_IN_BASE
 from mbcacq.errors import CalibrationError
 from mbcacq.observations import Observations
