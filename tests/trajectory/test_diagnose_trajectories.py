@@ -157,3 +157,18 @@ def test_what_cannot_be_compared_is_refused():
     back = SimpleNamespace(**{**vars(run), "time_s": run.time_s[::-1]})
     with pytest.raises(ConfigError, match="does not rise"):
         diagnose_trajectories([back])
+
+
+def test_a_recording_in_which_a_joint_stands_says_nothing_of_its_friction():
+    """There the drive gives anything up to the stiction, whichever way an encoder trembles."""
+    runs = [recording(k, coulomb=8.0, viscous=15.0) for k in (1, 2)]
+    still = recording(3)
+    q = np.stack([still.q[:, 0], 0.3 + 1e-7 * np.random.default_rng(4).normal(size=len(still.q))], axis=1)
+    rate = np.stack([np.gradient(q[:, 0], STEP), np.zeros(len(q))], axis=1)
+    tau = torque(q, rate, np.stack([np.gradient(rate[:, 0], STEP), np.zeros(len(q))], axis=1))
+    tau += np.stack([8.0 * np.sign(rate[:, 0]) + 15.0 * rate[:, 0], 6.0 * np.cos(still.time_s)], axis=1)
+    runs.append(SimpleNamespace(**{**vars(still), "q": q, "q_joint": None, "torque": tau + np.random.default_rng(5).normal(0, 0.3, q.shape)}))
+    result = diagnose_trajectories(runs, proof=False)
+    for axis in ("A1", "A2"):
+        rub = value(result, "friction", f"{axis}.coulomb_Nm")
+        assert abs(rub["value"] - 8.0) < 3 * rub["std"] < 1.0

@@ -122,12 +122,12 @@ def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Gro
     if all(run.torque is not None for run in runs):
         joints = _finite([run.torque for run in runs])
         if joints:
-            sigma = inertial_sigma(robot)
+            sigma, fastest = inertial_sigma(robot), np.max([np.abs(run.qd).max(axis=0) for run in runs], axis=0)
             wanted = sigma > 0
             base = tuple(np.concatenate([(c * sigma)[:, joints][:, :, wanted], _rotors(run, robot, joints)], axis=2)
                          for c, run in zip(inertial, runs, strict=True))
             out.append(Group("tau", "N m", joints, tuple((run.torque - run.rigid)[:, joints] for run in runs),
-                             tuple((_moving(run) & k)[:, joints] for run, k in zip(runs, inner, strict=True)), base,
+                             tuple((_moving(run, fastest) & k)[:, joints] for run, k in zip(runs, inner, strict=True)), base,
                              np.ones(base[0].shape[2]), refit=False, signal=tuple(run.torque[:, joints] for run in runs)))
     for name, signal, sign in (("q_joint", "q_joint", 1.0), ("q_set", "q_set", -1.0)):
         if any(getattr(run, signal) is None for run in runs):
@@ -154,9 +154,9 @@ def _inside(run: Run) -> np.ndarray:
     return out
 
 
-def _moving(run: Run) -> np.ndarray:
-    """(T, n): the joint moves, well away from a reversal."""
-    return np.abs(run.qd) > STANDSTILL * np.abs(run.qd).max(axis=0)
+def _moving(run: Run, fastest: np.ndarray) -> np.ndarray:
+    """(T, n): the joint moves, well away from a reversal. fastest: (n,) rad/s of all recordings: in some a joint may stand all the time."""
+    return np.abs(run.qd) > STANDSTILL * fastest
 
 
 def _rotors(run: Run, robot, joints: tuple[int, ...]) -> np.ndarray:
