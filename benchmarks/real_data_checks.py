@@ -18,8 +18,8 @@ from real_data import Data, rms
 from real_data_campaigns import whole
 
 from mbcacq.diagnosis import prove
-from mbcacq.diagnosis.explain import NOTHING
 from mbcacq.diagnosis.finding import find, prepare
+from mbcacq.diagnosis.model import NOTHING
 from mbcacq.recording import load
 
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis import advice, prove
-from mbcacq.diagnosis.explain import NOTHING
+from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.finding import Finding
+from mbcacq.diagnosis.model import NOTHING
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.rivals import rivals, unseen
 from mbcacq.diagnosis.seen import evidence_of
@@ -20,6 +21,9 @@ NOISE_LIKE = 1.5  # held-out chi2 per degree of freedom up to which a model may 
 
 
 def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
+    if proof.empty:
+        kept = full.model.without(proof.empty)
+        full = replace(full, model=Search(setup.candidates).solve(full.before, kept.members, permit=True))
     before, left_before = prove.on_train(full.before, NOTHING, None)
     after, left_after = prove.on_train(full.before, full.model, full.smooth)
     worth = Worth(full)

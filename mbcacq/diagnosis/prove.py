@@ -1,4 +1,7 @@
-"""Proof on data that took no part: whole stations (for one station: blocks of poses) are left out of every choice and fit."""
+"""Proof on data that took no part: whole stations (for one station: blocks of poses) are left out of every choice and fit.
+
+What happens to single stations alone no other station can know of: that is proven on every so manieth pose of each.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.compose import columns_of
-from mbcacq.diagnosis.explain import NOTHING, Model
 from mbcacq.diagnosis.finding import Finding, find
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
+from mbcacq.physics import payload
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,8 @@ EMPTY = Quality(0.0, 0, 0.0, 0.0)
 @dataclass(frozen=True)
 class Proof:
     """before and after on left-out data, how they were left out. without: the same with one effect left out of the model, by its name;
-    of what has no name by 'unknown:PLACE'. picks: names that each fold found.
+    of what has no name by 'unknown:PLACE'. picks: names that each fold found. empty: names beside others that predict nothing better; they
+    are not in ``after``.
     """
 
     before: Quality
@@ -51,6 +56,7 @@ class Proof:
     split: str
     without: dict[str, Quality]
     picks: tuple[tuple[str, ...], ...]
+    empty: tuple[str, ...] = ()
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess over the noise floor that an effect removes."""
@@ -58,10 +64,14 @@ class Proof:
         return float(np.clip((self.without.get(key, self.after).chi2 - self.after.chi2) / excess, 0, 1))
 
 
-def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement."""
+def split(linear: Linear, folds: int, at_station: bool = False) -> tuple[np.ndarray, str]:
+    """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement. at_station: every station
+    into poses instead.
+    """
     obs = linear.obs
     stations = np.unique(obs.station)
+    if at_station:
+        return np.arange(obs.n_poses) % folds, "pose"
     if len(stations) >= 3:
         size = np.bincount(obs.station, minlength=len(obs.cell.stations))
         kind = np.array([[a.id for a in obs.cell.artefacts].index(s.artefact) for s in obs.cell.stations])
@@ -77,10 +87,11 @@ def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
 def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
     """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
     linear = full.before.linear
-    fold, how = split(linear, folds)
+    names = [n for n in full.model.names if not only_at_stations(full, n)]
+    fold, how = split(linear, folds, at_station=bool(full.model.names) and not names and full.smooth is None)
     nameless = dict.fromkeys(g.at for g in full.smooth.groups) if full.smooth else ()
     keys = [*full.model.names, *(f"unknown:{at}" for at in nameless)]
-    before, after, picks = EMPTY, EMPTY, []
+    before, after, parts = EMPTY, EMPTY, []
     without = dict.fromkeys(keys, EMPTY)
     for k in range(int(fold.max()) + 1):
         train = linear.keep & (fold != k)[linear.obs.pose]
@@ -91,14 +102,21 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
             after += plain
             continue
         part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
-        picks.append(part.model.names)
+        parts.append((train, test, part))
         whole = judge(linear, train, test, part.model, part.smooth, full.noise)
         after += whole
         for key in keys:
             model, rest = less(part, key)
             same = model is part.model and rest is part.smooth
             without[key] += whole if same else judge(linear, train, test, model, rest, full.noise)
-    return Proof(before, after, how, without, tuple(picks))
+    empty = tuple(n for n in names if without[n].chi2 <= after.chi2) if len(full.model.names) > 1 and payload.NAME not in names else ()
+    if empty:
+        after = sum((judge(linear, *sets, part.model.without(empty), part.smooth, full.noise) for *sets, part in parts), EMPTY)
+    return Proof(before, after, how, without, tuple(part.model.names for *_, part in parts), empty)
+
+
+def only_at_stations(full: Finding, name: str) -> bool:
+    return all(w.startswith("station") for c, _ in full.model.members if c.name == name for w in c.where)
 
 
 def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
@@ -107,10 +125,7 @@ def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
         at = key.removeprefix("unknown:")
         there = part.smooth is not None and any(g.at == at for g in part.smooth.groups)
         return part.model, part.smooth.without(at) if there else part.smooth
-    if key not in part.model.names:
-        return part.model, part.smooth
-    members = tuple(m for m in part.model.members if m[0].name != key)
-    return (replace(part.model, members=members) if members else NOTHING), part.smooth
+    return part.model.without((key,)), part.smooth
 
 
 def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:

@@ -7,12 +7,15 @@ from mbcacq.physics.situation import Situation
 
 
 def moment(s: Situation) -> Hyper:
-    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread."""
+    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread.
+
+    Neighbouring moments split the poses nearly alike: independent ones are as many as the recording can be halved, a few times over.
+    """
     margin = 2
     ranks = np.arange(margin, s.obs.n_poses - margin + 1)
     if len(ranks) > 400:
         ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
-    return Hyper("at_pose", ranks.astype(float), 0.5 * len(ranks), refine=False)
+    return Hyper("at_pose", ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
 
 
 def step_functions(s: Situation):
