@@ -28,11 +28,12 @@ def second_look(search: Search, linear: Linear, sigma: Noise, first: Noise) -> M
     """A single effect that was missed by little, under the noise half way between its own and that without it.
 
     There the gain is the likelihood ratio to second order; under the noise without the effect (a score test) it is too small, under its
-    own (Wald) too large.
+    own (Wald) too large. The best of hundreds of orders or moments explains noise itself, and gets none.
     """
     screen = Screen(linear, sigma)
     best = NOTHING
-    for scored in search.expand(screen, NOTHING, NEARLY)[:TRIED]:
+    nearly = [s for s in search.expand(screen, NOTHING, NEARLY) if s.hyper is None or s.hyper in s.candidate.hyper.preferred]
+    for scored in nearly[:TRIED]:
         member = ((scored.candidate, scored.hyper),)
         model = search.solve(screen, member)
         if model is None or model.score < -NEARLY:

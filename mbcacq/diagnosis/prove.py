@@ -17,7 +17,7 @@ from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
-from mbcacq.physics import payload
+from mbcacq.physics import payload, steps
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,21 @@ def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
 
 
 def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:
-    """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free."""
+    """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free, and the moment of
+    a change that fell among the poses left out.
+    """
     fitted = linear.restricted(train)
     columns, sigma = columns_of(fitted, model, rest)
     solution = solve(fitted.whitener(noise), columns, sigma, linear.residual)
     left = linear.residual - columns @ solution
-    return on_new_stations(linear, train, test, left, noise)
+    best = on_new_stations(linear, train, test, left, noise)
+    first = columns.shape[2] - sum(c.k for c, _ in model.members) - (0 if rest is None else rest.columns.shape[2])
+    for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
+        mine = slice(first + p.start, first + p.stop)
+        for moment in steps.undecided(candidate, hyper, linear.obs, train):
+            other = left + (columns[:, :, mine] - linear.columns(candidate.build(moment))) @ solution[mine]
+            best = min(best, on_new_stations(linear, train, test, other, noise), key=lambda quality: quality.chi2)
+    return best
 
 
 def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: np.ndarray, noise: Noise) -> Quality:
