@@ -30,11 +30,12 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     worth = Worth(full)
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full, worth), mismatch_list(full, worth, before)
-    useless = proof.after.chi2 >= proof.before.chi2
+    first, last = proof.decides
+    useless = last.chi2 >= first.chi2
     if useless:  # what predicts nothing better on data that took no part is not told; that there is something without a name may be
         effects, after, proof = [], before, replace(proof, after=proof.before)
         verdict, places = ("none", []) if verdict == "explained" else ({"partly_explained": "unexplained"}.get(verdict, verdict), places)
-    if proof.after.chi2_dof > NOISE_LIKE:
+    if (first if useless else last).chi2_dof > NOISE_LIKE:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not places:
         places = mismatch_list(full, worth, before, anything=True)

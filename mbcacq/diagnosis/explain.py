@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
+from mbcacq.diagnosis import wrong_tool
 from mbcacq.diagnosis.hypers import best_hyper
 from mbcacq.diagnosis.model import NOTHING, Members, Model
 from mbcacq.diagnosis.price import Prices
@@ -64,7 +65,7 @@ class Search:
                 break
             if len(best.members) >= LONGEST:
                 break  # the smooth model is the better place for what is left
-        return self.consistent(screen, self.polish(screen, best))
+        return wrong_tool.settled(self, screen, self.polish(screen, best))
 
     def polish(self, screen: Screen, model: Model) -> Model:
         """Drop members that do not pay, exchange members for better ones, until nothing improves."""
@@ -139,34 +140,6 @@ class Search:
         elastic = {int(c.where[0][1:]) - 1: model.coefficients[p.start] for (c, _), p in zip(model.members, model.parts(), strict=True)
                    if c.name == "joint_compliance"}
         return payload.beside(self.situation, {i: float(f"{c:.2g}") for i, c in elastic.items()})
-
-    def consistent(self, screen: Screen, model: Model) -> Model:
-        """A payload is found through elasticity as it was before the payload was known: both again, until they agree.
-
-        Every loaded joint is elastic in this, significantly or not, so that the payload's uncertainty contains theirs.
-        """
-        if self.situation is None or payload.NAME not in model.names:
-            return model
-        softness = [c for c in self.candidates if c.name == "joint_compliance"]
-        kept = tuple((c, h) for c, h in model.members if c.name != payload.NAME)
-        soft = {c.where for c, _ in kept if c.name == "joint_compliance"}
-        names = {(f"A{i + 1}",) for i in payload.loaded(self.situation)} - soft
-        kept += tuple((c, None) for c in softness if c.where in names)
-        elastic = {int(c.where[0][1:]) - 1: float(c.typical[0]) for c, _ in kept if c.name == "joint_compliance"}
-        doubt, best = 0.0, model
-        for _ in range(6):
-            fresh = payload.beside(self.situation, elastic, doubt, complete=True)
-            new = self.solve(screen, (*kept, (fresh[0], None)), permit=True) if fresh else None
-            if new is None:
-                return model
-            found = {int(c.where[0][1:]) - 1: (new.coefficients[p.start], np.sqrt(new.covariance[p.start, p.start]))
-                     for (c, _), p in zip(new.members, new.parts(), strict=True) if c.name == "joint_compliance"}
-            if min(value for value, _ in found.values()) <= 0:
-                return best
-            elastic = {i: float(f"{value:.4g}") for i, (value, _) in found.items()}
-            strongest = max(found, key=lambda i: found[i][0] / found[i][1])
-            doubt, best = float(found[strongest][1] / found[strongest][0]), new
-        return best
 
     def allowed(self, candidate: Candidate, model: Model) -> bool:
         same = [c for c, _ in model.members if c.name == candidate.name and c.where == candidate.where]

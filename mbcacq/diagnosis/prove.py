@@ -1,6 +1,6 @@
 """Proof on data that took no part: whole stations (for one station: blocks of poses) are left out of every choice and fit.
 
-What happens to single stations alone no other station can know of: that is proven on every so manieth pose of each.
+What happens to a single station alone no other station can know of: whether such a model is good is judged on the stations elsewhere.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ EMPTY = Quality(0.0, 0, 0.0, 0.0)
 class Proof:
     """before and after on left-out data, how they were left out. without: the same with one effect left out of the model, by its name;
     of what has no name by 'unknown:PLACE'. picks: names that each fold found. empty: names beside others that predict nothing better; they
-    are not in ``after``.
+    are not in ``after``. decides: before and after where the model may be judged, see above.
     """
 
     before: Quality
@@ -57,6 +57,7 @@ class Proof:
     without: dict[str, Quality]
     picks: tuple[tuple[str, ...], ...]
     empty: tuple[str, ...] = ()
+    decides: tuple[Quality, Quality] = (EMPTY, EMPTY)
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess over the noise floor that an effect removes."""
@@ -64,14 +65,10 @@ class Proof:
         return float(np.clip((self.without.get(key, self.after).chi2 - self.after.chi2) / excess, 0, 1))
 
 
-def split(linear: Linear, folds: int, at_station: bool = False) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement. at_station: every station
-    into poses instead.
-    """
+def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
+    """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement."""
     obs = linear.obs
     stations = np.unique(obs.station)
-    if at_station:
-        return np.arange(obs.n_poses) % folds, "pose"
     if len(stations) >= 3:
         size = np.bincount(obs.station, minlength=len(obs.cell.stations))
         kind = np.array([[a.id for a in obs.cell.artefacts].index(s.artefact) for s in obs.cell.stations])
@@ -87,11 +84,12 @@ def split(linear: Linear, folds: int, at_station: bool = False) -> tuple[np.ndar
 def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
     """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
     linear = full.before.linear
-    names = [n for n in full.model.names if not only_at_stations(full, n)]
-    fold, how = split(linear, folds, at_station=bool(full.model.names) and not names and full.smooth is None)
+    fold, how = split(linear, folds)
+    elsewhere = away_from(full)
     nameless = dict.fromkeys(g.at for g in full.smooth.groups) if full.smooth else ()
     keys = [*full.model.names, *(f"unknown:{at}" for at in nameless)]
     before, after, parts = EMPTY, EMPTY, []
+    before_there, after_there = EMPTY, EMPTY
     without = dict.fromkeys(keys, EMPTY)
     for k in range(int(fold.max()) + 1):
         train = linear.keep & (fold != k)[linear.obs.pose]
@@ -105,18 +103,33 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
         parts.append((train, test, part))
         whole = judge(linear, train, test, part.model, part.smooth, full.noise)
         after += whole
+        there = test & elsewhere
+        if there.any() and not elsewhere.all():
+            before_there += judge(linear, train, there, NOTHING, None, full.noise)
+            after_there += judge(linear, train, there, part.model, part.smooth, full.noise)
         for key in keys:
             model, rest = less(part, key)
             same = model is part.model and rest is part.smooth
             without[key] += whole if same else judge(linear, train, test, model, rest, full.noise)
-    empty = tuple(n for n in names if without[n].chi2 <= after.chi2) if len(full.model.names) > 1 and payload.NAME not in names else ()
+    empty = ()
+    if len(full.model.names) > 1 and payload.NAME not in full.model.names:
+        empty = tuple(n for n in full.model.names if not stays(full, n) and without[n].chi2 <= after.chi2)
     if empty:
         after = sum((judge(linear, *sets, part.model.without(empty), part.smooth, full.noise) for *sets, part in parts), EMPTY)
-    return Proof(before, after, how, without, tuple(part.model.names for *_, part in parts), empty)
+    decides = (before_there, after_there) if before_there.count else (before, after)
+    return Proof(before, after, how, without, tuple(part.model.names for *_, part in parts), empty, decides)
 
 
-def only_at_stations(full: Finding, name: str) -> bool:
+def stays(full: Finding, name: str) -> bool:
+    """Whether an effect happens to single stations alone."""
     return all(w.startswith("station") for c, _ in full.model.members if c.name == name for w in c.where)
+
+
+def away_from(full: Finding) -> np.ndarray:
+    """(M,) bool of the centres at stations to which nothing of the model happens alone."""
+    obs = full.before.linear.obs
+    alone = {w for c, _ in full.model.members if stays(full, c.name) for w in c.where}
+    return ~np.isin(obs.station, [j for j, s in enumerate(obs.cell.stations) if f"station{s.id}" in alone])[obs.pose]
 
 
 def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
