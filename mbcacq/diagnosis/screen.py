@@ -16,7 +16,7 @@ from mbcacq.diagnosis.noise import orthogonal, pose_sums
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.physics.effect import Candidate
 
-LARGEST = 100.0
+LARGEST = 30.0
 SMALLEST_SHARE = 1e-6  # of a column's square that must survive the projection
 
 
@@ -182,7 +182,7 @@ class Screen:
 
 
 def prior_weight(candidate: Candidate) -> np.ndarray:
-    """(k,) inverse variance of the coefficients: an effect a hundred times its typical size is not believed."""
+    """(k,) inverse variance of the coefficients: an effect thirty times its typical size is not believed."""
     return 1.0 / (LARGEST * candidate.typical) ** 2
 
 
