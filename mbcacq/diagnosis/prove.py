@@ -19,6 +19,8 @@ from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.physics import payload, steps
 
+MOST = 0.8  # share of the centres that must be elsewhere for them to decide
+
 
 @dataclass(frozen=True)
 class Quality:
@@ -116,7 +118,7 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
         empty = tuple(n for n in full.model.names if not stays(full, n) and without[n].chi2 <= after.chi2)
     if empty:
         after = sum((judge(linear, *sets, part.model.without(empty), part.smooth, full.noise) for *sets, part in parts), EMPTY)
-    decides = (before_there, after_there) if before_there.count else (before, after)
+    decides = (before_there, after_there) if before_there.count > MOST * before.count else (before, after)
     return Proof(before, after, how, without, tuple(part.model.names for *_, part in parts), empty, decides)
 
 

@@ -120,6 +120,9 @@ def contest(ground: Ground, names: Model, start: Noise, plain: Noise) -> Hypothe
     best = ground.build(names, start)
     if names.members:
         best = better(best, ground.build(NOTHING, plain))
+        for name in names.names if len(names.names) > 1 and not best.model.members else ():  # one of them may be true
+            only = Model(tuple(m for m in names.members if m[0].name == name))
+            best = better(best, ground.build(only, plain))
     if best.smooth is not None:
         beside = best.smooth.columns, best.smooth.sigma
         found = ground.search.run(Screen(ground.linear, best.noise, beside))
