@@ -18,8 +18,8 @@ from real_data import Data, rms
 from real_data_campaigns import whole
 
 from mbcacq.diagnosis import prove
-from mbcacq.diagnosis.explain import NOTHING
 from mbcacq.diagnosis.finding import find, prepare
+from mbcacq.diagnosis.model import NOTHING
 from mbcacq.recording import load
 
 
@@ -33,7 +33,7 @@ def diagnosed(folder: Path) -> None:
     stations = np.unique(obs.station)
     for test in [obs.station == k for k in stations] if len(stations) > 1 else [chance]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
-        part = find(replace(setup, linear=linear), train, examine=False, structure=full.smooth is not None)
+        part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
         before = prove.judge(linear, train, judged, NOTHING, None, full.noise)
         after = prove.judge(linear, train, judged, part.model, part.smooth, full.noise)
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from mbcacq.diagnosis import noise, prove
 from mbcacq.diagnosis.compose import columns_of, outliers
-from mbcacq.diagnosis.explain import NOTHING, Model, best_hyper
+from mbcacq.diagnosis.hypers import best_hyper
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup, prepare
 from mbcacq.diagnosis.whitening import Noise
@@ -23,28 +25,33 @@ FOLDS = 4
 
 @dataclass(frozen=True)
 class Achievable:
-    """Held-out chi2 per degree of freedom without and with the true model. known: whether the catalogue had it for these data."""
+    """Held-out chi2 per degree of freedom without and with the true model. known: whether the catalogue had it for these data.
+    less: of several effects, with the true model but one, in their order.
+    """
 
     before: float
     after: float
     known: bool
+    less: tuple[float, ...] = ()
 
     @property
     def improvement(self) -> float:
         """Share of the held-out chi2 that goes away."""
         return 1.0 - self.after / self.before if self.before > 0 else 0.0
 
+    @property
+    def adds(self) -> tuple[float, ...]:
+        """Share of the held-out chi2 that each of several effects takes away beside the others."""
+        return tuple(1.0 - self.after / without for without in self.less)
+
 
 def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achievable:
     """truth: the opened envelope's effects, as the fake cell tells them."""
     setup = prepare(observations)
-    members, beside, known = [], [], bool(truth)
-    for effect in truth:
-        found = true_members(setup, effect)
-        known &= bool(found)
-        members += found
-        beside += elastic(setup, effect)
-    model, rest = (Model(tuple(m), 0.0, 0.0, np.zeros(0), np.zeros((0, 0))) for m in ([*beside, *members], beside))
+    each = [true_members(setup, effect) for effect in truth]
+    beside = [m for effect in truth for m in elastic(setup, effect)]
+    known = bool(truth) and all(each)
+    model, rest = Model((*beside, *chain.from_iterable(each))), Model(tuple(beside))
     linear = setup.linear
     sigma = noise.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
     better = outliers(Screen(linear, sigma), model)
@@ -52,7 +59,9 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
         linear = linear.restricted(better)
         sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
-    return Achievable(held_out(linear, rest, sigma, at_station), held_out(linear, model, sigma, at_station), known)
+    others = [Model((*beside, *chain.from_iterable(each[:j] + each[j + 1:]))) for j in range(len(each))] if len(each) > 1 else []
+    before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
+    return Achievable(before, after, known, tuple(less))
 
 
 def true_members(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:

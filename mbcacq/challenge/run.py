@@ -67,6 +67,7 @@ class Challenger:
             possible = oracle.without_effect(fast, clean)
         else:
             possible = oracle.achievable(observations, truth)
+            truth = [{**t, **({"adds": possible.adds[j]} if possible.adds else {})} for j, t in enumerate(truth)]
         result = score(envelope.kind, truth, diagnosis, possible.improvement if truth else 0.0, catalogued=not outside)
         outcome = Outcome(envelope, concealed, truth, diagnosis, result, seconds)
         if self.folder is not None:

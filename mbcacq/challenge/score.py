@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ ORDER_TOLERANCE = 0.1
 class Score:
     """One challenge. achievable: share of the held-out chi2 that the true model takes away; counts: whether that is worth naming.
 
-    named, placed: every concealed effect is told, before any other, by its name and at its place. located: the first entry of ``mismatch``
-    is a place of a concealed effect. extra: named effects that were not concealed. share: of the achievable improvement
-    (None for an effect of one station, of which others know nothing, and where another effect goes with it). sigmas: errors
-    of the parameters in units of their stated sigma. confident: a wrong name with the verdict 'explained'.
+    named, placed: every concealed effect (of several: each that adds something) is told, before any other, by its name and at its place.
+    located: the first entry of ``mismatch`` is a place of a concealed effect. extra: named effects that were not concealed. share: of the
+    achievable improvement (None for an effect of one station, of which others know nothing, and where another effect goes with it).
+    sigmas: errors of the parameters in units of their stated sigma. confident: a wrong name with the verdict 'explained'.
     """
 
     kind: str
@@ -45,13 +46,16 @@ class Score:
 
 def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], achievable: float, worth: float = 0.1,
           catalogued: bool = True) -> Score:
-    """truth: the concealed effects with name, where and parameters. achievable, worth: shares of the held-out chi2."""
+    """truth: the concealed effects with name, where and parameters; of several each with what it ``adds`` to the others. achievable, worth,
+    adds: shares of the held-out chi2.
+    """
     effects, mismatch = diagnosis["effects"], diagnosis["mismatch"]
     names = {t["name"] for t in truth}
     beside = {c for name in names for c in COMPANIONS.get(name, ())} - names
     claimed = [e for e in effects if e["name"] not in ("unknown", *beside)]
-    first = [e for e in effects if e["name"] not in beside][:len(truth)]
-    named = bool(truth) and {e["name"] for e in first} == names
+    must = {t["name"] for t in truth if t.get("adds", worth) >= worth}
+    first = list(takewhile(lambda e: e["name"] in names, (e for e in effects if e["name"] not in beside)))
+    named = bool(first) and must <= {e["name"] for e in first}
     placed = named and all(at_place(e, next(t for t in truth if t["name"] == e["name"])) for e in first)
     where = {w for t in truth for w in (*t["where"], *t.get("seen_at", ()))}
     located = bool(mismatch) and mismatch[0]["at"] in where

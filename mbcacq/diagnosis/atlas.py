@@ -224,8 +224,7 @@ def layers(s: Situation) -> list[Layer]:
         entries = [(place.at, rows, shape) for rows in place.variants for shape in table.shapes]
         out.append(Layer(len(place.mix), table.values, entries, place.keys, place.mix, True))
     out += of_stations(s)
-    if s.scanner_on_flange:
-        out += of_scanner(s)
+    out += of_scanner(s) if s.scanner_on_flange else of_instrument(s)
     return out
 
 
@@ -249,6 +248,15 @@ def of_stations(s: Situation) -> list[Layer]:
     if not entries:
         return []
     return [Layer(6, table.values, entries, mine[0][1].keys, np.eye(6), True)]
+
+
+def of_instrument(s: Situation) -> list[Layer]:
+    """What an instrument that stands beside the arm measures wrongly, by the place of the target in its own frame."""
+    if np.ptp(s.obs.xyz, axis=0).min() == 0:
+        return []
+    table = shapes.of_volume(s)
+    entries = [("scanner", rows, shape) for shape in table.shapes for rows in ((0,), (1,), (2,), (0, 1, 2))]
+    return [Layer(3, table.values, entries, tuple(("point", 0, c) for c in range(3)), np.eye(3), False)]
 
 
 def of_scanner(s: Situation) -> list[Layer]:

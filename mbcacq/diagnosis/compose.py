@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.calibration.terms import accumulate, term
-from mbcacq.diagnosis.explain import Model
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.screen import LARGEST, Screen, prior_weight
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis import advice, prove
-from mbcacq.diagnosis.explain import NOTHING
+from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.finding import Finding
+from mbcacq.diagnosis.model import NOTHING
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.rivals import rivals, unseen
 from mbcacq.diagnosis.seen import evidence_of
@@ -16,24 +17,31 @@ from mbcacq.diagnosis.setup import Setup
 from mbcacq.diagnosis.shares import Worth
 from mbcacq.diagnosis.told import mismatch_list, named_effects, unknown_effects, where_it_is
 
+LEAST = 0.05  # share of the held-out excess that a name must remove to be told beside a larger mismatch without one
 NOISE_LIKE = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
 
 
 def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
+    if proof.empty:
+        kept = full.model.without(proof.empty)
+        full = replace(full, model=Search(setup.candidates).solve(full.before, kept.members, permit=True))
     before, left_before = prove.on_train(full.before, NOTHING, None)
     after, left_after = prove.on_train(full.before, full.model, full.smooth)
     worth = Worth(full)
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full, worth), mismatch_list(full, worth, before)
-    if verdict == "explained" and proof.after.chi2 >= proof.before.chi2:
-        # A name that predicts nothing better on data that took no part is not told.
-        verdict, effects, places, after = "none", [], [], before
-        proof = replace(proof, after=proof.before)
-    if proof.after.chi2_dof > NOISE_LIKE:
+    first, last = proof.decides
+    useless = last.chi2 >= first.chi2
+    if useless:  # what predicts nothing better on data that took no part is not told; that there is something without a name may be
+        effects, after, proof = [], before, replace(proof, after=proof.before)
+        verdict, places = ("none", []) if verdict == "explained" else ({"partly_explained": "unexplained"}.get(verdict, verdict), places)
+    if (first if useless else last).chi2_dof > NOISE_LIKE:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not places:
         places = mismatch_list(full, worth, before, anything=True)
-    effects += unknown_effects(full, worth, proof)
+    if verdict == "unexplained":  # what describes next to nothing of a mismatch is no name for it
+        effects = [e for e in effects if e.held_out_gain >= LEAST]
+    effects += [] if useless else unknown_effects(full, worth, proof)
     if verdict == "unexplained" and not effects:
         effects = where_it_is(places)
     alternatives, inseparable, pairs = rivals(setup, full) if effects else ({}, [], [])

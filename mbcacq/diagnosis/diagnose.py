@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.diagnosis import prove, readmit
 from mbcacq.diagnosis.conclude import conclude
-from mbcacq.diagnosis.finding import find
+from mbcacq.diagnosis.finding import Finding, find
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.setup import prepare, thin
 from mbcacq.diagnosis.smooth import MANY_POSES
@@ -15,6 +15,8 @@ from mbcacq.observations import Observations
 
 MOST_POSES = 4000
 FEWEST_POSES = 12
+FEW_STATIONS = 6  # up to which each is left out alone
+WEAK = 20.0  # score up to which a name is proven with more of the data: it might not be found in three quarters of them
 
 
 def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: None) -> Diagnosis:
@@ -37,7 +39,16 @@ def _diagnose(obs: Observations, folds: int | None, progress) -> Diagnosis:
     progress("searching for effects")
     full = find(setup)
     progress("proving on data left out")
-    proof = prove.prove(setup, full, folds or (4 if obs.n_poses < MANY_POSES else 3 if obs.n_poses < 2000 else 2))
+    proof = prove.prove(setup, full, folds or usual_folds(obs, full))
     result = conclude(setup, full, proof)
     result.notes += extra
     return result
+
+
+def usual_folds(obs: Observations, full: Finding) -> int:
+    if obs.n_poses >= MANY_POSES:
+        return 3 if obs.n_poses < 2000 else 2
+    if full.smooth is None and 0 < full.model.score < WEAK:
+        return 8
+    stations = len(np.unique(obs.station))
+    return stations if 4 < stations <= FEW_STATIONS else 4

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis import choice, noise, smooth, unnamed
 from mbcacq.diagnosis import leftover as remains
-from mbcacq.diagnosis import noise, smooth, unnamed
 from mbcacq.diagnosis.atlas import Atlas, Cell
 from mbcacq.diagnosis.compose import columns_of, outliers, settle, with_members
-from mbcacq.diagnosis.explain import NOTHING, Model, Search
+from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.leftover import Leftover
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup, back, prepare, thin
 from mbcacq.diagnosis.smooth import SmoothModel
@@ -63,6 +64,8 @@ def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noi
             if turn == 0:
                 search = replace(search, protected=frozenset(c.key for c, _ in start.members))
         new = search.run(screen, start=start)
+        if turn == 0 and not large and not new.members:
+            new = choice.second_look(search, linear, sigma, setup.first)
         same = {c.key for c, _ in new.members} == {c.key for c, _ in model.members}
         model = new
         if not model.members:
@@ -72,6 +75,8 @@ def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noi
             linear = settle(linear, model, sigma)
         if same:
             break
+    if model.members and not large:
+        model, sigma = choice.contested(search, linear, model, sigma, setup.first)
     return model, sigma, search, linear
 
 
@@ -93,7 +98,7 @@ def find(setup: Setup, keep: np.ndarray | None = None, again: bool = True, expec
     atlas, named = Atlas(before, setup.chart), with_members(before, model)
     left = remains.examine(named, setup.situation, atlas)
     least = 0.0 if expected else remains.STRUCTURE
-    doubtful = model.members and 2 * atlas.judge(before).best().weighed > model.score
+    doubtful = model.members and 2 * atlas.judge(before).best().weighed > model.worth
     if left.judged.total < least and not left.structure and not doubtful:
         return Finding(model, None, (), sigma, before, named, left)
     ground = unnamed.Ground(settled, setup.chart, setup.first, search, least)

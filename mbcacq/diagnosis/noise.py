@@ -14,7 +14,7 @@ from mbcacq.diagnosis.whitening import Noise
 
 WORST_POINT, WORST_STATED = 3.0, 8.0  # times the stated noise of an instrument, and what a stated repeatability means at a joint
 MANY_POSES, WORST_JOINT = 350, 10.0  # of a long recording no joint is taken to repeat worse than this many times what it should
-LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 1.0, 0.35
+LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_AXIS, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 0.35, 1.0, 0.35
 
 
 def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Noise, prior: Noise, rounds: int = 12) -> Noise:
@@ -63,10 +63,12 @@ def unpack(theta: np.ndarray, n: int, turn: bool) -> Noise:
 
 
 def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
-    """Joints share an unknown common level (LOG_SD_COMMON) and differ from it by LOG_SD_JOINT."""
+    """Joints share an unknown common level (LOG_SD_COMMON) and differ from it by LOG_SD_JOINT; so do the axes of an instrument of which
+    nothing is stated, or one of them could hide a mismatch.
+    """
     size = 3 + n + turn
     out = np.zeros((size, size))
-    out[:3, :3] = np.eye(3) / (LOG_SD_STATED if stated else LOG_SD_GUESSED) ** 2
+    out[:3, :3] = np.eye(3) / LOG_SD_STATED**2 if stated else np.linalg.inv(LOG_SD_AXIS**2 * np.eye(3) + LOG_SD_GUESSED**2)
     out[3 : 3 + n, 3 : 3 + n] = np.linalg.inv(LOG_SD_JOINT**2 * np.eye(n) + LOG_SD_COMMON**2)
     if turn:
         out[-1, -1] = 1 / LOG_SD_GUESSED**2

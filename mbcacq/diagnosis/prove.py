@@ -1,4 +1,7 @@
-"""Proof on data that took no part: whole stations (for one station: blocks of poses) are left out of every choice and fit."""
+"""Proof on data that took no part: whole stations (for one station: blocks of poses) are left out of every choice and fit.
+
+What happens to a single station alone no other station can know of: whether such a model is good is judged on the stations elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.compose import columns_of
-from mbcacq.diagnosis.explain import NOTHING, Model
 from mbcacq.diagnosis.finding import Finding, find
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
+from mbcacq.physics import payload, steps
+
+MOST = 0.8  # share of the centres that must be elsewhere for them to decide
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,8 @@ EMPTY = Quality(0.0, 0, 0.0, 0.0)
 @dataclass(frozen=True)
 class Proof:
     """before and after on left-out data, how they were left out. without: the same with one effect left out of the model, by its name;
-    of what has no name by 'unknown:PLACE'. picks: names that each fold found.
+    of what has no name by 'unknown:PLACE'. picks: names that each fold found. empty: names beside others that predict nothing better; they
+    are not in ``after``. decides: before and after where the model may be judged, see above.
     """
 
     before: Quality
@@ -51,6 +58,8 @@ class Proof:
     split: str
     without: dict[str, Quality]
     picks: tuple[tuple[str, ...], ...]
+    empty: tuple[str, ...] = ()
+    decides: tuple[Quality, Quality] = (EMPTY, EMPTY)
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess over the noise floor that an effect removes."""
@@ -78,9 +87,11 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
     """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
     linear = full.before.linear
     fold, how = split(linear, folds)
+    elsewhere = away_from(full)
     nameless = dict.fromkeys(g.at for g in full.smooth.groups) if full.smooth else ()
     keys = [*full.model.names, *(f"unknown:{at}" for at in nameless)]
-    before, after, picks = EMPTY, EMPTY, []
+    before, after, parts = EMPTY, EMPTY, []
+    before_there, after_there = EMPTY, EMPTY
     without = dict.fromkeys(keys, EMPTY)
     for k in range(int(fold.max()) + 1):
         train = linear.keep & (fold != k)[linear.obs.pose]
@@ -91,14 +102,36 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
             after += plain
             continue
         part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
-        picks.append(part.model.names)
+        parts.append((train, test, part))
         whole = judge(linear, train, test, part.model, part.smooth, full.noise)
         after += whole
+        there = test & elsewhere
+        if there.any() and not elsewhere.all():
+            before_there += judge(linear, train, there, NOTHING, None, full.noise)
+            after_there += judge(linear, train, there, part.model, part.smooth, full.noise)
         for key in keys:
             model, rest = less(part, key)
             same = model is part.model and rest is part.smooth
             without[key] += whole if same else judge(linear, train, test, model, rest, full.noise)
-    return Proof(before, after, how, without, tuple(picks))
+    empty = ()
+    if len(full.model.names) > 1 and payload.NAME not in full.model.names:
+        empty = tuple(n for n in full.model.names if not stays(full, n) and without[n].chi2 <= after.chi2)
+    if empty:
+        after = sum((judge(linear, *sets, part.model.without(empty), part.smooth, full.noise) for *sets, part in parts), EMPTY)
+    decides = (before_there, after_there) if before_there.count > MOST * before.count else (before, after)
+    return Proof(before, after, how, without, tuple(part.model.names for *_, part in parts), empty, decides)
+
+
+def stays(full: Finding, name: str) -> bool:
+    """Whether an effect happens to single stations alone."""
+    return all(w.startswith("station") for c, _ in full.model.members if c.name == name for w in c.where)
+
+
+def away_from(full: Finding) -> np.ndarray:
+    """(M,) bool of the centres at stations to which nothing of the model happens alone."""
+    obs = full.before.linear.obs
+    alone = {w for c, _ in full.model.members if stays(full, c.name) for w in c.where}
+    return ~np.isin(obs.station, [j for j, s in enumerate(obs.cell.stations) if f"station{s.id}" in alone])[obs.pose]
 
 
 def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
@@ -107,19 +140,25 @@ def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
         at = key.removeprefix("unknown:")
         there = part.smooth is not None and any(g.at == at for g in part.smooth.groups)
         return part.model, part.smooth.without(at) if there else part.smooth
-    if key not in part.model.names:
-        return part.model, part.smooth
-    members = tuple(m for m in part.model.members if m[0].name != key)
-    return (replace(part.model, members=members) if members else NOTHING), part.smooth
+    return part.model.without((key,)), part.smooth
 
 
 def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:
-    """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free."""
+    """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free, and the moment of
+    a change that fell among the poses left out.
+    """
     fitted = linear.restricted(train)
     columns, sigma = columns_of(fitted, model, rest)
     solution = solve(fitted.whitener(noise), columns, sigma, linear.residual)
     left = linear.residual - columns @ solution
-    return on_new_stations(linear, train, test, left, noise)
+    best = on_new_stations(linear, train, test, left, noise)
+    first = columns.shape[2] - sum(c.k for c, _ in model.members) - (0 if rest is None else rest.columns.shape[2])
+    for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
+        mine = slice(first + p.start, first + p.stop)
+        for moment in steps.undecided(candidate, hyper, linear.obs, train):
+            other = left + (columns[:, :, mine] - linear.columns(candidate.build(moment))) @ solution[mine]
+            best = min(best, on_new_stations(linear, train, test, other, noise), key=lambda quality: quality.chi2)
+    return best
 
 
 def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: np.ndarray, noise: Noise) -> Quality:

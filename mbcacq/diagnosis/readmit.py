@@ -8,8 +8,9 @@ import numpy as np
 
 from mbcacq.diagnosis import noise
 from mbcacq.diagnosis.compose import columns_of, outliers
-from mbcacq.diagnosis.explain import NOTHING, Search
+from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis import choice
 from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.finding import Finding
+from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.setup import Setup
 from mbcacq.physics.effect import Candidate
 
 VISIBLE = 2.0  # chi2 that an effect of typical size must make at least, or it would not be seen even several times as large
 STRONG = 10.0  # times the typical size
-UNDECIDED = 2.0  # chi2 by which an alternative may be worse and still not be excluded
+UNDECIDED = 2 * float(np.log(10.0))  # an alternative that is more than a tenth as probable is not excluded
 
 
 def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
@@ -58,7 +60,7 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
                 {"name": candidate.name, "where": list(candidate.where), "held_out_gain": float(np.clip(scored.gain / excess, 0, 1))}
             )
             swapped = search.solve(full.before, (*rest.members, (candidate, scored.hyper)))
-            if swapped is not None and swapped.score > model.score - UNDECIDED and scored.gain > lost - UNDECIDED:
+            if swapped is not None and not excluded(setup, full, search, swapped):
                 inseparable.append(
                     {
                         "effects": [f"{name}:{'+'.join(model.members[mine[0]][0].where)}", f"{candidate.name}:{'+'.join(candidate.where)}"],
@@ -68,3 +70,17 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
                 first, hyper = model.members[mine[0]]
                 pairs.append(((first, hyper, model.coefficients[model.parts()[mine[0]]]), (candidate, scored.hyper, scored.coefficients)))
     return alternatives, inseparable, pairs
+
+
+def excluded(setup: Setup, full: Finding, search: Search, other: Model) -> bool:
+    """Whether another set of names is less than a tenth as probable as the one told, each under the noise that it leaves."""
+    if other.worth < full.model.worth - choice.CLOSE:
+        return True
+    if full.smooth is not None:  # the noise is that of what has no name
+        return other.worth < full.model.worth - UNDECIDED
+    linear = full.before.linear
+    there, solved = choice.under_own_noise(search, linear, other, full.noise, setup.first)
+    if solved is None:
+        return True
+    told = choice.probability(full.before, full.model, setup.first)
+    return choice.probability(there, solved, setup.first) < told - UNDECIDED

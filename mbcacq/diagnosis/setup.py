@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.diagnosis import base_fit
 from mbcacq.diagnosis.atlas import Chart
-from mbcacq.diagnosis.explain import Model
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.observations import Observations
 from mbcacq.physics import catalogue
@@ -69,4 +69,4 @@ def back(setup: Setup, small: Setup, model: Model) -> Model:
             )
         if candidate.key in by_key:
             members.append((by_key[candidate.key], hyper))
-    return Model(tuple(members), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+    return Model(tuple(members))

@@ -118,7 +118,8 @@ def in_time(table: Table, s: Situation) -> list[tuple[str, np.ndarray]]:
 def moments(s: Situation, frame: int) -> Table:
     """Components of the gravity moment of all that hangs behind a frame, about its origin: straight, and bent."""
     table, moment = Table(), s.gravity_moment(frame)
-    size, straight, name = np.abs(moment).max(), [], f"gravity_torque_{min(frame + 1, s.n)}"
+    size, straight = np.abs(moment).max(), []
+    name = f"gravity_torque_{min(max(frame + 1, 2), s.n)}"  # a vertical first axis feels none: the second does what tilts the base
     for x in moment.T:
         if np.ptp(x) > 0.005 * size:
             first = table.add(x)
@@ -181,6 +182,21 @@ def of_field(s: Situation) -> Table:
         table.shape(name, table.add(np.stack([values[0] * v for v in (x, y, z)], axis=1)))
     gravity = s.prediction.T_base_scanner[:, :3, :3].transpose(0, 2, 1) @ s.obs.cell.robot.gravity
     table.shape(f"gravity_torque_{s.n}", table.add(gravity[obs.pose]))
+    return table
+
+
+def of_volume(s: Situation) -> Table:
+    """Functions of a place far from the instrument: its direction (errors along the line of sight), and polynomials (scale, refraction)."""
+    table, xyz = Table(), s.obs.xyz
+    table.shape("x", table.add(xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9)))
+    x, y, z = ((v - v.mean()) / float(v.std()) for v in xyz.T)
+    straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
+    for name, v in zip("xyz", (x, y, z), strict=True):
+        table.shape(name, straight[name])
+        table.shape(name, np.concatenate([straight[name], table.add(v * v)]))
+    linear = np.concatenate(list(straight.values()))
+    table.shape("x", linear)
+    table.shape("x", np.concatenate([linear, table.add(np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1))]))
     return table
 
 

@@ -90,9 +90,8 @@ def everything(linear: Linear, s: Situation) -> list[Group]:
     for i in range(s.n):
         moment = s.gravity_moment(i)
         scale = max(float(np.abs(moment).max()), 1e-9)
-        group(
-            "base" if i == 0 else f"link{i}", f"gravity_torque_{i + 1}", [("frame", i, 3 + c) for c in range(3)], moment / scale, np.ones(3)
-        )
+        at, name = "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}"
+        group(at, name, [("frame", i, 3 + c) for c in range(3)], moment / scale, np.ones(3))
     F, weight = waves(s.order.astype(float), np.inf, 6) if obs.time_s is None else waves(s.time, np.inf, 6)
     F, weight = F[:, :6], np.ones(6)
     group("base", "time" if obs.time_s is not None else "pose", [("frame", 0, c) for c in range(6)], F, weight)

@@ -8,13 +8,18 @@ VERDICTS = {
     "none": "No effect: the simulation explains the recording down to the measured noise.",
     "explained": "Explained: the effects below bring the simulation down to the measured noise.",
     "partly_explained": "Partly explained: the effects below help, but structure remains.",
-    "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes; a smooth model stands in its place.",
+    "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
 }
+STANDS_IN = "A smooth model stands in its place."
+SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
 
 
 def words(d: Diagnosis) -> str:
-    lines = [VERDICTS[d.verdict], ""]
+    lines = [VERDICTS[d.verdict]]
+    if d.verdict == "unexplained":
+        lines.append(STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED)
+    lines.append("")
     if d.mismatch:
         lines.append("Where simulation and recording part:")
         lines += [f"  {m['at']:<10} depends on {m['depends_on']:<18} share {m['share']:.0%}" for m in d.mismatch]

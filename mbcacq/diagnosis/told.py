@@ -58,25 +58,21 @@ def unknown_effects(full: Finding, worth: Worth, proof: prove.Proof) -> list[Eff
     """
     if full.smooth is None:
         return []
-    smooth, keep = full.smooth, full.before.linear.keep
-    size: dict[tuple[str, str], float] = {}
-    for g, p in zip(smooth.groups, smooth.parts(), strict=True):
-        moved = (g.columns[keep] @ smooth.coefficients[p])[:, :3]
-        size[g.at, g.depends_on] = size.get((g.at, g.depends_on), 0.0) + float(np.mean(np.sum(moved**2, axis=1)))
-    ranked = sorted(size, key=lambda key: -size[key])
+    size = sizes(full)
+    ranked = sorted(size, key=lambda key: -size[key][0])
     if not full.cells:
         first = full.leftover.places[0] if full.leftover else None
         at, on = (first.at, first.depends_on) if first else ranked[0]
         p_value = float(np.exp(-first.log_ratio)) if first and first.log_ratio < 690 else 0.0
         excess = max(proof.before.chi2 - proof.before.dof, 1e-9)
         gain = float(np.clip((proof.before.chi2 - proof.after.chi2) / excess, 0, 1))
-        return [EffectFound("unknown", [at], on, sizes(size, ranked[:12]), min(p_value, 1.0), gain)]
+        return [EffectFound("unknown", [at], on, in_words(size, ranked[:12]), min(p_value, 1.0), gain)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_ratio for c in full.cells if c.at == at), default=0.0)
         p_value = float(np.exp(-np.clip(evidence, 0, 690)))
-        effect = EffectFound("unknown", [at], mine[0][1], sizes(size, mine), p_value, proof.gain(f"unknown:{at}"))
+        effect = EffectFound("unknown", [at], mine[0][1], in_words(size, mine), p_value, proof.gain(f"unknown:{at}"))
         out.append((worth.of(worth.groups_at(full, at)), effect))
     return [effect for _, effect in sorted(out, key=lambda item: -item[0])]
 
@@ -86,8 +82,28 @@ def where_it_is(places: list[dict]) -> list[EffectFound]:
     return [EffectFound("unknown", [place["at"]], place["depends_on"], {}, place["p_value"], 0.0) for place in places[:1]]
 
 
-def sizes(size: dict[tuple[str, str], float], keys: list[tuple[str, str]]) -> dict:
-    return {f"{at}({on}).rms_mm": {"value": float(np.sqrt(size[at, on])), "std": 0.0} for at, on in keys}
+def sizes(full: Finding) -> dict[tuple[str, str], tuple[float, float]]:
+    """(place, covariate) -> by how many mm rms its groups move the centres, and the standard deviation of that."""
+    smooth, keep = full.smooth, full.before.linear.keep
+    X = full.named.whiten(smooth.columns) * smooth.sigma
+    taken = full.named.all_projected.T @ X
+    covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
+    square: dict[tuple[str, str], float] = {}
+    slope: dict[tuple[str, str], np.ndarray] = {}
+    for g, p in zip(smooth.groups, smooth.parts(), strict=True):
+        moved, key = (g.columns[keep] @ smooth.coefficients[p])[:, :3], (g.at, g.depends_on)
+        square[key] = square.get(key, 0.0) + float(np.mean(np.sum(moved**2, axis=1)))
+        mine = slope.setdefault(key, np.zeros(X.shape[1]))
+        mine[p] = np.einsum("mrk,mr->k", g.columns[keep][:, :3], moved) / len(moved)
+    out = {}
+    for key, value in square.items():
+        rms = float(np.sqrt(value))
+        out[key] = rms, float(np.sqrt(slope[key] @ covariance @ slope[key])) / max(rms, 1e-12)
+    return out
+
+
+def in_words(size: dict[tuple[str, str], tuple[float, float]], keys: list[tuple[str, str]]) -> dict:
+    return {f"{at}({on}).rms_mm": {"value": size[at, on][0], "std": size[at, on][1]} for at, on in keys}
 
 
 def mismatch_list(full: Finding, worth: Worth, before: prove.Quality, anything: bool = False) -> list[dict]:

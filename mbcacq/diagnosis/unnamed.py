@@ -6,21 +6,23 @@ hypotheses (names, groups and noise together) are compared by their restricted l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis import noise, smooth
 from mbcacq.diagnosis.atlas import Atlas, Cell, Chart
 from mbcacq.diagnosis.compose import adopted, columns_of, with_members
-from mbcacq.diagnosis.explain import NOTHING, Model, Search
+from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.leftover import STRUCTURE
 from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 
 MOST_GROUPS = 5
+NAMELESS = float(np.log(100.0))  # what has no name is a hundred times less likely beforehand than what has one
 
 
 @dataclass(frozen=True)
@@ -89,14 +91,17 @@ class Ground:
     def score(self, names: Model, cells: tuple[Cell, ...], rest: SmoothModel | None, sigma: Noise) -> float:
         screen = Screen(self.linear, sigma)
         named = with_members(screen, names)
-        here = adopted(named, rest)
-        value = -screen.whiten.log_det - screen.log_det - here.chi2 + 2 * noise.log_prior(sigma, self.first, self.linear)
+        value = likelihood(screen, adopted(named, rest), self.first)
         if rest is not None:
             X = screen.whiten(rest.columns) * rest.sigma
             taken = named.all_projected.T @ X
             value -= float(np.linalg.slogdet(X.T @ X - taken.T @ taken + np.eye(X.shape[1]))[1])
-        cost = names.gain - names.score
-        return value - cost - 2 * sum(c.log_ratio - c.weighed for c in cells)
+        return value - (names.gain - names.worth) - 2 * sum(c.log_ratio - c.weighed + NAMELESS for c in cells)
+
+
+def likelihood(screen: Screen, adopted: Screen, first: Noise) -> float:
+    """Twice the log of the restricted likelihood of a noise, less what the coefficients of whatever is adopted cost. first: its prior."""
+    return -screen.whiten.log_det - screen.log_det - adopted.chi2 + 2 * noise.log_prior(screen.noise, first, screen.linear)
 
 
 def near(a: Noise, b: Noise) -> bool:
@@ -115,14 +120,16 @@ def contest(ground: Ground, names: Model, start: Noise, plain: Noise) -> Hypothe
     best = ground.build(names, start)
     if names.members:
         best = better(best, ground.build(NOTHING, plain))
+        for name in names.names if len(names.names) > 1 and not best.model.members else ():  # one of them may be true
+            only = Model(tuple(m for m in names.members if m[0].name == name))
+            best = better(best, ground.build(only, plain))
     if best.smooth is not None:
         beside = best.smooth.columns, best.smooth.sigma
         found = ground.search.run(Screen(ground.linear, best.noise, beside))
         if {c.key for c, _ in found.members} != {c.key for c, _ in best.model.members}:
-            best = better(best, ground.build(replace(found, gain=0.0, score=0.0), best.noise, best.cells, 2))
+            best = better(best, ground.build(Model(found.members), best.noise, best.cells, 2))
         for name in best.model.names if len(best.model.names) > 1 else ():
-            less = Model(tuple(m for m in best.model.members if m[0].name != name), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
-            best = better(best, ground.build(less, best.noise, best.cells, 2))
+            best = better(best, ground.build(best.model.without((name,)), best.noise, best.cells, 2))
     return best
 
 

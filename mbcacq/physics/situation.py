@@ -82,8 +82,7 @@ class Situation:
     @cached_property
     def order(self) -> np.ndarray:
         """(P,) rank of each pose in time (by time where recorded, else as listed)."""
-        key = self.obs.time_s if self.obs.time_s is not None else np.arange(self.obs.n_poses)
-        return np.argsort(np.argsort(key, kind="stable"), kind="stable")
+        return in_time(self.obs)
 
     @property
     def time(self) -> np.ndarray:
@@ -100,3 +99,9 @@ class Situation:
     @cached_property
     def pose_of_centre(self) -> np.ndarray:
         return self.obs.pose
+
+
+def in_time(obs: Observations) -> np.ndarray:
+    """(P,) rank of each pose in time (by time where recorded, else as listed)."""
+    key = obs.time_s if obs.time_s is not None else np.arange(obs.n_poses)
+    return np.argsort(np.argsort(key, kind="stable"), kind="stable")

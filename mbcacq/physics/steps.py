@@ -2,17 +2,23 @@
 
 import numpy as np
 
-from mbcacq.physics.effect import Hyper
-from mbcacq.physics.situation import Situation
+from mbcacq.observations import Observations
+from mbcacq.physics.effect import Candidate, Hyper
+from mbcacq.physics.situation import Situation, in_time
+
+NAME = "at_pose"
 
 
 def moment(s: Situation) -> Hyper:
-    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread."""
+    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread.
+
+    Neighbouring moments split the poses nearly alike: independent ones are as many as the recording can be halved, a few times over.
+    """
     margin = 2
     ranks = np.arange(margin, s.obs.n_poses - margin + 1)
     if len(ranks) > 400:
         ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
-    return Hyper("at_pose", ranks.astype(float), 0.5 * len(ranks), refine=False)
+    return Hyper(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
 
 
 def step_functions(s: Situation):
@@ -21,6 +27,19 @@ def step_functions(s: Situation):
     def functions(values: np.ndarray) -> np.ndarray:
         return (order[None] >= np.asarray(values)[:, None]).astype(float)[..., None]
     return functions
+
+
+def undecided(candidate: Candidate, hyper: float | None, obs: Observations, seen: np.ndarray) -> list[float]:
+    """Other moments that the centres seen (M,) bool cannot tell from this one: no pose of theirs lies between. Empty where there is none,
+    and for effects that have no moment.
+    """
+    if candidate.hyper is None or candidate.hyper.name != NAME:
+        return []
+    ranks = np.unique(in_time(obs)[obs.pose[seen]])
+    before, after = ranks[ranks < hyper], ranks[ranks >= hyper]
+    if not len(before) or not len(after):
+        return []
+    return [float(r) for r in range(int(before[-1]) + 1, int(after[0]) + 1) if r != hyper]
 
 
 def pose_at(s: Situation, rank: float) -> int:

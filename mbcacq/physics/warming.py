@@ -8,7 +8,7 @@ from mbcacq.physics.situation import Situation
 
 def time_constant(s: Situation) -> Hyper:
     total = float(np.ptp(s.time))
-    return Hyper("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 4.0)
+    return Hyper("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
 
 
 def fading(s: Situation):

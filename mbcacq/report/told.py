@@ -17,7 +17,7 @@ VERDICTS = {
     "unexplained": (
         "fail",
         "Unexplained",
-        "There is a mismatch that no effect of the catalogue describes; a smooth model stands in its place.",
+        "There is a mismatch that no effect of the catalogue describes.",
     ),
     "cannot_tell": ("none", "Cannot tell", "These poses do not let the candidates be told apart, or be seen."),
 }

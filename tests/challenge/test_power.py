@@ -2,7 +2,7 @@
 
 import pytest
 
-from mbcacq.challenge.power import least_gain, needed
+from mbcacq.challenge.power import ALLOWED, FAMILIES, LEVEL, least_gain, needed, searched, tells
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():
@@ -18,3 +18,20 @@ def test_ninety_percent_is_found_between_two_measured_strengths():
     assert needed((0.8, 1.0, 1.2), (0.2, 0.8, 1.0)) == pytest.approx(1.1)
     assert needed((0.8, 1.0, 1.2), (0.95, 0.9, 1.0)) == 0.8
     assert needed((0.8, 1.0), (0.2, 0.5)) is None
+
+
+def test_who_must_search_needs_more_the_more_there_is_to_search():
+    assert searched(1, ALLOWED / FAMILIES / LEVEL) == pytest.approx(1.0)
+    # two-sided 1.96e-4 (2 % over 17 effects at 6 joints each): 3.725, and 90 % power: 1.282
+    assert searched(1, 6) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
+    assert searched(2, 40) < searched(2, 7000)
+
+
+def test_one_of_two_that_cannot_be_told_apart_counts_as_told():
+    truth = {"name": "joint_compliance", "where": ["A2", "A3"]}
+    other = {"effects": [{"name": "joint_scale", "where": ["A2"]}], "not_separable": []}
+
+    assert not tells(other, truth)
+    assert tells({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A2"]}]}, truth)
+    assert not tells({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A5"]}]}, truth)
+    assert tells({"effects": [{"name": "joint_compliance", "where": ["A3"]}], "not_separable": []}, truth)

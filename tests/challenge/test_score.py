@@ -82,6 +82,14 @@ def test_two_effects_may_come_in_either_order_but_before_any_other():
     assert not score("two", [COMPLIANCE, {"name": "backlash", "where": ["A1"], "width_deg": 0.01}], both, 0.5).named
 
 
+def test_the_smaller_of_two_must_be_told_where_it_adds_something():
+    scale = {"name": "joint_scale", "where": ["A2"], "ratio": 1.2e-4}
+    alone = diagnosis(FOUND)
+
+    assert score("two", [{**COMPLIANCE, "adds": 0.6}, {**scale, "adds": 0.02}], alone, 0.6).placed
+    assert not score("two", [{**COMPLIANCE, "adds": 0.6}, {**scale, "adds": 0.2}], alone, 0.7).named
+
+
 def test_a_coupling_needs_both_of_its_joints():
     told = '[{"name": "wrist_coupling", "where": ["A4", "A5"], "parameters": {"ratio": {"value": 4.0e-4, "std": 1e-5}}}]'
     assert score("wrist_coupling", [{"name": "wrist_coupling", "where": ["A4", "A5"], "ratio": 4.1e-4}], diagnosis(told), 0.5).placed

@@ -1,0 +1,87 @@
+"""Names that are close, each judged under the noise that it leaves itself.
+
+An effect that is not in the model is in the noise: a joint with backlash looks like one that repeats badly. So noise estimated with one
+name in place favours that name, and noise estimated without any hides a weak one.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+
+from mbcacq.diagnosis import noise
+from mbcacq.diagnosis.compose import columns_of, with_members
+from mbcacq.diagnosis.explain import Search
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import NOTHING, Model
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.unnamed import likelihood
+from mbcacq.diagnosis.whitening import Noise
+
+NEARLY = 10.0  # chi2 that a candidate may lack under the noise of nothing
+TRIED = 3  # candidates given a second look
+CLOSE = 25.0  # worth by which a rival under the noise of another may be behind
+
+
+def second_look(search: Search, linear: Linear, sigma: Noise, first: Noise) -> Model:
+    """A single effect that was missed by little, under the noise half way between its own and that without it.
+
+    There the gain is the likelihood ratio to second order; under the noise without the effect (a score test) it is too small, under its
+    own (Wald) too large. The best of hundreds of orders or moments explains noise itself, and gets none.
+    """
+    screen = Screen(linear, sigma)
+    best = NOTHING
+    nearly = [s for s in search.expand(screen, NOTHING, NEARLY) if s.hyper is None or s.hyper in s.candidate.hyper.preferred]
+    for scored in nearly[:TRIED]:
+        member = ((scored.candidate, scored.hyper),)
+        model = search.solve(screen, member)
+        if model is None or model.score < -NEARLY:
+            continue
+        own = noise.estimate(linear, *columns_of(linear, model, None), sigma, first)
+        model = search.solve(Screen(linear, between(sigma, own)), member)
+        if model is not None and model.score > max(best.score, 0.0):
+            best = model
+    return best
+
+
+def between(a: Noise, b: Noise) -> Noise:
+    """Geometric mean."""
+    return Noise(np.sqrt(a.point * b.point), np.sqrt(a.joint * b.joint), float(np.sqrt(a.turn * b.turn)))
+
+
+def contested(search: Search, linear: Linear, model: Model, sigma: Noise, first: Noise) -> tuple[Model, Noise]:
+    """The most probable of a model and those that have another candidate in the place of one of its members, with its noise."""
+    screen = Screen(linear, sigma)
+    best = probability(screen, model, first), model, sigma
+    for other in chain.from_iterable(exchanges(search, screen, model, j) for j in range(len(model.members))):
+        there, solved = under_own_noise(search, linear, other, sigma, first)
+        if solved is not None:
+            best = max(best, (probability(there, solved, first), solved, there.noise), key=lambda each: each[0])
+    return best[1:]
+
+
+def under_own_noise(search: Search, linear: Linear, model: Model, start: Noise, first: Noise) -> tuple[Screen, Model | None]:
+    """The screen of the noise that a model leaves, and the model solved there; None where physics forbids that."""
+    there = Screen(linear, noise.estimate(linear, *columns_of(linear, model, None), start, first))
+    return there, search.solve(there, model.members)
+
+
+def exchanges(search: Search, screen: Screen, model: Model, j: int) -> list[Model]:
+    """The best models with another candidate in the place of member j."""
+    rest = search.solve(screen, model.members[:j] + model.members[j + 1:])
+    if rest is None or search.is_protected(model, j):
+        return []
+    out = []
+    for scored in search.expand(screen, rest):
+        if scored.candidate.key == model.members[j][0].key or len(out) == TRIED:
+            continue
+        other = search.solve(screen, (*rest.members, (scored.candidate, scored.hyper)))
+        if other is not None and other.score > rest.score and other.worth > model.worth - CLOSE:
+            out.append(other)
+    return out
+
+
+def probability(screen: Screen, model: Model, first: Noise) -> float:
+    """Twice the log of the posterior of a set of names and its noise, up to a constant."""
+    return likelihood(screen, with_members(screen, model), first) - (model.gain - model.worth)

@@ -1,0 +1,50 @@
+"""A candidate at its best hyper-parameter: an order, a moment, a time constant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.screen import Scored, Screen
+from mbcacq.physics.effect import Candidate, Hyper
+
+PREFERRED = 0.8  # share of a candidate's chances that its preferred values have
+
+
+def best_hyper(screen: Screen, candidate: Candidate) -> Scored:
+    """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good."""
+    hyper = candidate.hyper
+    if hyper is None:
+        return screen.test(candidate)
+    if not candidate.separable:
+        return max((screen.test(candidate, v) for v in hyper.values), key=lambda s: s.gain)
+    curve = screen.scan(candidate)
+    value, gain = hyper.values[np.argmax(curve)], curve.max()
+    if hyper.refine:
+        value, gain = refine(screen, candidate, value, gain)
+    if hyper.preferred:
+        expected = screen.scan(candidate, np.array(hyper.preferred))
+        if expected.max() > gain - 2 * np.log(values(hyper, False) / values(hyper, True)):
+            value = hyper.preferred[int(expected.argmax())]
+    return screen.test(candidate, float(value))
+
+
+def values(hyper: Hyper, preferred: bool) -> float:
+    """Number of independent values, over the share of the prior that the preferred, or the other, ones have."""
+    if not hyper.preferred:
+        return hyper.independent
+    return len(hyper.preferred) / PREFERRED if preferred else hyper.independent / (1 - PREFERRED)
+
+
+def refine(screen: Screen, candidate: Candidate, value: float, gain: float) -> tuple[float, float]:
+    """Two rounds of a finer grid between the neighbours of the best value."""
+    ordered = np.sort(candidate.hyper.values)
+    j = int(np.searchsorted(ordered, value))
+    low, high = ordered[max(j - 1, 0)], ordered[min(j + 1, len(ordered) - 1)]
+    for _ in range(2):
+        grid = np.linspace(low, high, 17)
+        curve = screen.scan(candidate, grid)
+        j = int(np.argmax(curve))
+        if curve[j] > gain:
+            value, gain = float(grid[j]), float(curve[j])
+        low, high = grid[max(j - 1, 0)], grid[min(j + 1, 16)]
+    return value, gain

@@ -1,0 +1,59 @@
+"""What a further effect costs: twice, because there are two questions.
+
+Whether there is something at all is a test: an effect must gain what chance gives to the best of its kind only rarely (``threshold``).
+Which of several it is, is a question of probability: what evidence takes off a gain, in which every coefficient pays for what it could
+have fitted (``price``). A test's threshold alone would favour names of few coefficients.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+from functools import lru_cache
+
+import numpy as np
+from scipy.stats import chi2
+
+from mbcacq.diagnosis.hypers import values
+from mbcacq.physics.effect import Candidate
+
+FALSE_ALARM = 0.03  # of the search alone: most of what it finds by chance predicts nothing on data left out, and is not told
+FAMILIES = 20
+FURTHER = 4.0  # a further effect is less likely than the first, by a factor of seven
+EXPECTED = 10.0  # times as likely as otherwise is an effect at another joint where one is
+COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # of which that holds
+
+
+class Prices:
+    """Of the candidates of one recording; ``names`` are the effects that are there already."""
+
+    def __init__(self, candidates: Collection[Candidate]):
+        self._places = Counter(c.name for c in candidates)
+
+    def tries(self, candidate: Candidate, hyper: float | None) -> float:
+        """Number of independent chances that a candidate of this kind has: places times values of the hyper-parameter."""
+        places = max(self._places[candidate.name], 1)
+        return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
+
+    def threshold(self, candidate: Candidate, hyper: float | None, names: Collection[str]) -> float:
+        """chi2 that chance alone would give to the best of all candidates of this kind, once in FAMILIES / FALSE_ALARM cells."""
+        expected = candidate.name in names and candidate.name in COMPANIONS
+        return _threshold(candidate.k, round(np.log(self.tries(candidate, hyper)), 1), expected) + further(candidate, names)
+
+    def price(self, candidate: Candidate, hyper: float | None, names: Collection[str], gain: float) -> float:
+        """Twice the log of one over the candidate's share of what may be, and, for coefficients of unknown size (random, N(0, s^2), s the
+        most probable), of what they could have fitted.
+        """
+        expected = candidate.name in names and candidate.name in COMPANIONS
+        share = 2 * np.log(self.tries(candidate, hyper) * (1.0 if expected else FAMILIES))
+        return share + candidate.k * (1.0 + np.log(max(gain / candidate.k, 1.0))) + further(candidate, names)
+
+
+def further(candidate: Candidate, names: Collection[str]) -> float:
+    return FURTHER if names and not (candidate.name in names and candidate.name in COMPANIONS) else 0.0
+
+
+@lru_cache(maxsize=10000)
+def _threshold(k: int, log_tries: float, expected: bool) -> float:
+    share = FALSE_ALARM / FAMILIES * (EXPECTED if expected else 1.0)
+    return float(chi2.isf(min(share / np.exp(log_tries), 0.2), k))

@@ -1,0 +1,135 @@
+"""Which name it is, how often chance is taken for one, and which names stand up to data left out."""
+
+from dataclasses import replace
+
+import made
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from mbcacq.diagnosis import choice, conclude, diagnose, finding, prove, readmit
+from mbcacq.diagnosis.compose import columns_of
+from mbcacq.diagnosis.explain import Search
+from mbcacq.diagnosis.model import NOTHING
+from mbcacq.diagnosis.noise import estimate
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.physics import steps
+
+
+@pytest.mark.parametrize("k", [1, 6])
+@pytest.mark.parametrize("level", [0.05, 0.005])
+def test_a_moment_is_sought_among_as_many_independent_ones_as_are_counted(plan, k, level):
+    """White noise cut in two at every moment: the best cut passes the threshold as seldom as is said, and not much more seldom."""
+    setup = finding.prepare(plan)
+    hyper = steps.moment(setup.situation)
+    n, rng = plan.n_poses, np.random.default_rng(5)
+    first = np.arange(n)[None] >= hyper.values[:, None]
+    column = first - first.mean(axis=1, keepdims=True)
+    column /= np.linalg.norm(column, axis=1, keepdims=True)
+    best = np.array([np.max(np.sum((column @ rng.normal(size=(n, k))) ** 2, axis=1)) for _ in range(4000)])
+
+    rate = np.mean(best > chi2.isf(level / hyper.independent, k))
+
+    assert 0.25 * level < rate < 1.3 * level
+
+
+def test_a_slipping_bracket_is_not_told_as_a_warming_scanner(plan):
+    """Both change slowly with time; of six components, one step explains more than three that fade."""
+    observed = made.observe(plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
+
+    assert finding.find(finding.prepare(observed)).model.names == ("mount_shift",)
+
+
+def test_what_a_ball_may_be_called_is_not_left_without_a_name(plan):
+    observed = made.observe(plan, 132, [("ball_shift", ("ball3",), [0.004, -0.002, 0.003], None)])
+
+    found = finding.find(finding.prepare(observed))
+
+    assert found.model.names == ("ball_shift",)
+    assert found.smooth is None
+
+
+def test_an_effect_that_hides_in_the_noise_gets_a_second_look(plan):
+    """Lost motion makes its joint look like one that repeats badly: under that noise it is not significant, under a noise half as wrong it is."""
+    observed = made.observe(plan, 139, [("backlash", ("A1",), [6e-6], None)])
+    setup = finding.prepare(observed)
+    sigma = estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
+    search = Search(setup.candidates)
+
+    looked = choice.second_look(search, setup.linear, sigma, setup.first)
+
+    candidate = next(c for c in setup.candidates if c.name == "backlash" and c.depends_on == "direction_1")
+    plain = Screen(setup.linear, sigma).test(candidate)
+    assert [c.key for c, _ in looked.members] == [candidate.key]
+    assert looked.gain > 1.02 * plain.gain
+
+
+def test_a_name_that_predicts_nothing_beside_a_true_one_is_taken_back(plan):
+    observed = made.observe(plan, 133, [("joint_compliance", ("A2",), [2.5e-6], None)])
+    setup = finding.prepare(observed)
+    full = finding.find(setup)
+    false = next(c for c in setup.candidates if c.name == "joint_scale" and c.where == ("A6",))
+    search = Search(setup.candidates)
+    claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, None)), permit=True))
+
+    proof = prove.prove(setup, claimed)
+    told = conclude.conclude(setup, claimed, proof)
+
+    assert proof.empty == ("joint_scale",)
+    assert [e.name for e in told.effects] == ["joint_compliance"]
+
+
+def test_a_creeping_tripod_is_judged_on_the_other_stations(plan):
+    """None of them knows of it: left out itself, its station remains as bad as it was."""
+    observed = made.observe(plan, 134, [("station_drift", ("station3",), [0.3, -0.25, 0.4], None)])
+
+    told = diagnose.diagnose(observed)
+
+    assert [(e.name, e.where) for e in told.effects] == [("station_drift", ["station3"])]
+    assert told.fit["held_out"]["split"] == "station"
+    assert told.fit["held_out"]["after_chi2_dof"] > 2.0
+    assert told.verdict == "explained"
+
+
+def test_a_moment_that_falls_among_poses_left_out_is_not_held_against_the_step(plan):
+    """Without the station in which an encoder jumped nobody knows at which of its poses."""
+    observed = made.observe(plan, 137, [("joint_step", ("A2",), [8e-4], 52.0)])
+
+    told = diagnose.diagnose(observed)
+
+    assert (plan.station == plan.station[52]).sum() > 4
+    assert told.effects[0].parameters["A2.at_pose"]["value"] == 52
+    assert told.fit["held_out"]["split"] == "station"
+    assert told.fit["held_out"]["after_chi2_dof"] < 1.2
+    assert told.verdict == "explained"
+
+
+def test_centres_set_aside_come_back_where_an_effect_explains_them(plan):
+    """A wrist encoder that jumps by a degree near the end: four centres far from its axis look like accidents."""
+    setup = finding.prepare(made.observe(plan, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
+
+    back = readmit.readmitted(setup)
+
+    assert np.sum(~setup.linear.keep) > 3
+    assert np.all(back.linear.keep)
+    assert [c.key for c, _ in finding.find(back).model.members] == ["joint_step:A6:pose:"]
+
+
+def test_a_ball_far_off_keeps_its_name(plan):
+    """However far: a name is not given up for its size while nothing else fits better."""
+    observed = made.observe(plan, 135, [("ball_shift", ("ball5",), [1.5, -1.0, 1.0], None)])
+
+    told = diagnose.diagnose(observed)
+
+    assert [(e.name, e.where) for e in told.effects] == [("ball_shift", ["ball5"])]
+    assert told.verdict == "explained"
+
+
+def test_two_scales_that_one_artefact_cannot_separate_are_both_said():
+    observed = made.observe(made.plan(bars=0), 136, [("scanner_scale", ("scanner",), [540.0], None)])
+
+    told = diagnose.diagnose(observed)
+
+    named = {told.effects[0].name, *(a["name"] for a in told.effects[0].alternatives)}
+    assert told.verdict == "cannot_tell"
+    assert {"scanner_scale", "artefact_expansion"} <= named
