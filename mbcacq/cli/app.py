@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
@@ -11,6 +12,7 @@ import click
 from mbcacq import __version__
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
 
+FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {
     "run": "execute a plan, record it, calibrate the cell",
     "plan": "show, check or design a plan, without opening a socket",
@@ -76,6 +78,10 @@ class LazyGroup(click.Group):
         except Exception as error:
             if os.environ.get("MBCACQ_DEBUG"):
                 raise
+            if isinstance(error, OSError) and error.errno in FULL:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)   # where even our words found no place
+                click.echo(f"mbcacq: no space is left where it writes to ({error.filename or 'the output'}); free some and try again", err=True)
+                sys.exit(ExitCode.RECORDING_FAILED)
             click.echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)",
                        err=True)
             sys.exit(ExitCode.BUG)

@@ -54,6 +54,14 @@ def test_a_reader_that_has_enough_is_no_error(command):
     process.stderr.close()
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the device that is always full is Linux's")
+def test_a_full_disk_behind_the_output_is_said_and_is_no_bug():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([MBCACQ, "drivers"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert done.returncode == 6
+    assert "no space is left" in one_sentence(done)
+
+
 @pytest.mark.timeout(900)
 def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
     done = mbcacq("run", "plans/kuka.yaml", "--dry-run", "--out", tmp_path / "run", "--json")
