@@ -80,7 +80,8 @@ class LazyGroup(click.Group):
                 raise
             if isinstance(error, OSError) and error.errno in FULL:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)   # where even our words found no place
-                click.echo(f"mbcacq: no space is left where it writes to ({error.filename or 'the output'}); free some and try again", err=True)
+                where = error.filename or "the output"
+                click.echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
                 sys.exit(ExitCode.RECORDING_FAILED)
             click.echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)",
                        err=True)
