@@ -96,13 +96,11 @@ class Search:
 
         screen: may have groups without a name projected out, which can make a name superfluous that was needed before them.
         """
-        if payload.NAME in model.names:  # elasticity beside a wrong tool is kept on purpose
-            return model
         model = self.solve(screen, model.members, permit=True)
         while model.members:
-            rest = [self.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in range(len(model.members))]
-            dead = [m for m, lost in zip(rest, self.lost(model, rest), strict=True) if lost > SIGNIFICANT]
-            free = [m for j, m in enumerate(rest) if not self.is_protected(model, j)]
+            rest = {j: self.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in self.removable(model)}
+            dead = [m for j, m in rest.items() if self.lost(model, m, j) > SIGNIFICANT]
+            free = [m for j, m in rest.items() if not self.is_protected(model, j)]
             best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)
             if best is None:
                 break
@@ -110,9 +108,15 @@ class Search:
         return model
 
     @staticmethod
-    def lost(model: Model, rest: list[Model]) -> list[float]:
-        """p-value (n,) of each member beside the others: chi2 that is lost without it."""
-        return [float(chi2.sf(max(model.gain - m.gain, 0.0), c.k)) for m, (c, _) in zip(rest, model.members, strict=True)]
+    def removable(model: Model) -> list[int]:
+        """Numbers of the members; a wrong tool and the elasticity beside it stay together on purpose."""
+        together = (payload.NAME, "joint_compliance") if payload.NAME in model.names else ()
+        return [j for j, (c, _) in enumerate(model.members) if c.name not in together]
+
+    @staticmethod
+    def lost(model: Model, rest: Model, j: int) -> float:
+        """p-value of member j beside the others: chi2 that is lost without it."""
+        return float(chi2.sf(max(model.gain - rest.gain, 0.0), model.members[j][0].k))
 
     def is_protected(self, model: Model, j: int) -> bool:
         """Members that stay as long as they are significant: elasticity, which every arm has, gives way to no periodic error."""

@@ -45,6 +45,20 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
     assert mass_told > 3 * np.sqrt(found.model.covariance[found.model.parts()[-1].start, found.model.parts()[-1].start])
 
 
+def test_a_tool_far_too_heavy_on_soft_joints_is_measured_too(seeing):
+    """Far from where both were begun: what is left of compliance times weight is no further effect."""
+    hidden = {"name": "payload", "mass_kg": 12.0, "com_mm": [20.0, 0.0, 130.0], "compliance_rad_per_Nm": 2.5e-5}
+
+    found = finding.find(finding.prepare(observed(seeing, 104, hidden)))
+
+    assert set(found.model.names) == {"payload", "joint_compliance"}
+    candidate, hyper = found.model.members[-1]
+    p = found.model.parts()[-1]
+    mass = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)["mass_kg"]
+    assert abs(mass["value"] - 12.0) < 3 * mass["std"]
+    assert mass["std"] < 1.5
+
+
 def test_elastic_joints_under_the_declared_tool_are_not_told_as_a_wrong_tool(seeing):
     hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
 
