@@ -98,6 +98,8 @@ def verdict_of(full: Finding, worth: Worth | None = None) -> str:
         rest = full.leftover.judged.best()
         return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"
     names, groups = list(range(worth.members)), list(range(worth.members, len(worth.parts)))
+    if not full.cells:  # a long recording: groups stand everywhere and could do what names do, which were there first
+        return "partly_explained" if full.model.gain > 0.5 * worth.total else "unexplained"
     return "partly_explained" if worth.of(names) > worth.of(groups) else "unexplained"
 
 

@@ -150,11 +150,8 @@ def find_in_many(setup: Setup, linear: Linear, keep: np.ndarray | None, again: b
             sigma = noise_beside(linear, model, rest, sigma, setup.first)
             before = Screen(linear, sigma)
             named = with_members(before, model)
-    fewer = told_of(search, before, model, rest)
-    if len(fewer.members) < len(model.members):
-        sigma = noise_beside(linear, fewer, rest, sigma, setup.first) if rest is not None else sigma
-        before = Screen(linear, sigma)
-    model = search.solve(before, fewer.members, permit=True)
+    # The groups could explain what names do, with many more coefficients: here names are not tested beside them, but on data left out.
+    model = search.solve(before, model.members, permit=True)
     named = with_members(before, model)
     if rest is not None:
         rest = smooth.fit(named, groups, sizes) or rest

@@ -51,6 +51,7 @@ class Proof:
     """before and after on left-out data, how they were left out. without: the same with one effect left out of the model, by its name;
     of what has no name by 'unknown:PLACE'. picks: names that each fold found. empty: names beside others that predict nothing better; they
     are not in ``after``. decides: before and after where the model may be judged, see above.
+    named: of a long recording, whose groups could do what names do: with the names alone, to which each name is held.
     """
 
     before: Quality
@@ -60,11 +61,19 @@ class Proof:
     picks: tuple[tuple[str, ...], ...]
     empty: tuple[str, ...] = ()
     decides: tuple[Quality, Quality] = (EMPTY, EMPTY)
+    named: Quality | None = None
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess over the noise floor that an effect removes."""
         excess = max(self.before.chi2 - self.before.dof, 1e-9)
-        return float(np.clip((self.without.get(key, self.after).chi2 - self.after.chi2) / excess, 0, 1))
+        whole = self.named or self.after
+        return float(np.clip((self.without.get(key, whole).chi2 - whole.chi2) / excess, 0, 1))
+
+    @property
+    def nameless(self) -> float:
+        """The same of all that has no name."""
+        excess = max(self.before.chi2 - self.before.dof, 1e-9)
+        return float(np.clip(((self.named or self.before).chi2 - self.after.chi2) / excess, 0, 1))
 
 
 def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
@@ -88,7 +97,9 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
     linear = full.before.linear
     fold, how = split(linear, folds)
     elsewhere = away_from(full)
-    nameless = dict.fromkeys(g.at for g in full.smooth.groups) if full.smooth else ()
+    everywhere = full.smooth is not None and not full.cells
+    nameless = dict.fromkeys(g.at for g in full.smooth.groups) if full.cells else ()
+    named = EMPTY
     keys = [*full.model.names, *(f"unknown:{at}" for at in nameless)]
     before, after, parts = EMPTY, EMPTY, []
     before_there, after_there = EMPTY, EMPTY
@@ -98,28 +109,33 @@ def prove(setup: Setup, full: Finding, folds: int = 4) -> Proof:
         test = linear.keep & (fold == k)[linear.obs.pose]
         plain = judge(linear, train, test, NOTHING, None, full.noise)
         before += plain
-        if not keys:  # nothing is claimed, there is nothing to prove
+        if not keys and not everywhere:  # nothing is claimed, there is nothing to prove
             after += plain
             continue
         part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
-        parts.append((train, test, part))
         whole = judge(linear, train, test, part.model, part.smooth, full.noise)
         after += whole
         there = test & elsewhere
         if there.any() and not elsewhere.all():
             before_there += judge(linear, train, there, NOTHING, None, full.noise)
             after_there += judge(linear, train, there, part.model, part.smooth, full.noise)
+        groups = part.smooth
+        if everywhere:
+            part, groups = replace(part, smooth=None), part.smooth
+            whole = judge(linear, train, test, part.model, None, full.noise)
+            named += whole
+        parts.append((train, test, part.model, groups))
         for key in keys:
             model, rest = less(part, key)
             same = model is part.model and rest is part.smooth
             without[key] += whole if same else judge(linear, train, test, model, rest, full.noise)
     empty = ()
     if len(full.model.names) > 1 and payload.NAME not in full.model.names:
-        empty = tuple(n for n in full.model.names if not stays(full, n) and without[n].chi2 <= after.chi2)
+        empty = tuple(n for n in full.model.names if not stays(full, n) and without[n].chi2 <= (named if everywhere else after).chi2)
     if empty:
-        after = sum((judge(linear, *sets, part.model.without(empty), part.smooth, full.noise) for *sets, part in parts), EMPTY)
+        after = sum((judge(linear, *sets, model.without(empty), rest, full.noise) for *sets, model, rest in parts), EMPTY)
     decides = (before_there, after_there) if before_there.count > MOST * before.count else (before, after)
-    return Proof(before, after, how, without, tuple(part.model.names for *_, part in parts), empty, decides)
+    return Proof(before, after, how, without, tuple(model.names for *_, model, _ in parts), empty, decides, named if everywhere else None)
 
 
 def stays(full: Finding, name: str) -> bool:

@@ -61,12 +61,11 @@ def unknown_effects(full: Finding, worth: Worth, proof: prove.Proof) -> list[Eff
     size = sizes(full)
     ranked = sorted(size, key=lambda key: -size[key][0])
     if not full.cells:
-        first = full.leftover.places[0] if full.leftover else None
+        modelled = {at for at, _ in size}
+        first = next((c for c in full.leftover.places if c.at in modelled), None) if full.leftover else None
         at, on = (first.at, first.depends_on) if first else ranked[0]
         p_value = float(np.exp(-first.log_ratio)) if first and first.log_ratio < 690 else 0.0
-        excess = max(proof.before.chi2 - proof.before.dof, 1e-9)
-        gain = float(np.clip((proof.before.chi2 - proof.after.chi2) / excess, 0, 1))
-        return [EffectFound("unknown", [at], on, in_words(size, ranked[:12]), min(p_value, 1.0), gain)]
+        return [EffectFound("unknown", [at], on, in_words(size, ranked[:12]), min(p_value, 1.0), proof.nameless)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
