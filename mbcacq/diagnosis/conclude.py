@@ -27,9 +27,9 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
         full = replace(full, model=Search(setup.candidates).solve(full.before, kept.members, permit=True))
     before, left_before = prove.on_train(full.before, NOTHING, None)
     after, left_after = prove.on_train(full.before, full.model, full.smooth)
-    worth = Worth(full)
+    worth = Worth(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
     effects = named_effects(full, worth, proof)
-    verdict, places = verdict_of(full, worth), mismatch_list(full, worth, before)
+    verdict, places = verdict_of(full), mismatch_list(full, worth, before)
     first, last = proof.decides
     useless = last.chi2 >= first.chi2
     if useless:  # what predicts nothing better on data that took no part is not told; that there is something without a name may be
@@ -86,14 +86,14 @@ def expected_rms(full: Finding, fallback: float) -> float:
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
-def verdict_of(full: Finding, worth: Worth | None = None) -> str:
+def verdict_of(full: Finding) -> str:
     """Names that survive beside what has no name explain in part, if they explain most of it."""
     structure = full.smooth is not None or (full.leftover is not None and full.leftover.structure and not full.cells)
     if not full.model.members:
         return "unexplained" if structure else "none"
     if not structure:
         return "explained"
-    worth = worth or Worth(full)
+    worth = Worth(full)
     if full.smooth is None:
         rest = full.leftover.judged.best()
         return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"

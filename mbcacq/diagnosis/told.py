@@ -118,10 +118,12 @@ def mismatch_list(full: Finding, worth: Worth, before: prove.Quality, anything: 
         if (at, on) not in found or found[at, on]["share"] < entry["share"]:
             found[at, on] = entry
 
+    together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one place
     for j, (candidate, _) in enumerate(full.model.members):
-        gain = worth.of([j])
-        for at in candidate.where[-1:]:
-            add(at, candidate.depends_on, gain, 10 ** max(log10_tail(gain, candidate.k), -300.0))
+        together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
+    for (at, on), members in together.items():
+        gain = worth.of(members)
+        add(at, on, gain, 10 ** max(log10_tail(gain, sum(full.model.members[j][0].k for j in members)), -300.0))
     for cell in full.cells:
         gain = worth.of(worth.groups_at(full, cell.at, cell.depends_on))
         add(cell.at, cell.depends_on, gain, float(np.exp(-np.clip(cell.log_ratio, 0, 690))))
