@@ -39,18 +39,19 @@ def settled(search: Search, screen: Screen, model: Model) -> Model:
     others = tuple((c, h) for c, h in model.members if c.name not in (payload.NAME, joint_compliance.NAME))
     declared = tuple((c, None) for c in soft)
     elastic = compliances(search.solve(screen, (*others, *declared), permit=True))
-    unit, more, doubt = payload.unit_torques(situation), np.zeros(4), 0.0
+    unit, more, spread = payload.unit_torques(situation), np.zeros(4), None
     for turn in range(ROUNDS):
         torque = situation.gravity_torque + unit @ more
         heavy = tuple((under(c, torque, turn), None) for c in soft)
         tool = payload.beside(situation, elastic, complete=True)[0]
         new = search.solve(screen, (*others, *heavy, (tool, None)), permit=True)
-        step, std = new.coefficients[new.parts()[-1]], np.sqrt(np.diag(new.covariance)[new.parts()[-1]])
+        last = new.parts()[-1]
+        step, spread = new.coefficients[last], new.covariance[last, last]
         more = more + step
-        elastic, doubt = compliances(new), least_doubt(new)
-        if np.all(np.abs(step) < STILL * std):
+        elastic = compliances(new)
+        if np.all(np.abs(step) < STILL * np.sqrt(np.diag(spread))):
             break
-    tool = payload.beside(situation, elastic, doubt, complete=True)[0]
+    tool = payload.beside(situation, elastic, spread, complete=True)[0]
     return search.solve(screen, (*others, *declared, (tool, None)), permit=True)
 
 
@@ -65,12 +66,6 @@ def compliances(model: Model) -> dict[int, float]:
     found = {int(c.where[0][1:]) - 1: float(model.coefficients[p.start]) for c, p in _soft(model)}
     least = max(LEAST_SOFT * max(found.values()), 1e-9)
     return {i: float(f"{max(value, least):.4g}") for i, value in found.items()}
-
-
-def least_doubt(model: Model) -> float:
-    """Relative standard deviation of the compliance that is known best."""
-    sigma = [np.sqrt(model.covariance[p.start, p.start]) / max(model.coefficients[p.start], 1e-12) for _, p in _soft(model)]
-    return float(min(sigma))
 
 
 def _soft(model: Model) -> list[tuple[Candidate, slice]]:

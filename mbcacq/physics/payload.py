@@ -42,8 +42,9 @@ def loaded(s: Situation) -> list[int]:
     return [i for i in range(s.n) if load[i] > NEXT_IN_LINE * load.max()]
 
 
-def beside(s: Situation, compliance: Mapping[int, float], doubt: float = 0.0, complete: bool = False) -> list[Candidate]:
-    """The candidate that goes with joints of known compliance: index -> rad/Nm. doubt: relative standard deviation of the compliances.
+def beside(s: Situation, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False) -> list[Candidate]:
+    """The candidate that goes with joints of known compliance: index -> rad/Nm. spread: covariance (4, 4) of mass and first moments
+    where it is known with the compliances' own uncertainty in it.
 
     The loaded joint next in line is as soft as any, though perhaps too little loaded to be found by itself: where it has no
     compliance it gets one, free, or the mass would take its part. complete: there is no such joint.
@@ -66,7 +67,7 @@ def beside(s: Situation, compliance: Mapping[int, float], doubt: float = 0.0, co
         new_mass = max(mass + c[0], 0.05)
         new_com = (mass * com + c[1:4]) / new_mass
         slope = np.concatenate([-new_com[:, None], np.eye(3)], axis=1) / new_mass
-        v_payload = v[:4, :4] + doubt**2 * np.outer(c[:4], c[:4])
+        v_payload = v[:4, :4] if spread is None else spread
         out = {"mass_kg": number(new_mass, np.sqrt(v_payload[0, 0])), "com_mm": vector(new_com, slope @ v_payload @ slope.T)}
         for k, i in enumerate(beyond, start=4):
             out[f"A{i + 1}.compliance_rad_per_Nm"] = number(c[k], np.sqrt(v[k, k]))
