@@ -102,7 +102,7 @@ def test_too_few_measurements_are_refused(cell):
         calibrate(tracker_cell(np.random.default_rng(6), poses=6).observations)
     with pytest.raises(CalibrationError):
         calibrate(obs.select(np.isin(np.arange(obs.n_poses), [0, 1])), Options())
-    with pytest.raises(CalibrationError, match="no pose"):
+    with pytest.raises(ConfigError, match="no pose of phase translation"):
         calibrate(obs, Options(phases=("translation",)))
 
 
