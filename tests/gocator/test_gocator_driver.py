@@ -12,6 +12,7 @@ from mbcacq_fakes.gocator import FakeGocator
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq import devices
+from mbcacq.conformance.bounded import eventually
 
 
 def big_frame() -> Frame:
@@ -208,5 +209,6 @@ def test_several_clients_share_one_sensor(fake, driver):
     one, two = driver(), driver()
     one.connect()
     two.connect()
+    eventually(lambda: fake.data.count == 2, 10.0, "both are accepted")    # what is sent before a connection is accepted is lost to it
     times = [s.capture().time_s for s in (one, two, one, two)]
     assert times == sorted(times)    # sets that another client asked for earlier are passed over
