@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
 
 def main() -> None:
+    # Many small matrices: threads of the linear algebra wait for each other more than they help, most of all beside other work.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from mbcacq.cli.app import app
 
     app()
