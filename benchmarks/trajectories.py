@@ -1,6 +1,6 @@
 """Trajectories with concealed faults, made by a fake arm in motion: what is found, what is measured, what is claimed wrongly.
 
-    python benchmarks/trajectories.py --challenges 100 --jobs 2 --json /tmp/trajectories.json
+    python benchmarks/trajectories.py --challenges 100 --jobs 2 --json trajectories.json
 
 Each challenge is one arm (KR 10 R1100-2) with nothing, one, two or three faults, recorded in two motions. The figures stand in
 benchmarks/trajectories.md.
