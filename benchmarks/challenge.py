@@ -13,12 +13,13 @@ import argparse
 import json
 import subprocess
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from mbcacq.challenge.envelopes import draw, kinds
-from mbcacq.challenge.power import needed
+from mbcacq.challenge.power import Cell, interval, ninety
 from mbcacq.challenge.run import _begin, _take
 from mbcacq.challenge.score import Score
 from mbcacq.challenge.table import markdown, row, summary
@@ -39,10 +40,12 @@ POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error
 MULTIPLES = (0.8, 1.0, 1.15, 1.3, 1.5, 1.8)
 CELLS = 20
 POWER_TEXT = """
-Share of cells in which the diagnosis, proof included, names the effect at its place (or as one of two that it cannot tell apart), at
-multiples of the strength at which the likelihood-ratio test (level 1 %) that knows effect, place, order and moment finds it nine times
-in ten; the multiple at which that is 90 %; and the multiple that the best test needs which does not know, with 2 % false alarms shared
-alike by the catalogue's effects, places, orders and moments (median over the cells).""".splitlines()
+Share of cells in which the diagnosis, proof included, names the effect at its place (or as one of two that it cannot tell apart), and in
+brackets the share in which the likelihood-ratio test (level 1 %) finds it that knows effect, place, order and moment and estimates the
+noise, on the same recordings. Strengths are multiples of that at which such a test that knew the noise too would find nine in ten. Then
+where each finds nine in ten (the most likely cumulative normal; 95 % interval by drawing cells again), their ratio, and the ratio that the
+best test needs which does not know, with 2 % false alarms shared alike by the catalogue's effects, places, orders and moments (median over
+the cells).""".splitlines()
 INTRODUCTION = """# Challenges
 
 Made by `python benchmarks/challenge.py` on the poses of `plans/seeing.yaml` (128 poses, 605 centres, the fast path of
@@ -69,15 +72,15 @@ def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None
     cells = [27000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
     todo = [(name, cell) for cell in cells for name in POWER if (name, cell) not in done]
     with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
-        for (name, cell), (hits, least) in zip(todo, pool.map(_power, todo), strict=True):
-            add(kept, file, {"part": "power", "effect": name, "cell": cell, "found": hits, "searched": least})
+        for (name, cell), one in zip(todo, pool.map(_power, todo), strict=True):
+            add(kept, file, {"part": "power", "effect": name, "cell": cell, **asdict(one)})
 
 
-def _power(job: tuple[str, int]) -> tuple[list[bool], float]:
+def _power(job: tuple[str, int]) -> Cell:
     from mbcacq.challenge import run
-    from mbcacq.challenge.power import found
+    from mbcacq.challenge.power import tried
 
-    return found(run._challenger, *job, MULTIPLES)
+    return tried(run._challenger, *job, MULTIPLES)
 
 
 def code() -> str:
@@ -108,12 +111,12 @@ def report(kept: list[dict]) -> str:
         took = f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.1f} s at most, beside other work"
         commits = ", ".join(dict.fromkeys(r.get("code", "unknown") for r in mine))
         lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, {effects}, code {commits}; {took}.", "", markdown(rows), ""]
-        lines += interval(part, scores)
+        lines += bounds(part, scores)
         lines += failures(mine, scores)
     return "\n".join(lines + power_lines(kept))
 
 
-def interval(part: str, scores: list[Score]) -> list[str]:
+def bounds(part: str, scores: list[Score]) -> list[str]:
     """95 % bounds (Wilson) of the rate that matters in this part."""
     count = [s for s in scores if s.counts]
     clean = [s.detected for s in scores if not s.truth]
@@ -141,17 +144,18 @@ def power_lines(kept: list[dict]) -> list[str]:
     mine = [r for r in kept if r["part"] == "power"]
     if not mine:
         return []
-    lines = ["## Power", *POWER_TEXT, "", "| effect | cells | " + " | ".join(f"{m:g}" for m in MULTIPLES) + " | 90 % at | best search |",
-             "|---|--:|" + "--:|" * (len(MULTIPLES) + 2)]
+    lines = ["## Power", *POWER_TEXT, "", "| effect | cells | " + " | ".join(f"{m:g}" for m in MULTIPLES) + " | 90 % at | "
+             "the test that knows | ratio | best search |", "|---|--:|" + "--:|" * (len(MULTIPLES) + 4)]
     for name in POWER:
-        hits = np.array([r["found"] for r in mine if r["effect"] == name], dtype=float)
-        if not len(hits):
+        cells = [r for r in mine if r["effect"] == name]
+        if not cells:
             continue
-        rates = hits.mean(axis=0)
-        at = needed(MULTIPLES, rates)
-        shown = " | ".join(f"{100 * r:.0f} %" for r in rates)
-        least = np.median([r["searched"] for r in mine if r["effect"] == name])
-        lines.append(f"| {name} | {len(hits)} | {shown} | {'beyond' if at is None else f'{at:.2f}'} | {least:.2f} |")
+        found, informed = (np.array([r[which] for r in cells], dtype=bool) for which in ("found", "informed"))
+        shown = " | ".join(f"{100 * a:.0f} % ({100 * b:.0f})" for a, b in zip(found.mean(axis=0), informed.mean(axis=0), strict=True))
+        at, (low, high), known = ninety(MULTIPLES, found), interval(MULTIPLES, found), ninety(MULTIPLES, informed)
+        least = np.median([r["searched"] for r in cells])
+        lines.append(f"| {name} | {len(cells)} | {shown} | {at:.2f} ({low:.2f} to {high:.2f}) | {known:.2f} | {at / known:.2f} | "
+                     f"{least:.2f} |")
     return [*lines, ""]
 
 

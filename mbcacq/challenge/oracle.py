@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis import noise, prove
+from mbcacq.diagnosis import folds, noise, quality
 from mbcacq.diagnosis.compose import columns_of, outliers
 from mbcacq.diagnosis.hypers import best_hyper
 from mbcacq.diagnosis.linear import Linear
@@ -120,9 +120,9 @@ def without_effect(with_it: Observations, without_it: Observations) -> Achievabl
 
 def held_out(linear: Linear, model: Model, sigma: Noise, by_pose: bool = False) -> float:
     """chi2 per degree of freedom on stations left out in turn. by_pose: on poses, for what happens to one station alone."""
-    fold = np.arange(linear.obs.n_poses) % FOLDS if by_pose else prove.split(linear, FOLDS)[0]
-    total = prove.EMPTY
+    fold = np.arange(linear.obs.n_poses) % FOLDS if by_pose else folds.split(linear, FOLDS)[0]
+    total = quality.EMPTY
     for k in range(int(fold.max()) + 1):
         train, test = linear.keep & (fold != k)[linear.obs.pose], linear.keep & (fold == k)[linear.obs.pose]
-        total += prove.judge(linear, train, test, model, None, sigma)
+        total += quality.judge(linear, train, test, model, None, sigma)
     return total.chi2_dof

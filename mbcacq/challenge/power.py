@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import factorial
 from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2
+from scipy.stats import chi2, ncx2, norm
 
 from mbcacq.challenge import made
 from mbcacq.challenge.envelopes import CATALOGUED, Envelope
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger, plain
 from mbcacq.challenge.score import at_place
+from mbcacq.diagnosis import noise
+from mbcacq.diagnosis.compose import columns_of, with_members
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.price import Prices
-from mbcacq.diagnosis.setup import prepare
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.setup import Setup, prepare
+from mbcacq.diagnosis.unnamed import likelihood
 
 LEVEL = 0.01        # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
 ALLOWED = 0.02      # rate of false alarms over the whole catalogue
@@ -40,9 +46,18 @@ def searched(k: int, tries: float) -> float:
     return float(np.sqrt(least_gain(k, ALLOWED / FAMILIES / tries) / least_gain(k)))
 
 
-def found(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> tuple[list[bool], float]:
-    """Whether the whole diagnosis, proof included, tells the effect at its place, at these multiples of the strength that the test needs
-    which knows; and the multiple that the best test needs which must search.
+@dataclass(frozen=True)
+class Cell:
+    """One cell with one drawn effect: found by the diagnosis, and by the test that knows, at each strength; searched: see there."""
+
+    found: list[bool]
+    informed: list[bool]
+    searched: float
+
+
+def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> Cell:
+    """The whole diagnosis, proof included, and the test that knows which effect it is and where, on the same recordings, at these multiples
+    of the strength that the test would need if it knew the noise too.
 
     One cell, one drawn place and shape of the effect, noise as in any challenge.
     """
@@ -50,13 +65,26 @@ def found(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
     gauge, one = challenger.gauge, {"name": name, "strength": 1.0, "seed": seed + 1}
     gain = gauge.gain(envelope, [one])
     k, tries = sought(challenger, envelope, one)
-    out = []
+    found, informed = [], []
     for multiple in multiples:
         plainly = replace(envelope, seed=seed + int(1000 * multiple))
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
         observations, told = made.observe(challenger.loaded, challenger.poses, plainly, [{**one, "strength": strength}])
-        out.append(tells(diagnose(observations).as_json(), plain(told["effects"][0])))
-    return out, searched(k, tries)
+        truth = plain(told["effects"][0])
+        found.append(tells(diagnose(observations).as_json(), truth))
+        setup = prepare(observations)
+        informed.append(likelihood_ratio(setup, Model(tuple(true_members(setup, truth)))) > chi2.isf(LEVEL, k))
+    return Cell(found, informed, searched(k, tries))
+
+
+def likelihood_ratio(setup: Setup, model: Model) -> float:
+    """Twice the log of the likelihood with the true effects over that without, each under the noise that it leaves: chi2 of k where there
+    is no such effect.
+    """
+    linear = setup.linear
+    plainly = Screen(linear, noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first))
+    there = Screen(linear, noise.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
+    return likelihood(there, with_members(there, model), setup.first) - likelihood(plainly, plainly, setup.first)
 
 
 def tells(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
@@ -68,22 +96,29 @@ def tells(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
 
 
 def sought(challenger: Challenger, envelope: Envelope, one: dict) -> tuple[int, float]:
-    """Coefficients of the true model, and the number of independent chances of its kind."""
+    """Coefficients of the true model, and the number of independent chances of its kind: of several joints or orders, their choices."""
     observations, told = made.observe(challenger.loaded, challenger.poses, envelope, [one])
     setup = prepare(observations)
     members = true_members(setup, plain(told["effects"][0]))
-    prices = Prices(setup.candidates)
-    return max(sum(c.k for c, _ in members), 1), min((prices.tries(c, h) for c, h in members), default=1.0)
+    prices, present, tries = Prices(setup.candidates), [], 1.0
+    for candidate, hyper in members:
+        tries *= prices.tries(candidate, hyper, present)
+        present.append(candidate)
+    return max(sum(c.k for c in present), 1), max(tries / factorial(len(members)), 1.0)
 
 
-def needed(multiples: Sequence[float], rates: Sequence[float]) -> float | None:
-    """The multiple at which the rate, made monotonous, passes 90 %; None beyond the last."""
-    rising = np.maximum.accumulate(np.asarray(rates, dtype=float))
-    above = np.flatnonzero(rising >= WANTED)
-    if not len(above):
-        return None
-    j = int(above[0])
-    if j == 0:
-        return float(multiples[0])
-    share = (WANTED - rising[j - 1]) / max(rising[j] - rising[j - 1], 1e-12)
-    return float(multiples[j - 1] + share * (multiples[j] - multiples[j - 1]))
+def ninety(multiples: Sequence[float], found: np.ndarray) -> float:
+    """The multiple at which nine in ten are found: the most likely cumulative normal through found (cells, multiples), bool."""
+    rate, count = np.mean(found, axis=0, dtype=float), len(found)
+    middle, width = np.meshgrid(np.linspace(0.3, 2.5, 221), np.geomspace(0.05, 0.6, 40), indexing="ij")
+    p = np.clip(norm.cdf((np.asarray(multiples) - middle[..., None]) / width[..., None]), 1e-6, 1 - 1e-6)
+    score = np.sum(count * (rate * np.log(p) + (1 - rate) * np.log(1 - p)), axis=-1)
+    best = np.unravel_index(np.argmax(score), score.shape)
+    return float(middle[best] + norm.isf(1 - WANTED) * width[best])
+
+
+def interval(multiples: Sequence[float], found: np.ndarray, draws: int = 200) -> tuple[float, float]:
+    """95 % interval of ``ninety``, from cells drawn again and again."""
+    rng = np.random.default_rng(0)
+    drawn = [ninety(multiples, found[rng.integers(0, len(found), len(found))]) for _ in range(draws)]
+    return float(np.quantile(drawn, 0.025)), float(np.quantile(drawn, 0.975))

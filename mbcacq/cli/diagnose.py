@@ -14,7 +14,8 @@ import click
               help="Write the diagnosis as JSON to a file; without a file name, print it on stdout instead of the text.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
-def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None, rrd: Path | None) -> None:
+@click.option("--workers", type=click.IntRange(1), help="Processes that share the proof (default: one for each processor core).")
+def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None, rrd: Path | None, workers: int | None) -> None:
     """Diagnose DATA: a run folder, an .rrd, an observation set; or one or several trajectory sets of one robot, together.
 
     In the folder of a run the diagnosis is kept (diagnosis.json, diagnosis.rrd): mbcacq report and mbcacq view show it from then on.
@@ -32,7 +33,7 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
     elif len(data) > 1:
         raise ConfigError("several DATA can be diagnosed together only if all are trajectory sets; diagnose the others one by one")
     else:
-        content, text = diagnose_poses(data[0], report, rrd)
+        content, text = diagnose_poses(data[0], report, rrd, workers)
         content, text = beside_motion(data[0], content, text)
     print_diagnosis(content, text, json_file)
 
@@ -46,13 +47,14 @@ def diagnose_in_time(folders: tuple[Path, ...]) -> tuple[dict, str]:
     return content, trajectory_words(content)
 
 
-def diagnose_poses(data: Path, report: Path | None, rrd: Path | None) -> tuple[dict, str]:
+def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: int | None) -> tuple[dict, str]:
+    from mbcacq.diagnosis.crew import cores
     from mbcacq.diagnosis.diagnose import diagnose
     from mbcacq.diagnosis.text import words
     from mbcacq.recording import load
 
     observations = load(data)
-    result = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True))
+    result = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True), workers=workers or cores())
     if report is not None:
         from mbcacq.diagnosis.figures import write_html
 

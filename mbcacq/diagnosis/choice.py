@@ -6,6 +6,7 @@ name in place favours that name, and noise estimated without any hides a weak on
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -25,22 +26,22 @@ CLOSE = 25.0  # worth by which a rival under the noise of another may be behind
 
 
 def second_look(search: Search, linear: Linear, sigma: Noise, first: Noise) -> Model:
-    """A single effect that was missed by little, under the noise half way between its own and that without it.
+    """What was missed by little, under the noise half way between its own and that without it: single effects, and the best set.
 
     There the gain is the likelihood ratio to second order; under the noise without the effect (a score test) it is too small, under its
-    own (Wald) too large. The best of hundreds of orders or moments explains noise itself, and gets none.
+    own (Wald) too large.
     """
     screen = Screen(linear, sigma)
     best = NOTHING
-    nearly = [s for s in search.expand(screen, NOTHING, NEARLY) if s.hyper is None or s.hyper in s.candidate.hyper.preferred]
-    for scored in nearly[:TRIED]:
-        member = ((scored.candidate, scored.hyper),)
-        model = search.solve(screen, member)
+    nearly = [((s.candidate, s.hyper),) for s in search.expand(screen, NOTHING, NEARLY)[:TRIED]]
+    together = replace(search, allowance=NEARLY).grow(screen).members
+    for members in [*nearly, *([together] if len(together) > 1 else [])]:
+        model = search.solve(screen, members)
         if model is None or model.score < -NEARLY:
             continue
         own = noise.estimate(linear, *columns_of(linear, model, None), sigma, first)
-        model = search.solve(Screen(linear, between(sigma, own)), member)
-        if model is not None and model.score > max(best.score, 0.0):
+        model = search.solve(Screen(linear, between(sigma, own)), members)
+        if model is not None and model.score > (best.score if best.members else -search.allowance):
             best = model
     return best
 

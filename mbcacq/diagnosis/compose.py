@@ -6,9 +6,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.calibration.terms import accumulate, term
+from mbcacq.diagnosis.blocks import LARGEST, prior_weight
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.model import Model
-from mbcacq.diagnosis.screen import LARGEST, Screen, prior_weight
+from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 

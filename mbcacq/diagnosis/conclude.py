@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis import advice, prove
+from mbcacq.diagnosis import advice
 from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.finding import Finding
 from mbcacq.diagnosis.model import NOTHING
+from mbcacq.diagnosis.prove import Proof
+from mbcacq.diagnosis.quality import Quality, on_train
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.rivals import rivals, unseen
 from mbcacq.diagnosis.seen import evidence_of
@@ -18,23 +20,25 @@ from mbcacq.diagnosis.shares import Worth
 from mbcacq.diagnosis.told import mismatch_list, named_effects, unknown_effects, where_it_is
 
 LEAST = 0.05  # share of the held-out excess that a name must remove to be told beside a larger mismatch without one
+WEAK = 20.0  # score up to which a name may be chance, and is proven with more of the data: it might not be found in three quarters of them
 NOISE_LIKE = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
 
 
-def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
+def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
     if proof.empty:
         kept = full.model.without(proof.empty)
         full = replace(full, model=Search(setup.candidates).solve(full.before, kept.members, permit=True))
-    before, left_before = prove.on_train(full.before, NOTHING, None)
-    after, left_after = prove.on_train(full.before, full.model, full.smooth)
+    before, left_before = on_train(full.before, NOTHING, None)
+    after, left_after = on_train(full.before, full.model, full.smooth)
     worth = Worth(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full), mismatch_list(full, worth, before)
     first, last = proof.decides
     useless = last.chi2 >= first.chi2
-    if useless:  # what predicts nothing better on data that took no part is not told; that there is something without a name may be
+    if useless:  # what predicts nothing better on data that took no part is not told; that there is something may be, where it was plain
         effects, after, proof = [], before, replace(proof, after=proof.before)
-        verdict, places = ("none", []) if verdict == "explained" else ({"partly_explained": "unexplained"}.get(verdict, verdict), places)
+        weak = verdict == "explained" and full.model.score < WEAK
+        verdict, places = ("none", []) if weak else ("none" if verdict == "none" else "unexplained", places)
     if (first if useless else last).chi2_dof > NOISE_LIKE:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not places:
@@ -70,7 +74,7 @@ def conclude(setup: Setup, full: Finding, proof: prove.Proof) -> Diagnosis:
     return Diagnosis(verdict, places, effects, fit, inseparable, hints, setup.dropped, notes(setup, full), shown)
 
 
-def in_words(before: prove.Quality, after: prove.Quality) -> dict[str, float]:
+def in_words(before: Quality, after: Quality) -> dict[str, float]:
     return {
         "before_rms_mm": before.rms,
         "after_rms_mm": after.rms,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis import prove, readmit
-from mbcacq.diagnosis.conclude import conclude
+from mbcacq.diagnosis.conclude import WEAK, conclude
 from mbcacq.diagnosis.finding import Finding, find
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.setup import prepare, thin
@@ -16,20 +16,22 @@ from mbcacq.observations import Observations
 MOST_POSES = 4000
 FEWEST_POSES = 12
 FEW_STATIONS = 6  # up to which each is left out alone
-WEAK = 20.0  # score up to which a name is proven with more of the data: it might not be found in three quarters of them
 
 
-def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: None) -> Diagnosis:
-    """Locate, explain, prove. Raises CalibrationError where the data do not even determine the geometry."""
+def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: None, workers: int = 1) -> Diagnosis:
+    """Locate, explain, prove. workers: processes side by side for the proof, of a recording that is not long.
+
+    Raises CalibrationError where the data do not even determine the geometry.
+    """
     if obs.n_poses < FEWEST_POSES:
         raise CalibrationError(f"{obs.n_poses} poses are too few for a diagnosis: measure at least {FEWEST_POSES}")
     try:
-        return _diagnose(obs, folds, progress)
+        return _diagnose(obs, folds, progress, workers)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 
 
-def _diagnose(obs: Observations, folds: int | None, progress) -> Diagnosis:
+def _diagnose(obs: Observations, folds: int | None, progress, workers: int) -> Diagnosis:
     progress("fitting the geometry")
     setup = readmit.readmitted(prepare(obs))
     extra = []
@@ -39,7 +41,9 @@ def _diagnose(obs: Observations, folds: int | None, progress) -> Diagnosis:
     progress("searching for effects")
     full = find(setup)
     progress("proving on data left out")
-    proof = prove.prove(setup, full, folds or usual_folds(obs, full))
+    if obs.n_poses >= MANY_POSES:
+        workers = 1  # each would need as much memory as all of them in turn
+    proof = prove.prove(setup, full, folds or usual_folds(obs, full), workers)
     result = conclude(setup, full, proof)
     result.notes += extra
     return result

@@ -13,17 +13,20 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis import wrong_tool
+from mbcacq.diagnosis.blocks import prior_weight
 from mbcacq.diagnosis.hypers import best_hyper
-from mbcacq.diagnosis.model import NOTHING, Members, Model
-from mbcacq.diagnosis.price import Prices
-from mbcacq.diagnosis.screen import Scored, Screen, prior_weight
+from mbcacq.diagnosis.model import Members, Model
+from mbcacq.diagnosis.price import COMPANIONS, Prices
+from mbcacq.diagnosis.screen import Scored, Screen
 from mbcacq.physics import payload
 from mbcacq.physics.effect import Candidate
 from mbcacq.physics.situation import Situation
 
 SIGNIFICANT = 0.001  # own p-value beyond which a member is not told, whatever it was found with
+LIKELY = 0.05  # the same where there is known to be an effect
 LONGEST = 20
 FEW = 4  # members up to which exchanging them is tried several times even in a long recording
+NEARLY = 0.7  # share of what it costs that a candidate must gain to be looked at
 APART = 0.02  # share of a member's information that must be left beside the other members
 
 
@@ -39,33 +42,54 @@ class Search:
     least_share: float = 0.0
     protected: frozenset[str] = frozenset()
     situation: Situation | None = None
+    allowance: float = 0.0
+
+    @property
+    def nothing(self) -> Model:
+        """No effect; where there is known to be one, a first that falls short of the test by the allowance is better than none."""
+        return Model((), score=-self.allowance)
 
     @cached_property
     def prices(self) -> Prices:
         return Prices(self.candidates)
 
-    def run(self, screen: Screen, start: Model = NOTHING) -> Model:
+    def run(self, screen: Screen, start: Model | None = None) -> Model:
         """The best set of effects under the screen's noise."""
-        beam, best = [start], start
+        return self.settled(screen, self.grow(screen, start))
+
+    def settled(self, screen: Screen, model: Model) -> Model:
+        return wrong_tool.settled(self, screen, self.polish(screen, model))
+
+    def grow(self, screen: Screen, start: Model | None = None) -> Model:
+        """Sets of effects with one more in each round, the best few kept; the best of all."""
+        best = start if start is not None and start.members else self.nothing
+        beam = [best]
         for _ in range(self.most):
             grown: dict[tuple, Model] = {}
             for model in beam:
                 branches = self.expand(screen, model)
                 for more in [(b,) for b in branches[: self.branches]] + ([] if self.thorough else [at_different_places(branches)]):
                     new = self.solve(screen, (*model.members, *((s.candidate, s.hyper) for s in more)))
-                    if new is not None and new.score > model.score:
+                    if new is not None and new.score > model.score - self.slack(model, more):
                         key = tuple(sorted((c.key, round(h or 0.0, 2)) for c, h in new.members))
                         grown.setdefault(key, new)
             if not grown:
                 break
             beam = sorted(grown.values(), key=lambda m: -m.worth)[: self.beam]
-            if beam[0].worth > best.worth or not best.members:
-                best = beam[0]
-            elif beam[0].worth < best.worth - 20:
+            passing = next((m for m in beam if m.score > self.nothing.score), None)
+            if passing is not None and (passing.worth > best.worth or not best.members):
+                best = passing
+            elif best.members and beam[0].worth < best.worth - 20:
                 break
             if len(best.members) >= LONGEST:
                 break  # the smooth model is the better place for what is left
-        return wrong_tool.settled(self, screen, self.polish(screen, best))
+        return best
+
+    def slack(self, model: Model, more: tuple[Scored, ...]) -> float:
+        """chi2 by which a first member may fail the test, if others of its kind are likely beside it: together they may pass."""
+        if model.members or len(more) != 1 or more[0].candidate.name not in COMPANIONS:
+            return 0.0
+        return (1 - NEARLY) * self.prices.threshold(more[0].candidate, more[0].hyper, ())
 
     def polish(self, screen: Screen, model: Model) -> Model:
         """Drop members that do not pay, exchange members for better ones, until nothing improves."""
@@ -99,7 +123,7 @@ class Search:
         model = self.solve(screen, model.members, permit=True)
         while model.members:
             rest = {j: self.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in self.removable(model)}
-            dead = [m for j, m in rest.items() if self.lost(model, m, j) > SIGNIFICANT]
+            dead = [m for j, m in rest.items() if self.lost(model, m, j) > (LIKELY if self.allowance else SIGNIFICANT)]
             free = [m for j, m in rest.items() if not self.is_protected(model, j)]
             best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)
             if best is None:
@@ -128,14 +152,23 @@ class Search:
         are left out.
         """
         here = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in model.members])
-        out = []
+        out, present = [], [c for c, _ in model.members]
+        short = short if present else max(short, self.allowance)
+
+        def least(candidate: Candidate, hyper: float | None) -> float:
+            return max(NEARLY * self.prices.threshold(candidate, hyper, present), self.least_share * screen.chi2) - short
+
+        fixed = here.best_fixed(self.candidates)
         for candidate in [*self.candidates, *self.beside(model)]:
             if not self.allowed(candidate, model):
                 continue
-            scored = best_hyper(here, candidate)
-            if scored.gain + short > max(0.7 * self.prices.threshold(candidate, scored.hyper, model.names), self.least_share * screen.chi2):
+            if candidate.key in fixed:
+                hyper, gain = fixed[candidate.key]
+                if gain > least(candidate, hyper):
+                    out.append(here.test(candidate, hyper))
+            elif (scored := best_hyper(here, candidate, lambda h, c=candidate: least(c, h))) is not None:
                 out.append(scored)
-        return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, model.names, s.gain) - s.gain)
+        return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, present, s.gain) - s.gain)
 
     def beside(self, model: Model) -> list[Candidate]:
         """Candidates that exist only next to what the model has: a wrong payload next to elastic joints."""
@@ -163,7 +196,7 @@ class Search:
     def solve(self, screen: Screen, members: Members, permit: bool = False) -> Model | None:
         """All members and the geometry together; None where physics forbids the result and ``permit`` does not."""
         if not members:
-            return NOTHING
+            return self.nothing
         X = np.concatenate([screen.block(c, h) for c, h in members], axis=1)
         weight = np.concatenate([prior_weight(c) for c, _ in members])
         taken = screen.Q.T @ X
@@ -175,12 +208,12 @@ class Search:
         b = X.T @ screen.r
         coefficients = covariance @ b
         gain = float(b @ coefficients)
-        cost, price, names = 0.0, 0.0, set()
+        cost, price, present = 0.0, 0.0, []
         for (candidate, hyper), p in zip(members, Model(members).parts(), strict=True):
             own = float(coefficients[p] @ np.linalg.solve(covariance[p, p], coefficients[p]))
-            cost += self.prices.threshold(candidate, hyper, names)
-            price += self.prices.price(candidate, hyper, names, own)
-            names.add(candidate.name)
+            cost += self.prices.threshold(candidate, hyper, present)
+            price += self.prices.price(candidate, hyper, present, own)
+            present.append(candidate)
         model = Model(members, gain, gain - cost, gain - price, coefficients, covariance)
         if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
             return None

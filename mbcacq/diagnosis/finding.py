@@ -22,6 +22,7 @@ from mbcacq.diagnosis.whitening import Noise
 __all__ = ["Finding", "Setup", "find", "prepare", "search_named"]
 
 PASSES = 4
+ALLOWANCE = 10.0  # chi2 that a name may lack where one is known to be
 SEARCHED = 800  # poses that the search for names looks at, of a long recording
 
 
@@ -41,7 +42,8 @@ class Finding:
     leftover: Leftover | None
 
 
-def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noise | None = None) -> tuple[Model, Noise, Search, Linear]:
+def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noise | None = None,
+                 allowance: float = 0.0) -> tuple[Model, Noise, Search, Linear]:
     """Named effects, noise and linearisation in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > smooth.MANY_POSES
     search = Search(
@@ -52,6 +54,7 @@ def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noi
         thorough=not large,
         least_share=0.003 if large else 0.0,
         situation=None if large else setup.situation,
+        allowance=allowance,
     )
     sigma = start or noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
     model = NOTHING
@@ -63,7 +66,10 @@ def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noi
             start = Search(elastic, beam=1, branches=2, most=6).run(screen) if turn == 0 else model
             if turn == 0:
                 search = replace(search, protected=frozenset(c.key for c, _ in start.members))
-        new = search.run(screen, start=start)
+        new = search.grow(screen, start)
+        if turn == 0 and not large and len(new.members) > 1 and unnamed.overshadowed(screen, setup.chart, new):
+            return NOTHING, sigma, search, linear
+        new = search.settled(screen, new)
         if turn == 0 and not large and not new.members:
             new = choice.second_look(search, linear, sigma, setup.first)
         same = {c.key for c, _ in new.members} == {c.key for c, _ in model.members}
@@ -80,15 +86,16 @@ def search_named(setup: Setup, linear: Linear, settling: bool = True, start: Noi
     return model, sigma, search, linear
 
 
-def find(setup: Setup, keep: np.ndarray | None = None, again: bool = True, expected: bool = False) -> Finding:
+def find(setup: Setup, keep: np.ndarray | None = None, again: bool = True, expected: bool = False,
+         name_expected: bool = False) -> Finding:
     """The model of the centres in keep; without keep, outliers are reconsidered once with the model in place.
 
-    expected: structure is known to be there, so less evidence suffices.
+    expected: structure is known to be there, so less evidence suffices; name_expected: a name is, and the most probable is taken.
     """
     linear = setup.linear if keep is None else setup.linear.restricted(keep)
     if linear.obs.n_poses > smooth.MANY_POSES:
         return find_in_many(setup, linear, keep, again, expected)
-    plain, sigma, search, settled, model = named_in_turns(setup, linear, keep)
+    plain, sigma, search, settled, model = named_in_turns(setup, linear, keep, ALLOWANCE if name_expected else 0.0)
     before = Screen(settled, sigma)
     model = search.pruned(before, search.solve(before, model.members, permit=True))
     if keep is None and again:
@@ -116,9 +123,9 @@ def told_of(search: Search, screen: Screen, model: Model, rest: SmoothModel | No
     return search.solve(screen, kept.members, permit=True)
 
 
-def named_in_turns(setup: Setup, linear: Linear, keep: np.ndarray | None):
+def named_in_turns(setup: Setup, linear: Linear, keep: np.ndarray | None, allowance: float):
     plain = noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
-    model, sigma, search, settled = search_named(setup, linear, settling=keep is None, start=plain)
+    model, sigma, search, settled = search_named(setup, linear, settling=keep is None, start=plain, allowance=allowance)
     return plain, sigma, search, settled, model
 
 

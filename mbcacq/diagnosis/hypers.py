@@ -2,30 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mbcacq.diagnosis.screen import Scored, Screen
 from mbcacq.physics.effect import Candidate, Hyper
 
+REFINED = 1.3  # times as much as on the grid a candidate may gain between its values
 PREFERRED = 0.8  # share of a candidate's chances that its preferred values have
 
 
-def best_hyper(screen: Screen, candidate: Candidate) -> Scored:
-    """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good."""
+def best_hyper(screen: Screen, candidate: Candidate, least: Callable[[float | None], float] = lambda hyper: -np.inf) -> Scored | None:
+    """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good.
+
+    least: what must be gained at a value; None where no value gains so much.
+    """
     hyper = candidate.hyper
     if hyper is None:
-        return screen.test(candidate)
+        return enough(screen.test(candidate), least)
     if not candidate.separable:
-        return max((screen.test(candidate, v) for v in hyper.values), key=lambda s: s.gain)
+        return enough(max((screen.test(candidate, v) for v in hyper.values), key=lambda s: s.gain), least)
     curve = screen.scan(candidate)
     value, gain = hyper.values[np.argmax(curve)], curve.max()
+    if REFINED * gain < min(least(v) for v in (value, *hyper.preferred[:1])):
+        return None
     if hyper.refine:
         value, gain = refine(screen, candidate, value, gain)
     if hyper.preferred:
         expected = screen.scan(candidate, np.array(hyper.preferred))
         if expected.max() > gain - 2 * np.log(values(hyper, False) / values(hyper, True)):
             value = hyper.preferred[int(expected.argmax())]
-    return screen.test(candidate, float(value))
+    return enough(screen.test(candidate, float(value)), least)
+
+
+def enough(scored: Scored, least: Callable[[float | None], float]) -> Scored | None:
+    return scored if scored.gain > least(scored.hyper) else None
 
 
 def values(hyper: Hyper, preferred: bool) -> float:

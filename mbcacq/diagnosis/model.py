@@ -32,10 +32,20 @@ class Model:
     def names(self) -> tuple[str, ...]:
         return tuple(sorted({c.name for c, _ in self.members}))
 
-    def without(self, names: tuple[str, ...]) -> Model:
-        """The other effects, to be solved anew; this very model where it has none of these."""
-        members = tuple(m for m in self.members if m[0].name not in names)
+    @property
+    def spots(self) -> tuple[str, ...]:
+        """'name:place' of the effects that are at several places."""
+        found = dict.fromkeys((c.name, spot(c)) for c, _ in self.members)
+        return tuple(at for name, at in found if sum(name == other for other, _ in found) > 1)
+
+    def without(self, keys: tuple[str, ...]) -> Model:
+        """The other effects, to be solved anew; this very model where it has none of these. keys: names, or 'name:place'."""
+        members = tuple(m for m in self.members if m[0].name not in keys and spot(m[0]) not in keys)
         return self if len(members) == len(self.members) else Model(members)
+
+
+def spot(candidate: Candidate) -> str:
+    return f"{candidate.name}:{'+'.join(candidate.where)}"
 
 
 NOTHING = Model(())

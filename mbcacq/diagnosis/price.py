@@ -25,32 +25,39 @@ COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "therma
 
 
 class Prices:
-    """Of the candidates of one recording; ``names`` are the effects that are there already."""
+    """Of the candidates of one recording. ``present``: the candidates that are in the model already."""
 
     def __init__(self, candidates: Collection[Candidate]):
         self._places = Counter(c.name for c in candidates)
 
-    def tries(self, candidate: Candidate, hyper: float | None) -> float:
-        """Number of independent chances that a candidate of this kind has: places times values of the hyper-parameter."""
-        places = max(self._places[candidate.name], 1)
+    def tries(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate] = ()) -> float:
+        """Number of independent chances that a candidate of this kind has: places times values of the hyper-parameter; where the same
+        joint errs so already (a wheel and its mesh) the place is given.
+        """
+        here = any(c.name == candidate.name and c.where == candidate.where for c in present)
+        places = 1 if here else max(self._places[candidate.name], 1)
         return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
 
-    def threshold(self, candidate: Candidate, hyper: float | None, names: Collection[str]) -> float:
+    def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate]) -> float:
         """chi2 that chance alone would give to the best of all candidates of this kind, once in FAMILIES / FALSE_ALARM cells."""
-        expected = candidate.name in names and candidate.name in COMPANIONS
-        return _threshold(candidate.k, round(np.log(self.tries(candidate, hyper)), 1), expected) + further(candidate, names)
+        log_tries = round(np.log(self.tries(candidate, hyper, present)), 1)
+        return _threshold(candidate.k, log_tries, expected(candidate, present)) + further(candidate, present)
 
-    def price(self, candidate: Candidate, hyper: float | None, names: Collection[str], gain: float) -> float:
+    def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], gain: float) -> float:
         """Twice the log of one over the candidate's share of what may be, and, for coefficients of unknown size (random, N(0, s^2), s the
         most probable), of what they could have fitted.
         """
-        expected = candidate.name in names and candidate.name in COMPANIONS
-        share = 2 * np.log(self.tries(candidate, hyper) * (1.0 if expected else FAMILIES))
-        return share + candidate.k * (1.0 + np.log(max(gain / candidate.k, 1.0))) + further(candidate, names)
+        share = 2 * np.log(self.tries(candidate, hyper, present) * (1.0 if expected(candidate, present) else FAMILIES))
+        return share + candidate.k * (1.0 + np.log(max(gain / candidate.k, 1.0))) + further(candidate, present)
 
 
-def further(candidate: Candidate, names: Collection[str]) -> float:
-    return FURTHER if names and not (candidate.name in names and candidate.name in COMPANIONS) else 0.0
+def expected(candidate: Candidate, present: Collection[Candidate]) -> bool:
+    """Whether what is there makes this one likely: many joints of an arm are of one make."""
+    return candidate.name in COMPANIONS and any(c.name == candidate.name for c in present)
+
+
+def further(candidate: Candidate, present: Collection[Candidate]) -> float:
+    return FURTHER if present and not expected(candidate, present) else 0.0
 
 
 @lru_cache(maxsize=10000)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.screen import Screen, solve_blocks
+from mbcacq.diagnosis.blocks import solve_blocks
+from mbcacq.diagnosis.screen import Screen
 
 SHORTEST = 8.0  # mm
 FINENESS = 0.25  # of a period over the whole width, from one trial to the next

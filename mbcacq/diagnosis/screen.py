@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
+from mbcacq.diagnosis.bench import Bench
+from mbcacq.diagnosis.blocks import prior_weight, solve_block, solve_blocks
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.noise import orthogonal, pose_sums
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.physics.effect import Candidate
-
-LARGEST = 30.0
-SMALLEST_SHARE = 1e-6  # of a column's square that must survive the projection
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,7 @@ class Screen:
         self._scans: dict[tuple, tuple] = {}
         self._reduced: dict[tuple, tuple] = {}
         self._reduced_more: dict[tuple, np.ndarray] = {}
+        self._benches: list[Bench] = []
 
     def adopted(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> Screen:
         """A screen that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
@@ -81,9 +81,10 @@ class Screen:
 
     def block(self, candidate: Candidate, hyper: float | None) -> np.ndarray:
         """Whitened columns (rows, k) of a candidate."""
-        return self._prepared(candidate, hyper)[0]
+        return self.prepared(candidate, hyper)[0]
 
-    def _prepared(self, candidate: Candidate, hyper: float | None) -> tuple:
+    def prepared(self, candidate: Candidate, hyper: float | None) -> tuple:
+        """Whitened columns X, X'X and X'r with geometry projected out; adopted blocks left out."""
         key = (candidate.key, hyper)
         if key not in self._tests:
             X = self.whiten(self.linear.columns(candidate.build(hyper)))
@@ -95,12 +96,20 @@ class Screen:
         return self._tests[key]
 
     def test(self, candidate: Candidate, hyper: float | None = None) -> Scored:
-        X, S, b = self._prepared(candidate, hyper)
+        X, S, b = self.prepared(candidate, hyper)
         if self.more.shape[1]:
             taken = self.more.T @ X
             S, b = S - taken.T @ taken, b - taken.T @ self.taken
         gain, coefficients, covariance = solve_block(S, b, np.sum(X * X, axis=0), prior_weight(candidate))
         return Scored(candidate, hyper, gain, len(b), coefficients, covariance)
+
+    def best_fixed(self, candidates: list[Candidate]) -> dict[str, tuple[float | None, float]]:
+        """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
+        bench = next((b for b in self._benches if b.candidates is candidates), None)
+        if bench is None:
+            bench = Bench(candidates, self)
+            self._benches.append(bench)
+        return bench.best(self)
 
     # Scans --------------------------------------------------------------------------------------------------------
 
@@ -179,33 +188,3 @@ class Screen:
         if key is not None and flat.size < 1e6:
             self._scans[key] = result
         return result
-
-
-def prior_weight(candidate: Candidate) -> np.ndarray:
-    """(k,) inverse variance of the coefficients: an effect thirty times its typical size is not believed."""
-    return 1.0 / (LARGEST * candidate.typical) ** 2
-
-
-def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> tuple[float, np.ndarray, np.ndarray]:
-    """Gain, coefficients, covariance of a projected normal matrix; directions that the projection destroyed are held at zero."""
-    S = S + np.diag(np.broadcast_to(weight, len(b)))
-    size = np.sqrt(np.maximum(raw, 1e-300))
-    w, V = np.linalg.eigh(S / np.outer(size, size))
-    inverse = np.where(w > SMALLEST_SHARE, 1.0 / np.maximum(w, SMALLEST_SHARE), 0.0)
-    pseudo = (V * inverse) @ V.T / np.outer(size, size)
-    coefficients = pseudo @ b
-    return float(b @ coefficients), coefficients, pseudo
-
-
-def solve_blocks(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
-    """Gains (H,) of many blocks (H, k, k), (H, k)."""
-    k = b.shape[1]
-    S = S + np.diag(np.broadcast_to(weight, k))
-    size = np.sqrt(np.maximum(raw, 1e-300))
-    scaled, target = S / (size[:, :, None] * size[:, None, :]), b / size
-    if S.shape[1] == 1:
-        good = scaled[:, 0, 0] > SMALLEST_SHARE
-        return np.where(good, target[:, 0] ** 2 / np.maximum(scaled[:, 0, 0], SMALLEST_SHARE), 0.0)
-    w, V = np.linalg.eigh(scaled)
-    along = np.einsum("hij,hi->hj", V, target)
-    return np.sum(np.where(w > SMALLEST_SHARE, along**2 / np.maximum(w, SMALLEST_SHARE), 0.0), axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,12 @@ class Setup:
     def chart(self) -> Chart:
         """Of what has no name: places by shapes."""
         return Chart(self.situation)
+
+    def at(self, linear: Linear) -> Setup:
+        """The same with another linearisation, or other centres kept; the chart is of the poses, and stays."""
+        out = replace(self, linear=linear)
+        out.__dict__["chart"] = self.chart
+        return out
 
 
 def prepare(obs: Observations) -> Setup:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.blocks import LARGEST
 from mbcacq.diagnosis.finding import Finding
-from mbcacq.diagnosis.screen import LARGEST
 
 
 class Worth:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis import prove
 from mbcacq.diagnosis.finding import Finding
 from mbcacq.diagnosis.locate import log10_tail
+from mbcacq.diagnosis.prove import Proof
+from mbcacq.diagnosis.quality import Quality
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.shares import Worth
 from mbcacq.physics import payload
@@ -14,7 +15,7 @@ from mbcacq.physics import payload
 ONE_ENTRY = ("A", "link", "station")  # places at which one effect may be several times and is told as one
 
 
-def named_effects(full: Finding, worth: Worth, proof: prove.Proof) -> list[EffectFound]:
+def named_effects(full: Finding, worth: Worth, proof: Proof) -> list[EffectFound]:
     """Members gathered by name (several joints of one effect make one entry), most important first; a wrong tool before the elasticity
     that every arm has and that shows it.
     """
@@ -52,7 +53,7 @@ def merge_parameters(full: Finding, members: list[int]) -> dict:
     return out
 
 
-def unknown_effects(full: Finding, worth: Worth, proof: prove.Proof) -> list[EffectFound]:
+def unknown_effects(full: Finding, worth: Worth, proof: Proof) -> list[EffectFound]:
     """One entry for each place that moves in a way without a name, largest first; for a long recording, where it stands at all places,
     one entry at the place that the map points to.
     """
@@ -105,7 +106,7 @@ def in_words(size: dict[tuple[str, str], tuple[float, float]], keys: list[tuple[
     return {f"{at}({on}).rms_mm": {"value": size[at, on][0], "std": size[at, on][1]} for at, on in keys}
 
 
-def mismatch_list(full: Finding, worth: Worth, before: prove.Quality, anything: bool = False) -> list[dict]:
+def mismatch_list(full: Finding, worth: Worth, before: Quality, anything: bool = False) -> list[dict]:
     """Where simulation and recording part, each place and covariate with its share of the excess, largest first.
 
     anything: the most suspicious place even where none is significant.

@@ -22,6 +22,7 @@ from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 
 MOST_GROUPS = 5
+PLAINLY = 5.0  # log of a ratio of probabilities by which a single group must be ahead of many names
 NAMELESS = float(np.log(100.0))  # what has no name is a hundred times less likely beforehand than what has one
 
 
@@ -102,6 +103,13 @@ class Ground:
 def likelihood(screen: Screen, adopted: Screen, first: Noise) -> float:
     """Twice the log of the restricted likelihood of a noise, less what the coefficients of whatever is adopted cost. first: its prior."""
     return -screen.whiten.log_det - screen.log_det - adopted.chi2 + 2 * noise.log_prior(screen.noise, first, screen.linear)
+
+
+def overshadowed(screen: Screen, chart: Chart, names: Model) -> bool:
+    """Whether a single group of the map is plainly more probable than a set of names: they are strung together in place of one thing
+    without a name, and it is better to look for names beyond that.
+    """
+    return Atlas(screen, chart).judge(screen).best().weighed - NAMELESS - PLAINLY > 0.5 * names.worth
 
 
 def near(a: Noise, b: Noise) -> bool:

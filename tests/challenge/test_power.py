@@ -1,8 +1,9 @@
 """The test that knows the truth, and where a power curve passes 90 %."""
 
+import numpy as np
 import pytest
 
-from mbcacq.challenge.power import ALLOWED, FAMILIES, LEVEL, least_gain, needed, searched, tells
+from mbcacq.challenge.power import ALLOWED, FAMILIES, LEVEL, least_gain, ninety, searched, tells
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():
@@ -14,10 +15,13 @@ def test_more_coefficients_need_more():
     assert least_gain(1) < least_gain(2) < least_gain(6)
 
 
-def test_ninety_percent_is_found_between_two_measured_strengths():
-    assert needed((0.8, 1.0, 1.2), (0.2, 0.8, 1.0)) == pytest.approx(1.1)
-    assert needed((0.8, 1.0, 1.2), (0.95, 0.9, 1.0)) == 0.8
-    assert needed((0.8, 1.0), (0.2, 0.5)) is None
+def test_ninety_percent_of_a_normal_threshold():
+    """Strengths found where a normal variate of that mean passes 3: nine in ten at 3 + 1.2816."""
+    rng = np.random.default_rng(4)
+    multiples = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
+    found = multiples * 4.0 + rng.normal(size=(4000, 5)) > 3.0
+
+    assert ninety(multiples, found) == pytest.approx((3.0 + 1.2816) / 4.0, abs=0.02)
 
 
 def test_who_must_search_needs_more_the_more_there_is_to_search():

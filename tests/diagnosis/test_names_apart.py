@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mbcacq.diagnosis import choice, conclude, diagnose, finding, prove, readmit
+from mbcacq.calibration.forward import Displacements
+from mbcacq.diagnosis import choice, conclude, diagnose, finding, prove, readmit, unnamed
 from mbcacq.diagnosis.compose import columns_of
 from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.model import NOTHING
@@ -77,6 +78,68 @@ def test_a_name_that_predicts_nothing_beside_a_true_one_is_taken_back(plan):
 
     assert proof.empty == ("joint_scale",)
     assert [e.name for e in told.effects] == ["joint_compliance"]
+
+
+def test_a_joint_that_predicts_nothing_beside_another_is_taken_back(plan):
+    """One joint of a name may be true while a second, found beside it, is chance."""
+    observed = made.observe(plan, 165, [("gear_transmission_error", ("A2",), [3e-5, 2e-5], 1.0)])
+    setup = finding.prepare(observed)
+    full = finding.find(setup)
+    false = next(c for c in setup.candidates if c.name == "gear_transmission_error" and c.where == ("A6",))
+    search = Search(setup.candidates)
+    claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, 3.0)), permit=True))
+
+    proof = prove.prove(setup, claimed)
+    told = conclude.conclude(setup, claimed, proof)
+
+    assert proof.empty == ("gear_transmission_error:A6",)
+    assert [(e.name, e.where) for e in told.effects] == [("gear_transmission_error", ["A2"])]
+
+
+def test_what_is_plain_but_predicts_nothing_is_not_passed_over(plan):
+    """A ball that comes loose lies elsewhere at every station: no other station knows where, but it is no noise."""
+    def loose(s):
+        ball = np.zeros(s.obs.xyz.shape)
+        lies = np.random.default_rng(6).normal(0, 0.02, (len(s.obs.cell.stations), 3))
+        mine = s.obs.ball == 2
+        ball[mine] = lies[s.obs.station[s.obs.pose[mine]]]
+        return Displacements(ball=ball)
+
+    told = diagnose.diagnose(made.observe(plan, 166, [loose]))
+
+    assert told.verdict == "unexplained"
+    assert told.mismatch[0]["at"] == "ball3"
+    assert [(e.name, e.where) for e in told.effects] == [("unknown", ["ball3"])]
+
+
+def test_in_a_fold_it_is_asked_which_name_not_whether_there_is_one(plan):
+    """What the whole recording shows weakly, half of it does not show by itself; which it is, it tells."""
+    setup = finding.prepare(made.observe(plan, 178, [("joint_scale", ("A5",), [3e-5], None)]))
+    full = finding.find(setup)
+    half = setup.linear.keep & (setup.linear.obs.pose % 2 == 1)
+
+    alone, known = finding.find(setup, half), finding.find(setup, half, name_expected=True)
+
+    assert 0 < full.model.score < conclude.WEAK
+    assert full.model.names == known.model.names == ("joint_scale",)
+    assert alone.model.names == ()
+
+
+def test_one_thing_without_a_name_is_not_strung_together_of_many(plan):
+    def twist(s):
+        frame = np.zeros((s.obs.n_poses, s.n + 1, 6))
+        moment = s.gravity_moment(2)[:, 0]
+        frame[:, 2, 3] = 6e-4 * np.tanh(moment / (0.5 * moment.std()))
+        return Displacements(frame=frame)
+
+    two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
+    for effects, strung in (([twist], True), (two, False)):
+        setup = finding.prepare(made.observe(plan, 168, effects))
+        screen = Screen(setup.linear, estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first))
+        names = Search(setup.candidates, situation=setup.situation).grow(screen)
+
+        assert len(names.members) > 1
+        assert unnamed.overshadowed(screen, setup.chart, names) == strung
 
 
 def test_a_creeping_tripod_is_judged_on_the_other_stations(plan):

@@ -1,0 +1,100 @@
+"""How well a model does on centres: fitted on some, looked at on others, where only the poses of new stations are free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.compose import columns_of
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.model import Model
+from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis.smooth import SmoothModel
+from mbcacq.diagnosis.whitening import Noise
+from mbcacq.physics import steps
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom."""
+
+    square: float
+    count: int
+    chi2: float
+    dof: float
+
+    def __add__(self, other: Quality) -> Quality:
+        return Quality(self.square + other.square, self.count + other.count, self.chi2 + other.chi2, self.dof + other.dof)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.square / max(self.count, 1)))
+
+    @property
+    def chi2_dof(self) -> float:
+        return float(self.chi2 / max(self.dof, 1e-9))
+
+
+EMPTY = Quality(0.0, 0, 0.0, 0.0)
+
+
+def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:
+    """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free, and the moment of
+    a change that fell among the poses left out.
+    """
+    fitted = linear.restricted(train)
+    columns, sigma = columns_of(fitted, model, rest)
+    solution = solve(fitted.whitener(noise), columns, sigma, linear.residual)
+    left = linear.residual - columns @ solution
+    best = on_new_stations(linear, train, test, left, noise)
+    first = columns.shape[2] - sum(c.k for c, _ in model.members) - (0 if rest is None else rest.columns.shape[2])
+    for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
+        mine = slice(first + p.start, first + p.stop)
+        for moment in steps.undecided(candidate, hyper, linear.obs, train):
+            other = left + (columns[:, :, mine] - linear.columns(candidate.build(moment))) @ solution[mine]
+            best = min(best, on_new_stations(linear, train, test, other, noise), key=lambda quality: quality.chi2)
+    return best
+
+
+def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: np.ndarray, noise: Noise) -> Quality:
+    """Residual (M, R) on test after the poses of stations that training has not seen are fitted to it."""
+    obs = linear.obs
+    whiten = linear.restricted(test).whitener(noise)
+    unseen = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
+    dof = float(test.sum() * linear.width)
+    if unseen:
+        columns, sigma, layout = linear.nuisance()
+        position = {k: j for j, k in enumerate(np.unique(obs.station))}
+        free = np.concatenate(
+            [np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in unseen]
+        )
+        station, width = columns[:, :, free], sigma[free]
+        Z = whiten(station) * width
+        normal = Z.T @ Z
+        left = left - station @ (width * np.linalg.solve(normal + np.eye(len(free)), Z.T @ whiten(left)))
+        dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(free)), normal)))
+    r = whiten(left)
+    return Quality(float(np.sum(left[test, :3] ** 2)), int(test.sum()), float(r @ r), dof)
+
+
+def solve(whiten, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    Z = whiten(columns) * sigma
+    normal = Z.T @ Z
+    normal[np.diag_indices_from(normal)] += 1.0
+    return sigma * np.linalg.solve(normal, Z.T @ whiten(residual))
+
+
+def on_train(screen: Screen, model: Model, rest: SmoothModel | None) -> tuple[Quality, np.ndarray]:
+    """The same on the data fitted, and the residual (M, R)."""
+    linear = screen.linear
+    columns, sigma = columns_of(linear, model, rest)
+    Z = screen.whiten(columns) * sigma
+    normal = Z.T @ Z
+    inverse = np.linalg.inv(normal + np.eye(len(sigma)))
+    solution = sigma * (inverse @ (Z.T @ screen.r0))
+    left = linear.residual - columns @ solution
+    keep = linear.keep
+    dof = keep.sum() * linear.width - float(np.sum(inverse * normal))
+    r = screen.whiten(left)
+    return Quality(float(np.sum(left[keep, :3] ** 2)), int(keep.sum()), float(r @ r), dof), left

@@ -1,0 +1,56 @@
+"""Candidates weighed many at a time gain what each gains by itself."""
+
+import made
+import numpy as np
+import pytest
+
+from mbcacq.diagnosis import finding
+from mbcacq.diagnosis.blocks import solve_blocks, two
+from mbcacq.diagnosis.explain import Search
+from mbcacq.diagnosis.model import NOTHING
+from mbcacq.diagnosis.screen import Screen
+
+
+@pytest.fixture(scope="module")
+def setup(plan):
+    return finding.prepare(made.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)]))
+
+
+@pytest.mark.parametrize("members", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
+def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
+    screen = Screen(setup.linear, setup.first)
+    chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in members]
+    here = screen.adopted([(screen.block(c, None), np.zeros(c.k)) for c in chosen])
+
+    together = here.best_fixed(setup.candidates)
+
+    apart = {c.key: max(here.test(c, h).gain for h in (c.hyper.values if c.hyper else (None,))) for c in setup.candidates if not c.separable}
+    assert len(apart) > 40
+    assert together.keys() == apart.keys()
+    np.testing.assert_allclose([together[key][1] for key in apart], list(apart.values()), rtol=1e-7, atol=1e-7)
+
+
+def test_a_candidate_is_looked_at_only_where_it_could_pay(setup):
+    """The filter leaves out what cannot pay, and nothing else: without it the best are the same."""
+    screen = Screen(setup.linear, setup.first)
+    search = Search(setup.candidates)
+
+    kept = search.expand(screen, NOTHING)
+    all_of_them = search.expand(screen, NOTHING, short=1e9)
+
+    assert 0 < len(kept) < len(all_of_them) == len(setup.candidates)
+    assert [s.candidate.key for s in kept[:5]] == [s.candidate.key for s in all_of_them[:5]]
+
+
+def test_two_by_two_in_closed_form():
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(500, 20, 2)) * [1.0, 30.0]
+    X[:5, :, 1] = 0.0
+    S, b = np.swapaxes(X, 1, 2) @ X, rng.normal(size=(500, 2))
+
+    values, along = two(S, b)
+
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(S), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.sum(along[5:] ** 2 / values[5:], axis=1), np.einsum("hi,hij,hj->h", b[5:], np.linalg.inv(S[5:]), b[5:]), rtol=1e-8)
+    np.testing.assert_allclose(solve_blocks(S[5:], b[5:], np.diagonal(S[5:], axis1=1, axis2=2)),
+                               np.einsum("hi,hij,hj->h", b[5:], np.linalg.inv(S[5:]), b[5:]), rtol=1e-8)

@@ -1,0 +1,34 @@
+"""The test that knows which effect it is, against which the diagnosis is measured: it keeps its level."""
+
+from dataclasses import replace
+
+import made
+import numpy as np
+from scipy.stats import chi2, kstest
+
+from mbcacq.challenge.power import likelihood_ratio
+from mbcacq.diagnosis.model import Model
+from mbcacq.diagnosis.setup import prepare
+from mbcacq.diagnosis.whitening import Noise
+
+SOUGHT = ("joint_scale:A2:q2:", "joint_scale:A5:q5:", "base_compliance:base:gravity_torque_2:", "ball_shift:ball4:x:", "joint_compliance:A3:gravity_torque_3:")
+
+
+def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):
+    tail = []
+    for seed in range(16):
+        setup = prepare(made.observe(plan, 900 + seed))
+        setup = replace(setup, first=Noise(setup.first.point * 1.2, setup.first.joint * 1.5))
+        sought = [c for c in setup.candidates if c.key in SOUGHT]
+        tail += [chi2.sf(max(likelihood_ratio(setup, Model(((c, None),))), 0.0), c.k) for c in sought]
+
+    assert len(tail) == 16 * len(SOUGHT)
+    assert kstest(tail, "uniform").pvalue > 0.01
+    assert np.mean(np.array(tail) < 0.01) < 0.04
+
+
+def test_it_finds_a_plain_effect(plan):
+    setup = prepare(made.observe(plan, 950, [("joint_scale", ("A5",), [1.5e-4], None)]))
+    candidate = next(c for c in setup.candidates if c.key == SOUGHT[1])
+
+    assert likelihood_ratio(setup, Model(((candidate, None),))) > 100
