@@ -1,4 +1,4 @@
-"""Many fixed candidates weighed at once: their blocks of the normal matrix side by side, those of one size in one array."""
+"""Many fixed candidates weighed at once: their columns side by side, the blocks of those of one size in one array."""
 
 from __future__ import annotations
 
@@ -11,52 +11,70 @@ from mbcacq.diagnosis.blocks import prior_weight, solve_blocks
 from mbcacq.physics.effect import Candidate
 
 if TYPE_CHECKING:
+    from mbcacq.diagnosis.linear import Linear
     from mbcacq.diagnosis.screen import Screen
 
 
-@dataclass(frozen=True)
-class Size:
-    """The candidates of k coefficients: which entries (n,), their columns (n, k); S (n, k, k), b, raw and weight (n, k) of their blocks."""
+class Fixed:
+    """The candidates whose columns need no scan, each at every value of its hyper-parameter; kept with the linearisation.
 
-    entries: np.ndarray
-    columns: np.ndarray
-    S: np.ndarray
-    b: np.ndarray
-    raw: np.ndarray
-    weight: np.ndarray
+    entries: (candidate, value); columns (M, R, K): all of theirs. sizes: of those with k coefficients, which entries (n,), which columns
+    (n, k), their prior weights (n, k).
+    """
 
-
-class Bench:
-    """entries: (candidate, value of its hyper-parameter) whose columns need no scan; X (rows, K): all of them, whitened."""
-
-    def __init__(self, candidates: list[Candidate], screen: Screen):
+    def __init__(self, candidates: list[Candidate], linear: Linear):
         self.candidates = candidates
         self.entries = [(c, h) for c in candidates if not c.separable for h in (c.hyper.values if c.hyper else (None,))]
-        blocks = [screen.block(c, h) for c, h in self.entries]
-        self.X = np.concatenate(blocks, axis=1) if blocks else np.zeros((len(screen.r0), 0))
-        starts = np.cumsum([0] + [b.shape[1] for b in blocks])[:-1]
-        widths = np.array([b.shape[1] for b in blocks], dtype=int)
-        self.sizes = [self._of_size(screen, np.flatnonzero(widths == k), starts, k) for k in np.unique(widths)]
+        each = [linear.columns(c.build(h)) for c, h in self.entries]
+        self.columns = np.concatenate(each, axis=2) if each else np.zeros((*linear.residual.shape, 0))
+        widths = np.array([e.shape[2] for e in each], dtype=int)
+        starts = np.cumsum(widths) - widths
+        self.sizes = []
+        for k in np.unique(widths):
+            chosen = np.flatnonzero(widths == k)
+            weight = np.array([prior_weight(self.entries[e][0]) for e in chosen])
+            self.sizes.append((chosen, starts[chosen][:, None] + np.arange(k), weight))
 
-    def _of_size(self, screen: Screen, entries: np.ndarray, starts: np.ndarray, k: int) -> Size:
-        parts = [screen.prepared(*self.entries[e])[1:] for e in entries]
-        columns = starts[entries][:, None] + np.arange(k)
-        raw = np.sum(self.X * self.X, axis=0)[columns]
-        weight = np.array([prior_weight(self.entries[e][0]) for e in entries])
-        return Size(entries, columns, np.array([S for S, _ in parts]), np.array([b for _, b in parts]), raw, weight)
+    @staticmethod
+    def of(candidates: list[Candidate], linear: Linear) -> Fixed:
+        found = next((f for f in linear.fixed if f.candidates is candidates), None)
+        if found is None:
+            found = Fixed(candidates, linear)
+            linear.fixed.append(found)
+        return found
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Under one screen: whitened columns X (rows, K), and of each size S (n, k, k), b, raw (n, k), geometry projected out."""
+
+    fixed: Fixed
+    X: np.ndarray
+    blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+    @classmethod
+    def of(cls, candidates: list[Candidate], screen: Screen) -> Bench:
+        fixed = Fixed.of(candidates, screen.linear)
+        X = screen.whiten(fixed.columns)
+        taken, raw = screen.Q.T @ X, np.sum(X * X, axis=0)
+        b = X.T @ (screen.r0 - screen.Q @ (screen.Q.T @ screen.r0))
+        blocks = []
+        for _, columns, _ in fixed.sizes:
+            own, gone = X.T[columns], taken.T[columns]
+            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns], raw[columns]))
+        return cls(fixed, X, blocks)
 
     def best(self, screen: Screen) -> dict[str, tuple[float | None, float]]:
         """Candidate's key -> its best value of the hyper-parameter and the gain there, with what the screen has adopted projected out."""
-        gains = np.zeros(len(self.entries))
+        gains = np.zeros(len(self.fixed.entries))
         taken = screen.more.T @ self.X if screen.more.shape[1] else None
-        for size in self.sizes:
-            S, b = size.S, size.b
+        for (entries, columns, weight), (S, b, raw) in zip(self.fixed.sizes, self.blocks, strict=True):
             if taken is not None:
-                T = taken[:, size.columns].transpose(1, 2, 0)
+                T = taken.T[columns]
                 S, b = S - T @ np.swapaxes(T, 1, 2), b - T @ screen.taken
-            gains[size.entries] = solve_blocks(S, b, size.raw, size.weight)
+            gains[entries] = solve_blocks(S, b, raw, weight)
         out: dict[str, tuple[float | None, float]] = {}
-        for (candidate, hyper), gain in zip(self.entries, gains, strict=True):
+        for (candidate, hyper), gain in zip(self.fixed.entries, gains, strict=True):
             if candidate.key not in out or gain > out[candidate.key][1]:
                 out[candidate.key] = hyper, float(gain)
         return out

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.atlas import Atlas, Chart
+from mbcacq.diagnosis.atlas import Atlas
+from mbcacq.diagnosis.chart import Chart
 from mbcacq.diagnosis.screen import Screen
 
 

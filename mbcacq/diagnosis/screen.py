@@ -105,9 +105,9 @@ class Screen:
 
     def best_fixed(self, candidates: list[Candidate]) -> dict[str, tuple[float | None, float]]:
         """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
-        bench = next((b for b in self._benches if b.candidates is candidates), None)
+        bench = next((b for b in self._benches if b.fixed.candidates is candidates), None)
         if bench is None:
-            bench = Bench(candidates, self)
+            bench = Bench.of(candidates, self)
             self._benches.append(bench)
         return bench.best(self)
 

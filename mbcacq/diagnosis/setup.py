@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis import base_fit
-from mbcacq.diagnosis.atlas import Chart
+from mbcacq.diagnosis.chart import Chart
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.whitening import Noise

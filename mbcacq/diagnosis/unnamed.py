@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis import noise, smooth
-from mbcacq.diagnosis.atlas import Atlas, Cell, Chart
+from mbcacq.diagnosis.atlas import Atlas, Cell
+from mbcacq.diagnosis.chart import Chart
 from mbcacq.diagnosis.compose import adopted, columns_of, with_members
 from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.leftover import STRUCTURE
