@@ -32,7 +32,12 @@ APART = 0.02  # share of a member's information that must be left beside the oth
 
 @dataclass(frozen=True)
 class Search:
-    """The candidates of these data and how they are weighed."""
+    """The candidates of these data and how they are weighed.
+
+    beam, branches, most: sets kept in a round, candidates tried for each, rounds. thorough: exchange members until nothing improves.
+    least_share: of chi2, that a member must gain (long recordings). protected: keys of members that stay while they are significant.
+    allowance: chi2 by which a first member may fail the test, where there is known to be an effect.
+    """
 
     candidates: list[Candidate]
     beam: int = 3
