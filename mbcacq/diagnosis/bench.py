@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbcacq.diagnosis.blocks import prior_weight, solve_blocks
+from mbcacq.diagnosis.linear import Linear
+from mbcacq.diagnosis.whitening import Whitener
 from mbcacq.physics.effect import Candidate
-
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.linear import Linear
-    from mbcacq.diagnosis.screen import Screen
 
 
 class Fixed:
@@ -37,10 +34,9 @@ class Fixed:
 
     @staticmethod
     def of(candidates: list[Candidate], linear: Linear) -> Fixed:
-        found = next((f for f in linear.fixed if f.candidates is candidates), None)
+        found = linear.kept.get(id(candidates))
         if found is None:
-            found = Fixed(candidates, linear)
-            linear.fixed.append(found)
+            found = linear.kept[id(candidates)] = Fixed(candidates, linear)
         return found
 
 
@@ -53,25 +49,27 @@ class Bench:
     blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
     @classmethod
-    def of(cls, candidates: list[Candidate], screen: Screen) -> Bench:
-        fixed = Fixed.of(candidates, screen.linear)
-        X = screen.whiten(fixed.columns)
-        taken, raw = screen.Q.T @ X, np.sum(X * X, axis=0)
-        b = X.T @ (screen.r0 - screen.Q @ (screen.Q.T @ screen.r0))
+    def of(cls, candidates: list[Candidate], linear: Linear, whiten: Whitener, Q: np.ndarray, r: np.ndarray) -> Bench:
+        """Q (rows, z): what geometry takes; r (rows,): what it leaves of the residual."""
+        fixed = Fixed.of(candidates, linear)
+        X = whiten(fixed.columns)
+        taken, raw, b = Q.T @ X, np.sum(X * X, axis=0), X.T @ r
         blocks = []
         for _, columns, _ in fixed.sizes:
             own, gone = X.T[columns], taken.T[columns]
             blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns], raw[columns]))
         return cls(fixed, X, blocks)
 
-    def best(self, screen: Screen) -> dict[str, tuple[float | None, float]]:
-        """Candidate's key -> its best value of the hyper-parameter and the gain there, with what the screen has adopted projected out."""
+    def best(self, adopted: np.ndarray, along: np.ndarray) -> dict[str, tuple[float | None, float]]:
+        """Candidate's key -> its best value of the hyper-parameter and the gain there; adopted (rows, a): what else is projected out,
+        along (a,): the residual along it.
+        """
         gains = np.zeros(len(self.fixed.entries))
-        taken = screen.more.T @ self.X if screen.more.shape[1] else None
+        taken = adopted.T @ self.X if adopted.shape[1] else None
         for (entries, columns, weight), (S, b, raw) in zip(self.fixed.sizes, self.blocks, strict=True):
             if taken is not None:
                 T = taken.T[columns]
-                S, b = S - T @ np.swapaxes(T, 1, 2), b - T @ screen.taken
+                S, b = S - T @ np.swapaxes(T, 1, 2), b - T @ along
             gains[entries] = solve_blocks(S, b, raw, weight)
         out: dict[str, tuple[float | None, float]] = {}
         for (candidate, hyper), gain in zip(self.fixed.entries, gains, strict=True):

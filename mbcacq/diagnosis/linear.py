@@ -6,7 +6,7 @@ Priors (certificates, given station poses, wide bounds on the geometry) are extr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from mbcacq.cell import TARGET_IN_BASE
 from mbcacq.diagnosis.whitening import Noise, Whitener, joint_columns
 from mbcacq.geometry import se3
 from mbcacq.observations import Observations
-
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.bench import Fixed
 
 GEOMETRY_PRIOR = np.array([0.02, 3.0, 3.0, 0.02, 0.02])  # theta rad, d mm, a mm, alpha rad, beta rad: wider than any real arm
 MOUNT_PRIOR = np.array([500.0, 500.0, 500.0, 2.0, 2.0, 2.0])
@@ -52,7 +49,7 @@ class Linear:
         self.residual = self.residual + self._geometry_columns() @ deviation
         self.joint = joint_columns(obs, self.prediction)
         self._unit: dict[tuple[str, int, int], np.ndarray] = {}
-        self.fixed: list[Fixed] = []
+        self.kept: dict[int, Any] = {}  # what others make of this linearisation once and use again
 
     # Columns ------------------------------------------------------------------------------------------------------
 

@@ -48,7 +48,7 @@ class Screen:
         self.r = self.r0 - self.Q @ (self.Q.T @ self.r0)
         self.pose_of_row, self.by_pose = pose_sums(linear)
         self.dof = float(linear.keep.sum() * linear.width - np.sum(self.Q * self.Q))
-        self.more = np.zeros((len(self.r0), 0))
+        self.more, self.taken = np.zeros((len(self.r0), 0)), np.zeros(0)
         self._units: dict[tuple[str, int, int], np.ndarray] = {}
         self._tests: dict[tuple, tuple] = {}
         self._scans: dict[tuple, tuple] = {}
@@ -107,9 +107,9 @@ class Screen:
         """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
         bench = next((b for b in self._benches if b.fixed.candidates is candidates), None)
         if bench is None:
-            bench = Bench.of(candidates, self)
+            bench = Bench.of(candidates, self.linear, self.whiten, self.Q, self.r0 - self.Q @ (self.Q.T @ self.r0))
             self._benches.append(bench)
-        return bench.best(self)
+        return bench.best(self.more, self.taken)
 
     # Scans --------------------------------------------------------------------------------------------------------
 
