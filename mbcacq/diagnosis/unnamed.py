@@ -23,7 +23,7 @@ from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 
 MOST_GROUPS = 5
-PLAINLY = 5.0  # log of a ratio of probabilities by which a single group must be ahead of many names
+PLAINLY, AHEAD = 5.0, 1.1  # log of a ratio of probabilities, and share of it, by which a single group must be ahead of many names
 NAMELESS = float(np.log(100.0))  # what has no name is a hundred times less likely beforehand than what has one
 
 
@@ -108,9 +108,13 @@ def likelihood(screen: Screen, adopted: Screen, first: Noise) -> float:
 
 def overshadowed(screen: Screen, chart: Chart, names: Model) -> bool:
     """Whether a single group of the map is plainly more probable than a set of names: they are strung together in place of one thing
-    without a name, and it is better to look for names beyond that.
+    without a name, and it is better to look for names beyond that. A group that is at the place of one of them and follows the same variable
+    may be that very effect, bent because it is large.
     """
-    return Atlas(screen, chart).judge(screen).best().weighed - NAMELESS - PLAINLY > 0.5 * names.worth
+    best = Atlas(screen, chart).judge(screen).best()
+    if any(best.at in c.where and best.depends_on == c.depends_on for c, _ in names.members):
+        return False
+    return best.weighed - NAMELESS - PLAINLY > 0.5 * AHEAD * names.worth
 
 
 def near(a: Noise, b: Noise) -> bool:
