@@ -108,8 +108,9 @@ def likelihood(screen: Screen, adopted: Screen, first: Noise) -> float:
 
 def overshadowed(screen: Screen, chart: Chart, names: Model) -> bool:
     """Whether a single group of the map is plainly more probable than a set of names: they are strung together in place of one thing
-    without a name, and it is better to look for names beyond that. A group that is at the place of one of them and follows the same variable
-    may be that very effect, bent because it is large.
+    without a name, and it is better to look for names beyond that.
+
+    A group at the place of one of them that follows the same variable may be that very effect, bent because it is large.
     """
     best = Atlas(screen, chart).judge(screen).best()
     if any(best.at in c.where and best.depends_on == c.depends_on for c, _ in names.members):
