@@ -23,6 +23,7 @@ from mbcacq.diagnosis.smooth import SmoothModel
 from mbcacq.diagnosis.whitening import Noise
 
 MOST_GROUPS = 5
+BENT = 0.7  # share of a group's gain that a name at its place has alone, if the group may be that name
 PLAINLY, AHEAD = 5.0, 1.1  # log of a ratio of probabilities, and share of it, by which a single group must be ahead of many names
 NAMELESS = float(np.log(100.0))  # what has no name is a hundred times less likely beforehand than what has one
 
@@ -110,10 +111,12 @@ def overshadowed(screen: Screen, chart: Chart, names: Model) -> bool:
     """Whether a single group of the map is plainly more probable than a set of names: they are strung together in place of one thing
     without a name, and it is better to look for names beyond that.
 
-    A group at the place of one of them that follows the same variable may be that very effect, bent because it is large.
+    A group at the place of one of them that follows the same variable, and gains little more, may be that very effect, bent because it
+    is large.
     """
     best = Atlas(screen, chart).judge(screen).best()
-    if any(best.at in c.where and best.depends_on == c.depends_on for c, _ in names.members):
+    same = [m for m in names.members if best.at in m[0].where and best.depends_on == m[0].depends_on]
+    if any(screen.test(*m).gain > BENT * best.gain for m in same):
         return False
     return best.weighed - NAMELESS - PLAINLY > 0.5 * AHEAD * names.worth
 
