@@ -15,7 +15,7 @@ import rerun as rr
 
 from mbcacq.acquisition import events
 from mbcacq.cell import Cell
-from mbcacq.errors import ConfigError, MbcacqError, RecordingError
+from mbcacq.errors import Aborted, ConfigError, MbcacqError, RecordingError
 from mbcacq.recording import layout, rows, scene
 from mbcacq.recording.blueprint import blueprint, for_cell
 from mbcacq.recording.cell_yaml import parse_cell
@@ -83,6 +83,8 @@ class Recorder:
             try:
                 self._set_times(event.time_s)
                 self._write(event)
+            except Aborted:  # a signal came just here: the run ends, and the recording is to say so
+                raise
             except MbcacqError:
                 self._failed = True
                 raise
