@@ -73,7 +73,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
         truth = plain(told["effects"][0])
         found.append(tells(diagnose(observations).as_json(), truth))
         setup = prepare(observations)
-        informed.append(likelihood_ratio(setup, Model(tuple(true_members(setup, truth)))) > chi2.isf(LEVEL, k))
+        informed.append(bool(likelihood_ratio(setup, Model(tuple(true_members(setup, truth)))) > chi2.isf(LEVEL, k)))
     return Cell(found, informed, searched(k, tries))
 
 
