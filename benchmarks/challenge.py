@@ -37,7 +37,7 @@ PARTS = {
     "two": ("Two effects at once", 2600, "two", 32, 0.0, ()),
 }
 POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error", "mount_shift", "ball_shift")
-MULTIPLES = (0.8, 1.0, 1.15, 1.3, 1.5, 1.8)
+MULTIPLES = (1.0, 1.15, 1.3, 1.5)
 CELLS = 20
 POWER_TEXT = """
 Share of cells in which the diagnosis, proof included, names the effect at its place (or as one of two that it cannot tell apart), and in
@@ -96,7 +96,7 @@ def add(kept: list[dict], file: Path, record: dict) -> None:
     record = {**record, "code": CODE}
     kept.append(record)
     with file.open("a", encoding="utf-8") as out:
-        out.write(json.dumps(record) + "\n")
+        out.write(json.dumps(record, default=lambda value: value.item()) + "\n")
 
 
 def report(kept: list[dict]) -> str:
@@ -152,7 +152,8 @@ def power_lines(kept: list[dict]) -> list[str]:
             continue
         found, informed = (np.array([r[which] for r in cells], dtype=bool) for which in ("found", "informed"))
         shown = " | ".join(f"{100 * a:.0f} % ({100 * b:.0f})" for a, b in zip(found.mean(axis=0), informed.mean(axis=0), strict=True))
-        at, (low, high), known = ninety(MULTIPLES, found), interval(MULTIPLES, found), ninety(MULTIPLES, informed)
+        at, (low, high) = ninety(MULTIPLES, found), interval(MULTIPLES, found)
+        known = max(ninety(MULTIPLES, informed), 1.0)  # who must estimate the noise cannot need less than who knows it
         least = np.median([r["searched"] for r in cells])
         lines.append(f"| {name} | {len(cells)} | {shown} | {at:.2f} ({low:.2f} to {high:.2f}) | {known:.2f} | {at / known:.2f} | "
                      f"{least:.2f} |")
