@@ -96,7 +96,7 @@ def add(kept: list[dict], file: Path, record: dict) -> None:
     record = {**record, "code": CODE}
     kept.append(record)
     with file.open("a", encoding="utf-8") as out:
-        out.write(json.dumps(record, default=lambda value: value.item()) + "\n")
+        out.write(json.dumps(record) + "\n")
 
 
 def report(kept: list[dict]) -> str:

@@ -71,7 +71,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
         observations, told = made.observe(challenger.loaded, challenger.poses, plainly, [{**one, "strength": strength}])
         truth = plain(told["effects"][0])
-        found.append(tells(diagnose(observations).as_json(), truth))
+        found.append(bool(tells(diagnose(observations).as_json(), truth)))
         setup = prepare(observations)
         informed.append(bool(likelihood_ratio(setup, Model(tuple(true_members(setup, truth)))) > chi2.isf(LEVEL, k)))
     return Cell(found, informed, searched(k, tries))

@@ -48,14 +48,14 @@ class Crew:
         """Answers of all pieces, in order. An error of one is raised here."""
         if not self.lines:
             return [getattr(piece, method)(*args) for piece in self.pieces]
-        for line in self.lines:
-            line.send((method, args))
         answers: dict[int, Any] = {}
-        for line in self.lines:
-            try:
-                answer = line.recv()
-            except EOFError:
-                raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
+        try:
+            for line in self.lines:
+                line.send((method, args))
+            given = [line.recv() for line in self.lines]
+        except (EOFError, OSError):
+            raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
+        for answer in given:
             if isinstance(answer, Exception):
                 raise answer
             answers |= answer
