@@ -16,14 +16,17 @@ from mbcacq.challenge.envelopes import CATALOGUED, Envelope
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger, plain
 from mbcacq.challenge.score import at_place
-from mbcacq.diagnosis import noise
+from mbcacq.diagnosis import hypers, noise
+from mbcacq.diagnosis.blocks import prior_weight
 from mbcacq.diagnosis.compose import columns_of, with_members
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.hypers import best_hyper
 from mbcacq.diagnosis.model import NOTHING, Model
 from mbcacq.diagnosis.price import Prices
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup, prepare
 from mbcacq.diagnosis.unnamed import likelihood
+from mbcacq.diagnosis.whitening import Noise
 
 LEVEL = 0.01        # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
 ALLOWED = 0.02      # rate of false alarms over the whole catalogue
@@ -48,16 +51,19 @@ def searched(k: int, tries: float) -> float:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell with one drawn effect: found by the diagnosis, and by the test that knows, at each strength; searched: see there."""
+    """One cell with one drawn effect: found at each strength by the diagnosis, by the test that knows everything of it but its size and the
+    noise (``informed``), and by one that knows name and place and estimates order or moment as well (``estimating``). searched: see there.
+    """
 
     found: list[bool]
     informed: list[bool]
+    estimating: list[bool]
     searched: float
 
 
 def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> Cell:
-    """The whole diagnosis, proof included, and the test that knows which effect it is and where, on the same recordings, at these multiples
-    of the strength that the test would need if it knew the noise too.
+    """The whole diagnosis, proof included, and the tests that know which effect it is and where, on the same recordings, at these multiples
+    of the strength that such a test would need if it knew the noise too.
 
     One cell, one drawn place and shape of the effect, noise as in any challenge.
     """
@@ -65,7 +71,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
     gauge, one = challenger.gauge, {"name": name, "strength": 1.0, "seed": seed + 1}
     gain = gauge.gain(envelope, [one])
     k, tries = sought(challenger, envelope, one)
-    found, informed = [], []
+    found, informed, estimating = [], [], []
     for multiple in multiples:
         plainly = replace(envelope, seed=seed + int(1000 * multiple))
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
@@ -73,8 +79,28 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
         truth = plain(told["effects"][0])
         found.append(bool(tells(diagnose(observations).as_json(), truth)))
         setup = prepare(observations)
-        informed.append(bool(likelihood_ratio(setup, Model(tuple(true_members(setup, truth)))) > chi2.isf(LEVEL, k)))
-    return Cell(found, informed, searched(k, tries))
+        model = Model(tuple(true_members(setup, truth)))
+        informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(LEVEL, k)))
+        best, values = estimated(setup, model)
+        estimating.append(bool(likelihood_ratio(setup, best) > chi2.isf(LEVEL / values, k)))
+    return Cell(found, informed, estimating, searched(k, tries))
+
+
+def estimated(setup: Setup, model: Model) -> tuple[Model, float]:
+    """The model with orders and moments as these data would have them, and the number of independent choices of all of them."""
+    screen, members, choices = Screen(setup.linear, plain_noise(setup)), list(model.members), 1.0
+    for j, (candidate, hyper) in enumerate(members):
+        if candidate.hyper is not None:
+            others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1:]])
+            members[j] = candidate, best_hyper(others, candidate).hyper
+            same = sum(c.key == candidate.key for c, _ in members[:j + 1])
+            choices *= max(hypers.values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
+    return Model(tuple(members)), choices
+
+
+def plain_noise(setup: Setup) -> Noise:
+    """With geometry alone."""
+    return noise.estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
 
 
 def likelihood_ratio(setup: Setup, model: Model) -> float:
@@ -82,7 +108,7 @@ def likelihood_ratio(setup: Setup, model: Model) -> float:
     is no such effect.
     """
     linear = setup.linear
-    plainly = Screen(linear, noise.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first))
+    plainly = Screen(linear, plain_noise(setup))
     there = Screen(linear, noise.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
     return likelihood(there, with_members(there, model), setup.first) - likelihood(plainly, plainly, setup.first)
 

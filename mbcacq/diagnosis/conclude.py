@@ -34,7 +34,7 @@ def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full), mismatch_list(full, worth, before)
     first, last = proof.decides
-    useless = last.chi2 >= first.chi2
+    useless = last.surprise >= first.surprise
     if useless:  # what predicts nothing better on data that took no part is not told; that there is something may be, where it was plain
         effects, after, proof = [], before, replace(proof, after=proof.before)
         weak = verdict == "explained" and full.model.score < WEAK

@@ -18,6 +18,7 @@ from mbcacq.diagnosis.hypers import best_hyper
 from mbcacq.diagnosis.model import Members, Model
 from mbcacq.diagnosis.price import COMPANIONS, Prices
 from mbcacq.diagnosis.screen import Scored, Screen
+from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics import payload
 from mbcacq.physics.effect import Candidate
 from mbcacq.physics.situation import Situation
@@ -128,7 +129,7 @@ class Search:
         model = self.solve(screen, model.members, permit=True)
         while model.members:
             rest = {j: self.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in self.removable(model)}
-            dead = [m for j, m in rest.items() if self.lost(model, m, j) > (LIKELY if self.allowance else SIGNIFICANT)]
+            dead = [m for j, m in rest.items() if self.lost(model, m, j) > self.required(model, m)]
             free = [m for j, m in rest.items() if not self.is_protected(model, j)]
             best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)
             if best is None:
@@ -141,6 +142,11 @@ class Search:
         """Numbers of the members; a wrong tool and the elasticity beside it stay together on purpose."""
         together = (payload.NAME, "joint_compliance") if payload.NAME in model.names else ()
         return [j for j, (c, _) in enumerate(model.members) if c.name not in together]
+
+    def required(self, model: Model, rest: Model) -> float:
+        """p-value that a member must reach; a mild one if without it what is left would not pass the test that all of them pass."""
+        carries = rest.members and model.score > self.nothing.score >= rest.score
+        return LIKELY if self.allowance or carries else SIGNIFICANT
 
     @staticmethod
     def lost(model: Model, rest: Model, j: int) -> float:
@@ -173,7 +179,7 @@ class Search:
                     out.append(here.test(candidate, hyper))
             elif (scored := best_hyper(here, candidate, lambda h, c=candidate: least(c, h))) is not None:
                 out.append(scored)
-        return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, present, s.gain) - s.gain)
+        return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, present, Strengths.of(*s.fitted)) - s.gain)
 
     def beside(self, model: Model) -> list[Candidate]:
         """Candidates that exist only next to what the model has: a wrong payload next to elastic joints."""
@@ -213,12 +219,14 @@ class Search:
         b = X.T @ screen.r
         coefficients = covariance @ b
         gain = float(b @ coefficients)
-        cost, price, present = 0.0, 0.0, []
+        cost, price, present, owns = 0.0, 0.0, [], []
         for (candidate, hyper), p in zip(members, Model(members).parts(), strict=True):
-            own = float(coefficients[p] @ np.linalg.solve(covariance[p, p], coefficients[p]))
-            cost += self.prices.threshold(candidate, hyper, present)
+            own = Strengths.of(candidate, coefficients[p], covariance[p, p])
+            cost += self.prices.cost(candidate, hyper, present, own)
             price += self.prices.price(candidate, hyper, present, own)
             present.append(candidate)
+            owns.append(own)
+        cost = min(cost, self.prices.cost_together(members, owns))
         model = Model(members, gain, gain - cost, gain - price, coefficients, covariance)
         if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
             return None

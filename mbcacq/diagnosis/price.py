@@ -8,13 +8,15 @@ have fitted (``price``). A test's threshold alone would favour names of few coef
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.hypers import values
+from mbcacq.diagnosis.model import Members
+from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics.effect import Candidate
 
 FALSE_ALARM = 0.03  # of the search alone: most of what it finds by chance predicts nothing on data left out, and is not told
@@ -38,17 +40,35 @@ class Prices:
         places = 1 if here else max(self._places[candidate.name], 1)
         return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
 
-    def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate]) -> float:
-        """chi2 that chance alone would give to the best of all candidates of this kind, once in FAMILIES / FALSE_ALARM cells."""
-        log_tries = round(np.log(self.tries(candidate, hyper, present)), 1)
-        return _threshold(candidate.k, log_tries, expected(candidate, present)) + further(candidate, present)
+    def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None) -> float:
+        """chi2 that chance alone would give to the best of all candidates of this kind, once in FAMILIES / FALSE_ALARM cells.
 
-    def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], gain: float) -> float:
-        """Twice the log of one over the candidate's share of what may be, and, for coefficients of unknown size (random, N(0, s^2), s the
-        most probable), of what they could have fitted.
+        dof: of the test's statistic, where not every coefficient is seen.
         """
+        log_tries = round(np.log(self.tries(candidate, hyper, present)), 1)
+        dof = round(dof, 1) if dof else float(candidate.k)
+        return _threshold(dof, log_tries, expected(candidate, present)) + further(candidate, present)
+
+    def cost(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
+        """What the test takes off the gain: the threshold, and what was gained where hardly anything is seen."""
+        statistic, dof = own.test
+        return self.threshold(candidate, hyper, present, dof) + own.gain - statistic
+
+    def cost_together(self, members: Members, owns: Sequence[Strengths]) -> float:
+        """The same of several effects of one kind, tested as one: each alone may be too weak."""
+        kind, log_tries, dof, unseen = members[0][0], 0.0, 0.0, 0.0
+        if len(members) < 2 or kind.name not in COMPANIONS or any(c.name != kind.name for c, _ in members):
+            return np.inf
+        for j, ((candidate, hyper), own) in enumerate(zip(members, owns, strict=True)):
+            statistic, seen = own.test
+            log_tries += np.log(self.tries(candidate, hyper, [c for c, _ in members[:j]]) / (j + 1))
+            dof, unseen = dof + seen, unseen + own.gain - statistic
+        return _threshold(round(dof, 1), round(log_tries, 1), False) + unseen
+
+    def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
+        """Twice the log of one over the candidate's share of what may be, and of what its coefficients could have fitted."""
         share = 2 * np.log(self.tries(candidate, hyper, present) * (1.0 if expected(candidate, present) else FAMILIES))
-        return share + candidate.k * (1.0 + np.log(max(gain / candidate.k, 1.0))) + further(candidate, present)
+        return share + own.price + further(candidate, present)
 
 
 def expected(candidate: Candidate, present: Collection[Candidate]) -> bool:
@@ -61,6 +81,6 @@ def further(candidate: Candidate, present: Collection[Candidate]) -> float:
 
 
 @lru_cache(maxsize=10000)
-def _threshold(k: int, log_tries: float, expected: bool) -> float:
+def _threshold(dof: float, log_tries: float, expected: bool) -> float:
     share = FALSE_ALARM / FAMILIES * (EXPECTED if expected else 1.0)
-    return float(chi2.isf(min(share / np.exp(log_tries), 0.2), k))
+    return float(chi2.isf(min(share / np.exp(log_tries), 0.2), dof))

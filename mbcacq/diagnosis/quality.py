@@ -1,8 +1,14 @@
-"""How well a model does on centres: fitted on some, looked at on others, where only the poses of new stations are free."""
+"""How well a model does on centres: fitted on some, looked at on others, where only the poses of new stations are free.
+
+Squares and chi2 are of what the fit on the others predicts. ``surprise`` also knows how sure that prediction is: minus twice the log of the
+probability density of the centres looked at, given the others. Geometry is never known exactly, and its error is common to many centres,
+so a weak effect shows there first.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,21 +17,22 @@ from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.smooth import SmoothModel
-from mbcacq.diagnosis.whitening import Noise
+from mbcacq.diagnosis.whitening import Noise, Whitener
 from mbcacq.physics import steps
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom."""
+    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom; surprise, see above, up to a constant."""
 
     square: float
     count: int
     chi2: float
     dof: float
+    surprise: float = 0.0
 
     def __add__(self, other: Quality) -> Quality:
-        return Quality(self.square + other.square, self.count + other.count, self.chi2 + other.chi2, self.dof + other.dof)
+        return Quality(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def rms(self) -> float:
@@ -43,18 +50,49 @@ def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, res
     """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free, and the moment of
     a change that fell among the poses left out.
     """
-    fitted = linear.restricted(train)
-    columns, sigma = columns_of(fitted, model, rest)
-    solution = solve(fitted.whitener(noise), columns, sigma, linear.residual)
-    left = linear.residual - columns @ solution
-    best = on_new_stations(linear, train, test, left, noise)
+    columns, sigma = columns_of(linear.restricted(train), model, rest)
+    known = Known.of(linear.restricted(train).whitener(noise), columns, sigma, linear.residual)
+    looked_at = linear.restricted(test).whitener(noise)
+
+    def seen(columns: np.ndarray) -> Quality:
+        quality = on_new_stations(linear, train, test, linear.residual - columns @ known.solution, noise)
+        return replace(quality, surprise=known.surprise(looked_at, columns, linear.residual))
+
+    best = seen(columns)
     first = columns.shape[2] - sum(c.k for c, _ in model.members) - (0 if rest is None else rest.columns.shape[2])
     for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
         mine = slice(first + p.start, first + p.stop)
         for moment in steps.undecided(candidate, hyper, linear.obs, train):
-            other = left + (columns[:, :, mine] - linear.columns(candidate.build(moment))) @ solution[mine]
-            best = min(best, on_new_stations(linear, train, test, other, noise), key=lambda quality: quality.chi2)
+            other = columns.copy()
+            other[:, :, mine] = linear.columns(candidate.build(moment))
+            best = min(best, seen(other), key=lambda quality: quality.chi2)
     return best
+
+
+@dataclass(frozen=True)
+class Known:
+    """What some centres say of all coefficients (z,): in units of their prior sigma the normal matrix, prior included, and right-hand side."""
+
+    sigma: np.ndarray
+    normal: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, whiten: Whitener, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Known:
+        """columns (M, R, z), residual (M, R); the whitener says which centres."""
+        Z = whiten(columns) * sigma
+        return cls(sigma, Z.T @ Z + np.eye(len(sigma)), Z.T @ whiten(residual))
+
+    @cached_property
+    def solution(self) -> np.ndarray:
+        return self.sigma * np.linalg.solve(self.normal, self.right)
+
+    def surprise(self, whiten: Whitener, columns: np.ndarray, residual: np.ndarray) -> float:
+        """Of other centres: by the chain rule what all of them are less probable than these alone."""
+        Z, r = whiten(columns) * self.sigma, whiten(residual)
+        normal, right = self.normal + Z.T @ Z, self.right + Z.T @ r
+        chi2 = r @ r - right @ np.linalg.solve(normal, right) + self.right @ (self.solution / self.sigma)
+        return float(chi2 + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])
 
 
 def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: np.ndarray, noise: Noise) -> Quality:
@@ -76,13 +114,6 @@ def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: n
         dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(free)), normal)))
     r = whiten(left)
     return Quality(float(np.sum(left[test, :3] ** 2)), int(test.sum()), float(r @ r), dof)
-
-
-def solve(whiten, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    Z = whiten(columns) * sigma
-    normal = Z.T @ Z
-    normal[np.diag_indices_from(normal)] += 1.0
-    return sigma * np.linalg.solve(normal, Z.T @ whiten(residual))
 
 
 def on_train(screen: Screen, model: Model, rest: SmoothModel | None) -> tuple[Quality, np.ndarray]:

@@ -13,7 +13,7 @@ from mbcacq.physics.effect import Candidate
 
 VISIBLE = 2.0  # chi2 that an effect of typical size must make at least, or it would not be seen even several times as large
 STRONG = 10.0  # times the typical size
-UNDECIDED = 2 * float(np.log(10.0))  # an alternative that is more than a tenth as probable is not excluded
+UNDECIDED = 2 * float(np.log(20.0))  # an alternative that is more than a twentieth as probable is not excluded
 
 
 def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
@@ -73,7 +73,7 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
 
 
 def excluded(setup: Setup, full: Finding, search: Search, other: Model) -> bool:
-    """Whether another set of names is less than a tenth as probable as the one told, each under the noise that it leaves."""
+    """Whether another set of names is less than a twentieth as probable as the one told, each under the noise that it leaves."""
     if other.worth < full.model.worth - choice.CLOSE:
         return True
     if full.smooth is not None:  # the noise is that of what has no name

@@ -30,6 +30,10 @@ class Scored:
     coefficients: np.ndarray
     covariance: np.ndarray
 
+    @property
+    def fitted(self) -> tuple[Candidate, np.ndarray, np.ndarray]:
+        return self.candidate, self.coefficients, self.covariance
+
 
 class Screen:
     """Whitened problem under a noise model. adopted() gives a screen that projects out more; it borrows what this one has computed."""

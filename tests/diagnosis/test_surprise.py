@@ -1,0 +1,49 @@
+"""How probable data left out are, given the others."""
+
+import made
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from mbcacq.diagnosis import finding, quality
+from mbcacq.diagnosis.model import NOTHING, Model
+
+
+def test_surprise_is_minus_twice_the_log_of_the_density_foretold():
+    """Against the plain formula: the mean and the covariance that the others foretell."""
+    rng = np.random.default_rng(1)
+    X, sigma, r = rng.normal(size=(30, 1, 4)), np.array([0.5, 2.0, 1.0, 3.0]), rng.normal(size=(30, 1))
+    train, test = np.arange(30) < 20, np.arange(30) >= 20
+
+    def of(which):
+        return lambda a: a[which].reshape(which.sum(), *a.shape[2:])
+
+    known = quality.Known.of(of(train), X, sigma, r)
+    surprise = known.surprise(of(test), X, r)
+
+    A, B = X[train, 0], X[test, 0]
+    covariance = np.linalg.inv(A.T @ A + np.diag(1 / sigma**2))
+    foretold = multivariate_normal(B @ covariance @ A.T @ r[train, 0], np.eye(10) + B @ covariance @ B.T)
+    assert surprise == pytest.approx(-2 * foretold.logpdf(r[test, 0]) - 10 * np.log(2 * np.pi))
+    assert known.solution == pytest.approx(covariance @ A.T @ r[train, 0])
+
+
+def test_it_does_not_matter_in_which_order_stations_come(plan):
+    """The chain rule: each given those before it, the surprises add up to that of all, whichever comes first."""
+    observed = made.observe(plan, 141, [("joint_compliance", ("A2",), [2e-6], None)])
+    setup = finding.prepare(observed)
+    linear, station = setup.linear, observed.station[observed.pose]
+    elastic = next(c for c in setup.candidates if c.key.startswith("joint_compliance:A2"))
+
+    def summed(model, order):
+        seen, total = np.isin(station, order[:2]), 0.0
+        for k in order[2:]:
+            total += quality.judge(linear, seen, station == k, model, None, setup.first).surprise
+            seen = seen | (station == k)
+        return total
+
+    first, *rest = np.unique(station)[:6]
+    for model in (NOTHING, Model(((elastic, None),))):
+        ways = [summed(model, [first, rest[0], *order]) for order in (rest[1:], rest[:0:-1])]
+        assert ways[0] == pytest.approx(ways[1], abs=1e-6 * abs(ways[0]))
+    assert summed(Model(((elastic, None),)), [first, *rest]) < summed(NOTHING, [first, *rest]) - 10
