@@ -8,16 +8,16 @@ so a weak effect shows there first.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from mbcacq.diagnosis.compose import columns_of
+from mbcacq.diagnosis.known import Known
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.smooth import SmoothModel
-from mbcacq.diagnosis.whitening import Noise, Whitener
+from mbcacq.diagnosis.whitening import Noise
 from mbcacq.physics import steps
 
 
@@ -51,7 +51,8 @@ def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, res
     a change that fell among the poses left out.
     """
     columns, sigma = columns_of(linear.restricted(train), model, rest)
-    known = Known.of(linear.restricted(train).whitener(noise), columns, sigma, linear.residual)
+    parts = places_of(model, columns.shape[2] - (0 if rest is None else rest.columns.shape[2]))
+    known = Known.of(linear.restricted(train).whitener(noise), columns, sigma, linear.residual).sized(model, parts)
     looked_at = linear.restricted(test).whitener(noise)
 
     def seen(columns: np.ndarray) -> Quality:
@@ -59,9 +60,7 @@ def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, res
         return replace(quality, surprise=known.surprise(looked_at, columns, linear.residual))
 
     best = seen(columns)
-    first = columns.shape[2] - sum(c.k for c, _ in model.members) - (0 if rest is None else rest.columns.shape[2])
-    for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
-        mine = slice(first + p.start, first + p.stop)
+    for (candidate, hyper), mine in zip(model.members, parts, strict=True):
         for moment in steps.undecided(candidate, hyper, linear.obs, train):
             other = columns.copy()
             other[:, :, mine] = linear.columns(candidate.build(moment))
@@ -69,30 +68,10 @@ def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, res
     return best
 
 
-@dataclass(frozen=True)
-class Known:
-    """What some centres say of all coefficients (z,): in units of their prior sigma the normal matrix, prior included, and right-hand side."""
-
-    sigma: np.ndarray
-    normal: np.ndarray
-    right: np.ndarray
-
-    @classmethod
-    def of(cls, whiten: Whitener, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Known:
-        """columns (M, R, z), residual (M, R); the whitener says which centres."""
-        Z = whiten(columns) * sigma
-        return cls(sigma, Z.T @ Z + np.eye(len(sigma)), Z.T @ whiten(residual))
-
-    @cached_property
-    def solution(self) -> np.ndarray:
-        return self.sigma * np.linalg.solve(self.normal, self.right)
-
-    def surprise(self, whiten: Whitener, columns: np.ndarray, residual: np.ndarray) -> float:
-        """Of other centres: by the chain rule what all of them are less probable than these alone."""
-        Z, r = whiten(columns) * self.sigma, whiten(residual)
-        normal, right = self.normal + Z.T @ Z, self.right + Z.T @ r
-        chi2 = r @ r - right @ np.linalg.solve(normal, right) + self.right @ (self.solution / self.sigma)
-        return float(chi2 + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])
+def places_of(model: Model, end: int) -> list[slice]:
+    """Which columns are which member's, if the last one's end there."""
+    first = end - sum(c.k for c, _ in model.members)
+    return [slice(first + p.start, first + p.stop) for p in model.parts()]
 
 
 def on_new_stations(linear: Linear, train: np.ndarray, test: np.ndarray, left: np.ndarray, noise: Noise) -> Quality:

@@ -40,14 +40,25 @@ class Strengths:
         """Of all together."""
         return float(self.gains.sum())
 
+    @cached_property
+    def _most_probable(self) -> tuple[float, float]:
+        """Of all scales: variance of the best seen coefficient to that of its noise, and twice the log evidence there."""
+        if len(self.gains) == 1:
+            return (self.gain - 1.0, self.gain - 1.0 - np.log(self.gain)) if self.gain > 1.0 else (0.0, 0.0)
+        x = np.outer(SCALES, self.seen / self.seen.max())
+        twice = x / (1 + x) @ self.gains - np.log1p(x).sum(axis=1)
+        best = int(np.argmax(twice))
+        return (float(SCALES[best]), float(twice[best])) if twice[best] > 0 else (0.0, 0.0)
+
+    @property
+    def scale(self) -> float:
+        """Most probable size of the coefficients, in typical ones."""
+        return float(np.sqrt(self._most_probable[0] / self.seen.max()))
+
     @property
     def price(self) -> float:
         """What evidence takes off the gain: twice the log of what the coefficients could have fitted."""
-        if len(self.gains) == 1:
-            return 1.0 + np.log(self.gain) if self.gain > 1.0 else self.gain
-        x = np.outer(SCALES, self.seen / self.seen.max())
-        twice = x / (1 + x) @ self.gains - np.log1p(x).sum(axis=1)
-        return self.gain - max(float(twice.max()), 0.0)
+        return self.gain - self._most_probable[1]
 
     @cached_property
     def test(self) -> tuple[float, float]:
