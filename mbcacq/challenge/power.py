@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import factorial
 from typing import Any
@@ -143,8 +143,8 @@ def ninety(multiples: Sequence[float], found: np.ndarray) -> float:
     return float(middle[best] + norm.isf(1 - WANTED) * width[best])
 
 
-def interval(multiples: Sequence[float], found: np.ndarray, draws: int = 200) -> tuple[float, float]:
-    """95 % interval of ``ninety``, from cells drawn again and again."""
+def with_interval(figure: Callable[[np.ndarray], float], cells: int, draws: int = 200) -> tuple[float, float, float]:
+    """A figure of cells, given by their numbers, and its 95 % interval, from cells drawn again and again."""
     rng = np.random.default_rng(0)
-    drawn = [ninety(multiples, found[rng.integers(0, len(found), len(found))]) for _ in range(draws)]
-    return float(np.quantile(drawn, 0.025)), float(np.quantile(drawn, 0.975))
+    drawn = [figure(rng.integers(0, cells, cells)) for _ in range(draws)]
+    return figure(np.arange(cells)), float(np.quantile(drawn, 0.025)), float(np.quantile(drawn, 0.975))

@@ -35,7 +35,9 @@ def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
 
 
 def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict], list]:
-    """For each named effect: what else could stand in its place; the pairs that these data cannot tell apart, in words and as found."""
+    """For each named effect: what else, or the same elsewhere, could stand in its place; the pairs that these data cannot tell apart, in words
+    and as found.
+    """
     alternatives: dict[str, list[dict]] = {}
     inseparable: list[dict] = []
     pairs: list = []
@@ -50,10 +52,12 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
         if rest is None:
             continue
         lost = model.gain - rest.gain
+        places = {w for j in mine for w in model.members[j][0].where}
         seen = set()
         for scored in search.expand(full.before, rest):
             candidate = scored.candidate
-            if candidate.name == name or candidate.name in seen or len(seen) == 3:
+            itself = candidate.name == name and places.intersection(candidate.where)
+            if itself or candidate.name in seen or len(seen) == 3:
                 continue
             seen.add(candidate.name)
             alternatives.setdefault(name, []).append(
