@@ -41,11 +41,11 @@ MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
 CELLS = 20
 POWER_TEXT = """
 Share of cells in which the diagnosis, proof included, names the effect at its place (or as one of two that it cannot tell apart), and in
-brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and place and estimate the
-noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples of that at which a
-test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative normal), the ratio to
-either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with 2 % false
-alarms shared alike by the catalogue's effects, places, orders and moments (median over the cells).""".splitlines()
+brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and place and estimate
+the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples of that at
+which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative normal), the
+ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with
+2 % false alarms shared alike by the catalogue's effects, places, orders and moments (median over the cells).""".splitlines()
 INTRODUCTION = """# Challenges
 
 Made by `python benchmarks/challenge.py` on the poses of `plans/seeing.yaml` (128 poses, 605 centres, the fast path of

@@ -89,7 +89,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
 def estimated(setup: Setup, model: Model) -> tuple[Model, float]:
     """The model with orders and moments as these data would have them, and the number of independent choices of all of them."""
     screen, members, choices = Screen(setup.linear, plain_noise(setup)), list(model.members), 1.0
-    for j, (candidate, hyper) in enumerate(members):
+    for j, (candidate, _) in enumerate(members):
         if candidate.hyper is not None:
             others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1:]])
             members[j] = candidate, best_hyper(others, candidate).hyper

@@ -35,8 +35,8 @@ def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
 
 
 def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict], list]:
-    """For each named effect: what else, or the same elsewhere, could stand in its place; the pairs that these data cannot tell apart, in words
-    and as found.
+    """For each named effect: what else, or the same elsewhere, could stand in its place; the pairs that cannot be told apart, in words and
+    as found.
     """
     alternatives: dict[str, list[dict]] = {}
     inseparable: list[dict] = []
