@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
 
 from mbcacq.diagnosis import wrong_tool
 from mbcacq.diagnosis.blocks import prior_weight
@@ -23,8 +22,6 @@ from mbcacq.physics import payload
 from mbcacq.physics.effect import Candidate
 from mbcacq.physics.situation import Situation
 
-SIGNIFICANT = 0.001  # own p-value beyond which a member is not told, whatever it was found with
-LIKELY = 0.05  # the same where there is known to be an effect
 LONGEST = 20
 FEW = 4  # members up to which exchanging them is tried several times even in a long recording
 NEARLY = 0.7  # share of what it costs that a candidate must gain to be looked at
@@ -120,38 +117,6 @@ class Search:
                 return model
             model = improved
         return model
-
-    def pruned(self, screen: Screen, model: Model) -> Model:
-        """Without the members that no longer pay, one by one, under the noise and beside whatever was found in the end.
-
-        screen: may have groups without a name projected out, which can make a name superfluous that was needed before them.
-        """
-        model = self.solve(screen, model.members, permit=True)
-        while model.members:
-            rest = {j: self.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in self.removable(model)}
-            dead = [m for j, m in rest.items() if self.lost(model, m, j) > self.required(model, m)]
-            free = [m for j, m in rest.items() if not self.is_protected(model, j)]
-            best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)
-            if best is None:
-                break
-            model = best
-        return model
-
-    @staticmethod
-    def removable(model: Model) -> list[int]:
-        """Numbers of the members; a wrong tool and the elasticity beside it stay together on purpose."""
-        together = (payload.NAME, "joint_compliance") if payload.NAME in model.names else ()
-        return [j for j, (c, _) in enumerate(model.members) if c.name not in together]
-
-    def required(self, model: Model, rest: Model) -> float:
-        """p-value that a member must reach; a mild one if without it what is left would not pass the test that all of them pass."""
-        carries = rest.members and model.score > self.nothing.score >= rest.score
-        return LIKELY if self.allowance or carries else SIGNIFICANT
-
-    @staticmethod
-    def lost(model: Model, rest: Model, j: int) -> float:
-        """p-value of member j beside the others: chi2 that is lost without it."""
-        return float(chi2.sf(max(model.gain - rest.gain, 0.0), model.members[j][0].k))
 
     def is_protected(self, model: Model, j: int) -> bool:
         """Members that stay as long as they are significant: elasticity, which every arm has, gives way to no periodic error."""

@@ -14,6 +14,7 @@ from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.leftover import Leftover
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.model import NOTHING, Model
+from mbcacq.diagnosis.pruning import pruned
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup, back, prepare, thin
 from mbcacq.diagnosis.smooth import SmoothModel
@@ -97,7 +98,7 @@ def find(setup: Setup, keep: np.ndarray | None = None, again: bool = True, expec
         return find_in_many(setup, linear, keep, again, expected)
     plain, sigma, search, settled, model = named_in_turns(setup, linear, keep, ALLOWANCE if name_expected else 0.0)
     before = Screen(settled, sigma)
-    model = search.pruned(before, search.solve(before, model.members, permit=True))
+    model = pruned(search, before, search.solve(before, model.members, permit=True))
     if keep is None and again:
         better = outliers(before, model)
         if not np.array_equal(better, settled.keep) and np.mean(~better) < 0.05:
@@ -118,8 +119,8 @@ def find(setup: Setup, keep: np.ndarray | None = None, again: bool = True, expec
 def told_of(search: Search, screen: Screen, model: Model, rest: SmoothModel | None) -> Model:
     """Those names that are still significant beside what has no name, with their coefficients without it as before."""
     if not model.members or rest is None:
-        return search.pruned(screen, model)
-    kept = search.pruned(Screen(screen.linear, screen.noise, (rest.columns, rest.sigma)), model)
+        return pruned(search, screen, model)
+    kept = pruned(search, Screen(screen.linear, screen.noise, (rest.columns, rest.sigma)), model)
     return search.solve(screen, kept.members, permit=True)
 
 
@@ -138,7 +139,7 @@ def find_in_many(setup: Setup, linear: Linear, keep: np.ndarray | None, again: b
     sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
     search = Search(setup.candidates, thorough=False, protected=search.protected)
     before = Screen(linear, sigma)
-    model = search.pruned(before, model)
+    model = pruned(search, before, model)
     if keep is None and again:
         better = outliers(before, model)
         if not np.array_equal(better, linear.keep) and np.mean(~better) < 0.05:

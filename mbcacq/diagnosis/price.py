@@ -19,7 +19,7 @@ from mbcacq.diagnosis.model import Members
 from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics.effect import Candidate
 
-FALSE_ALARM = 0.03  # of the search alone: most of what it finds by chance predicts nothing on data left out, and is not told
+FALSE_ALARM = 0.03  # were the kinds independent; they overlap, and about half as many cells without any effect have one
 FAMILIES = 20
 FURTHER = 4.0  # a further effect is less likely than the first, by a factor of seven
 EXPECTED = 10.0  # times as likely as otherwise is an effect at another joint where one is

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.challenge.power import ALLOWED, FAMILIES, LEVEL, least_gain, ninety, searched, tells
+from mbcacq.challenge.power import ALLOWED, FAMILIES, LEVEL, least_gain, ninety, searched, tells, with_interval
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():
@@ -39,3 +39,15 @@ def test_one_of_two_that_cannot_be_told_apart_counts_as_told():
     assert tells({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A2"]}]}, truth)
     assert not tells({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A5"]}]}, truth)
     assert tells({"effects": [{"name": "joint_compliance", "where": ["A3"]}], "not_separable": []}, truth)
+
+
+def test_a_figure_of_cells_has_an_interval_that_holds_the_truth_as_often_as_stated():
+    """A mean of normal variates, drawn a hundred times: its 95 % interval holds zero nearly always (a little less often with few cells)."""
+    rng = np.random.default_rng(6)
+    held = 0
+    for _ in range(100):
+        values = rng.normal(size=30)
+        _, low, high = with_interval(lambda cells, values=values: float(values[cells].mean()), 30)
+        held += low < 0.0 < high
+
+    assert held >= 85

@@ -10,6 +10,7 @@ from mbcacq.calibration.forward import Displacements
 from mbcacq.diagnosis import finding
 from mbcacq.diagnosis.conclude import verdict_of
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.rivals import rivals
 from mbcacq.errors import CalibrationError
 
 
@@ -77,3 +78,13 @@ def test_too_few_poses_are_refused(plan):
 
     with pytest.raises(CalibrationError, match="too few"):
         diagnose(few)
+
+
+def test_the_same_effect_at_another_joint_is_an_alternative_too(plan):
+    """Axes 2 and 3 are parallel: which of them measures its turns wrong is a question like any other."""
+    setup = finding.prepare(made.observe(plan, 150, [("joint_scale", ("A2",), [6e-5], None)]))
+
+    alternatives, inseparable, _ = rivals(setup, finding.find(setup))
+
+    assert [(a["name"], a["where"]) for a in alternatives["joint_scale"]][0] == ("joint_scale", ["A3"])
+    assert inseparable == []

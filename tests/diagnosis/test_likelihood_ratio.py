@@ -6,7 +6,7 @@ import made
 import numpy as np
 from scipy.stats import chi2, kstest
 
-from mbcacq.challenge.power import likelihood_ratio
+from mbcacq.challenge.power import estimated, likelihood_ratio
 from mbcacq.diagnosis.model import Model
 from mbcacq.diagnosis.setup import prepare
 from mbcacq.diagnosis.whitening import Noise
@@ -25,6 +25,20 @@ def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):
     assert len(tail) == 16 * len(SOUGHT)
     assert kstest(tail, "uniform").pvalue > 0.01
     assert np.mean(np.array(tail) < 0.01) < 0.04
+
+
+def test_one_that_estimates_order_or_moment_counts_how_many_it_could_have_chosen(plan):
+    tail = []
+    for seed in range(12):
+        setup = prepare(made.observe(plan, 920 + seed))
+        for key in ("gear_transmission_error:A3:q3:", "mount_shift:mount:pose:"):
+            candidate = next(c for c in setup.candidates if c.key == key)
+            best, choices = estimated(setup, Model(((candidate, 60.0),)))
+            tail.append(choices * chi2.sf(max(likelihood_ratio(setup, best), 0.0), candidate.k))
+
+    assert best.members[0][1] != 60.0
+    assert 0 < np.sum(np.array(tail) < 0.3) <= 14
+    assert np.sum(np.array(tail) < 0.05) <= 4
 
 
 def test_it_finds_a_plain_effect(plan):
