@@ -42,8 +42,9 @@ class Candidate:
     build(hyper value or None) -> parts. report(coefficients (k,), covariance (k, k), hyper value) -> parameters in contract units.
     separable: (place, index, component) of its components where every component is multiplied by the same functions(values (H,)) ->
     (H, P, f); coefficients are ordered component-major. positive: physics demands a positive first coefficient.
-    typical: size of the coefficients in a real cell (k,), used to say whether the poses could see it. variant: tells candidates of one
-    effect at one place apart; only one of them is ever chosen. several: the same place may have it several times (several orders).
+    typical: size of the coefficients in a real cell (k,): whether the poses could see it, and how probable one size of them is beside the
+    others. variant: tells candidates of one effect at one place apart; only one of them is ever chosen. several: the same place may have it
+    several times (several orders).
     """
 
     name: str
