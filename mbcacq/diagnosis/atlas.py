@@ -131,12 +131,12 @@ class Atlas:
                 keep(found, Cell(place, on, log, log - self.shares[place], float(gains[j]), float(used[j]), number, rows, shape))
 
     def group(self, cell: Cell) -> Group:
-        """The cell's columns, each of unit size, as a group for the smooth model."""
+        """The cell's columns, each of unit size (or zero, where these data do not see it), as a group for the smooth model."""
         layer = self.layers[cell.layer]
         f = layer.functions.shape[1]
         columns = self._columns(layer, cell.rows, cell.shape.index)
         raw = self.base[cell.layer][2][(np.array(cell.rows)[:, None] * f + cell.shape.index).reshape(-1)]
-        return Group(cell.at, cell.depends_on, columns / np.sqrt(raw), np.tile(cell.shape.weight, len(cell.rows)))
+        return Group(cell.at, cell.depends_on, columns / np.sqrt(np.maximum(raw, 1e-200)), np.tile(cell.shape.weight, len(cell.rows)))
 
 
 def less(blocks: list[np.ndarray], plan: Plan, taken: np.ndarray) -> list[np.ndarray]:

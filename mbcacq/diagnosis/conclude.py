@@ -11,7 +11,7 @@ from mbcacq.diagnosis.explain import Search
 from mbcacq.diagnosis.finding import Finding
 from mbcacq.diagnosis.model import NOTHING
 from mbcacq.diagnosis.prove import Proof
-from mbcacq.diagnosis.quality import Quality, on_train
+from mbcacq.diagnosis.quality import NOISE_LIKE, Quality, better, on_train
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.rivals import rivals, unseen
 from mbcacq.diagnosis.seen import evidence_of
@@ -19,9 +19,9 @@ from mbcacq.diagnosis.setup import Setup
 from mbcacq.diagnosis.shares import Worth
 from mbcacq.diagnosis.told import mismatch_list, named_effects, unknown_effects, where_it_is
 
-LEAST = 0.05  # share of the held-out excess that a name must remove to be told beside a larger mismatch without one
+# Share of the held-out excess that a name must remove to be told beside a mismatch without one: a larger, and a smaller one.
+LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 WEAK = 20.0  # score up to which a name may be chance, and is proven with more of the data: it might not be found in three quarters of them
-NOISE_LIKE = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
 
 
 def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
@@ -34,7 +34,7 @@ def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full), mismatch_list(full, worth, before)
     first, last = proof.decides
-    useless = last.surprise >= first.surprise
+    useless = not better(last, first)
     if useless:  # what predicts nothing better on data that took no part is not told; that there is something may be, where it was plain
         effects, after, proof = [], before, replace(proof, after=proof.before)
         weak = verdict == "explained" and full.model.score < WEAK
@@ -43,8 +43,8 @@ def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not places:
         places = mismatch_list(full, worth, before, anything=True)
-    if verdict == "unexplained":  # what describes next to nothing of a mismatch is no name for it
-        effects = [e for e in effects if e.held_out_gain >= LEAST]
+    if verdict in LEAST:  # what describes next to nothing of a mismatch is no name for it
+        effects = [e for e in effects if e.held_out_gain >= LEAST[verdict]]
     effects += [] if useless else unknown_effects(full, worth, proof)
     if verdict == "unexplained" and not effects:
         effects = where_it_is(places)

@@ -191,7 +191,8 @@ class Search:
             price += self.prices.price(candidate, hyper, present, own)
             present.append(candidate)
             owns.append(own)
-        cost = min(cost, self.prices.cost_together(members, owns))
+        if self.thorough:  # in a long recording nothing real is weak
+            cost = min(cost, self.prices.cost_together(members, owns))
         model = Model(members, gain, gain - cost, gain - price, coefficients, covariance)
         if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
             return None

@@ -40,19 +40,26 @@ class Prices:
         places = 1 if here else max(self._places[candidate.name], 1)
         return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
 
-    def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None) -> float:
+    def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None,
+                  rarer: float = 1.0) -> float:
         """chi2 that chance alone would give to the best of all candidates of this kind, once in FAMILIES / FALSE_ALARM cells.
 
-        dof: of the test's statistic, where not every coefficient is seen.
+        dof: of the test's statistic, where not every coefficient is seen. rarer: times as many cells.
         """
-        log_tries = round(np.log(self.tries(candidate, hyper, present)), 1)
+        log_tries = round(np.log(rarer * self.tries(candidate, hyper, present)), 1)
         dof = round(dof, 1) if dof else float(candidate.k)
         return _threshold(dof, log_tries, expected(candidate, present)) + further(candidate, present)
 
     def cost(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
-        """What the test takes off the gain: the threshold, and what was gained where hardly anything is seen."""
+        """What the test takes off the gain: the threshold, and what was gained where hardly anything is seen.
+
+        An effect may be strong just there (a pure turn of the scanner): a second test, ten times as rare by chance, counts all alike.
+        """
+        if candidate.k == 1:
+            return self.threshold(candidate, hyper, present)
         statistic, dof = own.test
-        return self.threshold(candidate, hyper, present, dof) + own.gain - statistic
+        alike = self.threshold(candidate, hyper, present, rarer=10.0)
+        return min(self.threshold(candidate, hyper, present, dof) + own.gain - statistic, alike)
 
     def cost_together(self, members: Members, owns: Sequence[Strengths]) -> float:
         """The same of several effects of one kind, tested as one: each alone may be too weak."""

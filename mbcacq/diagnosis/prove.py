@@ -14,7 +14,7 @@ from mbcacq.diagnosis.crew import Crew
 from mbcacq.diagnosis.finding import Finding
 from mbcacq.diagnosis.folds import Fold, split
 from mbcacq.diagnosis.model import NOTHING, spot
-from mbcacq.diagnosis.quality import EMPTY, Quality, judge
+from mbcacq.diagnosis.quality import EMPTY, Quality, better, judge
 from mbcacq.diagnosis.setup import Setup
 from mbcacq.physics import payload
 
@@ -72,7 +72,7 @@ def prove(setup: Setup, full: Finding, folds: int = 4, workers: int = 1) -> Proo
         empty = ()
         if payload.NAME not in full.model.names:
             beside = (*(full.model.names if len(full.model.names) > 1 else ()), *all_but_the_best(spots, without))
-            empty = tuple(key for key in beside if not stays(full, key) and without[key].surprise <= (named or after).surprise)
+            empty = tuple(key for key in beside if not stays(full, key) and not better(named or after, without[key]))
         if empty:
             after = total(crew.ask("without", empty))
     there = total(a.before_there for a in answers), total(a.after_there for a in answers)
@@ -87,7 +87,7 @@ def total(qualities: Iterable[Quality]) -> Quality:
 def all_but_the_best(spots: tuple[str, ...], without: dict[str, Quality]) -> tuple[str, ...]:
     """The places of each name, but for the one that predicts most."""
     best: dict[str, str] = {}
-    for at in sorted(spots, key=lambda s: without[s].surprise):
+    for at in sorted(spots, key=lambda s: without[s].chi2):
         best[at.split(":")[0]] = at
     return tuple(s for s in spots if s not in best.values())
 

@@ -44,6 +44,14 @@ class Quality:
 
 
 EMPTY = Quality(0.0, 0, 0.0, 0.0)
+NOISE_LIKE = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
+
+
+def better(one: Quality, other: Quality) -> bool:
+    """Whether one model does better on data left out than another: makes them more probable, or, where it leaves more than noise and so
+    cannot say how probable anything is, predicts them more closely.
+    """
+    return one.surprise < other.surprise if one.chi2_dof <= NOISE_LIKE else one.chi2 < other.chi2
 
 
 def judge(linear: Linear, train: np.ndarray, test: np.ndarray, model: Model, rest: SmoothModel | None, noise: Noise) -> Quality:

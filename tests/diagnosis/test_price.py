@@ -47,3 +47,19 @@ def test_what_is_of_different_kinds_is_not_tested_as_one():
 
     assert prices.cost_together([(elastic(2), None), (other, None)], [alone(9.0), alone(9.0)]) == np.inf
     assert prices.cost_together([(elastic(2), None)], [alone(9.0)]) == np.inf
+
+
+def test_what_is_strong_where_little_is_seen_passes_too():
+    """A scanner that only turned on its bracket moves the middle of its view by nothing."""
+    turned = SimpleNamespace(name="mount_shift", where=("mount",), k=6, hyper=None, typical=np.ones(6))
+    prices = Prices([turned])
+    seen = np.array([1, 1, 1, 0.02, 0.02, 0.02])
+
+    def score(gains):
+        own = Strengths(np.array(gains), seen)
+        return own.gain - prices.cost(turned, None, [], own)
+
+    assert score([0.5, 0.2, 1.0, 30.0, 10.0, 20.0]) > 20
+    assert score([8.0, 8.0, 8.0, 0.5, 0.2, 1.0]) > 0 > score([4.0, 4.0, 4.0, 4.0, 4.0, 4.0])
+    strong = score([5e4, 4e4, 3e4, 1e3, 2e3, 1e3])
+    assert strong > 0.99 * 1.24e5  # nothing of a plain effect is lost
