@@ -144,7 +144,12 @@ class Search:
                     out.append(here.test(candidate, hyper))
             elif (scored := best_hyper(here, candidate, lambda h, c=candidate: least(c, h))) is not None:
                 out.append(scored)
-        return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, present, Strengths.of(*s.fitted)) - s.gain)
+        return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, present, self.strengths(*s.fitted)) - s.gain)
+
+    def strengths(self, candidate: Candidate, coefficients: np.ndarray, covariance: np.ndarray) -> Strengths:
+        """In a long recording nothing real is hardly seen, and what is strung together of many periodic errors has no typical size."""
+        own = Strengths.of(candidate, coefficients, covariance)
+        return own if self.thorough else own.alike
 
     def beside(self, model: Model) -> list[Candidate]:
         """Candidates that exist only next to what the model has: a wrong payload next to elastic joints."""
@@ -186,7 +191,7 @@ class Search:
         gain = float(b @ coefficients)
         cost, price, present, owns = 0.0, 0.0, [], []
         for (candidate, hyper), p in zip(members, Model(members).parts(), strict=True):
-            own = Strengths.of(candidate, coefficients[p], covariance[p, p])
+            own = self.strengths(candidate, coefficients[p], covariance[p, p])
             cost += self.prices.cost(candidate, hyper, present, own)
             price += self.prices.price(candidate, hyper, present, own)
             present.append(candidate)

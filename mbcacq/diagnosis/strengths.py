@@ -36,6 +36,11 @@ class Strengths:
         return cls(z**2 / variance[there], 1.0 / variance[there])
 
     @property
+    def alike(self) -> Strengths:
+        """The same, were all directions seen alike."""
+        return Strengths(self.gains, np.ones_like(self.gains))
+
+    @property
     def gain(self) -> float:
         """Of all together."""
         return float(self.gains.sum())
