@@ -38,7 +38,7 @@ PARTS = {
 }
 POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error", "mount_shift", "ball_shift")
 MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
-CELLS = 20
+CELLS = 40
 POWER_TEXT = """
 Share of cells in which the diagnosis, proof included, names the effect at its place (or as one of two that it cannot tell apart), and in
 brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and place and estimate
