@@ -66,3 +66,13 @@ def test_what_is_hardly_seen_stays_near_zero(plan):
     assert sized.solution[shift] == pytest.approx(0.02, abs=0.004)
     assert np.linalg.norm(sized.solution[turn]) < np.linalg.norm(free.solution[turn])
     assert np.all(sized.sigma[parts[0]] < sigma[parts[0]])
+
+
+def test_a_model_that_leaves_more_than_noise_is_judged_by_squares():
+    sure, close = quality.Quality(1.0, 100, 310.0, 300.0, surprise=50.0), quality.Quality(1.0, 100, 305.0, 300.0, surprise=60.0)
+    assert quality.better(sure, close)
+    assert not quality.better(close, sure)
+
+    wrong, less_wrong = (quality.Quality(1.0, 100, chi2, 300.0, surprise=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0)))
+    assert quality.better(less_wrong, wrong)
+    assert not quality.better(wrong, less_wrong)
