@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2, norm
 
 from mbcacq.challenge import made
-from mbcacq.challenge.envelopes import CATALOGUED, Envelope
+from mbcacq.challenge.envelopes import Envelope
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger, plain
 from mbcacq.challenge.score import at_place
@@ -22,7 +22,7 @@ from mbcacq.diagnosis.compose import columns_of, with_members
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.hypers import best_hyper
 from mbcacq.diagnosis.model import NOTHING, Model
-from mbcacq.diagnosis.price import Prices
+from mbcacq.diagnosis.price import FALSE_ALARM, Prices
 from mbcacq.diagnosis.screen import Screen
 from mbcacq.diagnosis.setup import Setup, prepare
 from mbcacq.diagnosis.unnamed import likelihood
@@ -33,20 +33,17 @@ ALLOWED = 0.02      # rate of false alarms over the whole catalogue
 WANTED = 0.9
 
 
-FAMILIES = len(CATALOGUED)
-
-
 def least_gain(k: int, level: float = LEVEL) -> float:
     """Non-centrality at which a test of this level finds an effect of k coefficients nine times in ten."""
     limit = chi2.isf(level, k)
     return float(brentq(lambda gain: ncx2.sf(limit, k, gain) - WANTED, 1e-3, 1e4))
 
 
-def searched(k: int, tries: float) -> float:
-    """Multiple of that strength which the best test needs that does not know: one false alarm in fifty cells, shared alike by the
-    catalogue's effects and by the places and values at which each is sought.
+def searched(k: int, share: float) -> float:
+    """Multiple of that strength which the best test needs that does not know: one false alarm in fifty cells, of which this is the share
+    of one effect at one place and value.
     """
-    return float(np.sqrt(least_gain(k, ALLOWED / FAMILIES / tries) / least_gain(k)))
+    return float(np.sqrt(least_gain(k, ALLOWED * share) / least_gain(k)))
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
     envelope = Envelope(0, name, seed, (name,), seed + 1, 1.0)
     gauge, one = challenger.gauge, {"name": name, "strength": 1.0, "seed": seed + 1}
     gain = gauge.gain(envelope, [one])
-    k, tries = sought(challenger, envelope, one)
+    k, share = sought(challenger, envelope, one)
     found, informed, estimating = [], [], []
     for multiple in multiples:
         plainly = replace(envelope, seed=seed + int(1000 * multiple))
@@ -83,7 +80,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
         informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(LEVEL, k)))
         best, values = estimated(setup, model)
         estimating.append(bool(likelihood_ratio(setup, best) > chi2.isf(LEVEL / values, k)))
-    return Cell(found, informed, estimating, searched(k, tries))
+    return Cell(found, informed, estimating, searched(k, share))
 
 
 def estimated(setup: Setup, model: Model) -> tuple[Model, float]:
@@ -122,7 +119,9 @@ def tells(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
 
 
 def sought(challenger: Challenger, envelope: Envelope, one: dict) -> tuple[int, float]:
-    """Coefficients of the true model, and the number of independent chances of its kind: of several joints or orders, their choices."""
+    """Coefficients of the true model, and its share of all that may be: all places of all effects alike, of several joints or orders their
+    choices.
+    """
     observations, told = made.observe(challenger.loaded, challenger.poses, envelope, [one])
     setup = prepare(observations)
     members = true_members(setup, plain(told["effects"][0]))
@@ -130,7 +129,8 @@ def sought(challenger: Challenger, envelope: Envelope, one: dict) -> tuple[int, 
     for candidate, hyper in members:
         tries *= prices.tries(candidate, hyper, present)
         present.append(candidate)
-    return max(sum(c.k for c in present), 1), max(tries / factorial(len(members)), 1.0)
+    kind = prices.level(members[0][0]) / FALSE_ALARM if members else 1.0
+    return max(sum(c.k for c in present), 1), kind / max(tries / factorial(len(members)), 1.0)
 
 
 def ninety(multiples: Sequence[float], found: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from mbcacq.diagnosis.finding import Finding
 from mbcacq.diagnosis.model import NOTHING
 from mbcacq.diagnosis.prove import Proof
 from mbcacq.diagnosis.quality import NOISE_LIKE, Quality, better, on_train
-from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.diagnosis.result import Diagnosis, EffectFound
 from mbcacq.diagnosis.rivals import rivals, unseen
 from mbcacq.diagnosis.seen import evidence_of
 from mbcacq.diagnosis.setup import Setup
@@ -43,8 +43,7 @@ def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not places:
         places = mismatch_list(full, worth, before, anything=True)
-    if verdict in LEAST:  # what describes next to nothing of a mismatch is no name for it
-        effects = [e for e in effects if e.held_out_gain >= LEAST[verdict]]
+    effects = worth_telling(effects, verdict)
     effects += [] if useless else unknown_effects(full, worth, proof)
     if verdict == "unexplained" and not effects:
         effects = where_it_is(places)
@@ -72,6 +71,11 @@ def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
     }
     shown = evidence_of(setup, full, left_before, left_after)
     return Diagnosis(verdict, places, effects, fit, inseparable, hints, setup.dropped, notes(setup, full), shown)
+
+
+def worth_telling(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
+    """What describes next to nothing of a mismatch is no name for it."""
+    return [e for e in effects if e.held_out_gain >= LEAST.get(verdict, -np.inf)]
 
 
 def in_words(before: Quality, after: Quality) -> dict[str, float]:

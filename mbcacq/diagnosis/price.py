@@ -7,7 +7,7 @@ have fitted (``price``). A test's threshold alone would favour names of few coef
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Sequence
 from functools import lru_cache
 
@@ -19,10 +19,11 @@ from mbcacq.diagnosis.model import Members
 from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics.effect import Candidate
 
-FALSE_ALARM = 0.03  # were the kinds independent; they overlap, and about half as many cells without any effect have one
+FALSE_ALARM = 0.03  # were the places independent; they overlap, and about half as many cells without any effect have one
+FEWEST = 50.0  # places that share it at least: where there are few candidates, they overlap less
 FAMILIES = 20
 FURTHER = 4.0  # a further effect is less likely than the first, by a factor of seven
-EXPECTED = 10.0  # times as likely as otherwise is an effect at another joint where one is
+EXPECTED = 5.0  # times as likely as otherwise is an effect at another joint where one is
 COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # of which that holds
 
 
@@ -31,24 +32,38 @@ class Prices:
 
     def __init__(self, candidates: Collection[Candidate]):
         self._places = Counter(c.name for c in candidates)
+        self._sight: defaultdict[str, float] = defaultdict(float)
+        for c in candidates:
+            self._sight[c.name] += c.sight
+        self._level = FALSE_ALARM / max(len(candidates), FEWEST)
+
+    def level(self, candidate: Candidate) -> float:
+        """How often chance may let the best of a candidate's kind pass. Kinds share by their places: wherever and whatever an effect is, it
+        is found at much the same multiple of the strength that a test needs which knows it.
+        """
+        return self._level * max(self._places[candidate.name], 1)
 
     def tries(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate] = ()) -> float:
-        """Number of independent chances that a candidate of this kind has: places times values of the hyper-parameter; where the same
-        joint errs so already (a wheel and its mesh) the place is given.
+        """Number of independent chances that a candidate of this kind has: places (those that see little count, and get, little) times
+        values of the hyper-parameter; where the same joint errs so already (a wheel and its mesh) the place is given. Half a chance
+        where the sign is known: nothing yields backwards.
         """
         here = any(c.name == candidate.name and c.where == candidate.where for c in present)
-        places = 1 if here else max(self._places[candidate.name], 1)
+        places = 1.0 if here else max(self._sight[candidate.name] / candidate.sight, 1.0)
+        if candidate.positive:
+            places *= 0.5
         return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
 
     def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None,
                   rarer: float = 1.0) -> float:
-        """chi2 that chance alone would give to the best of all candidates of this kind, once in FAMILIES / FALSE_ALARM cells.
+        """chi2 that chance alone gives to the best of all candidates of this kind in the share of cells that it may (``level``).
 
         dof: of the test's statistic, where not every coefficient is seen. rarer: times as many cells.
         """
         log_tries = round(np.log(rarer * self.tries(candidate, hyper, present)), 1)
         dof = round(dof, 1) if dof else float(candidate.k)
-        return _threshold(dof, log_tries, expected(candidate, present)) + further(candidate, present)
+        level = self.level(candidate) * (EXPECTED if expected(candidate, present) else 1.0)
+        return _threshold(dof, log_tries, level) + further(candidate, present)
 
     def cost(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
         """What the test takes off the gain: the threshold, and what was gained where hardly anything is seen.
@@ -70,7 +85,7 @@ class Prices:
             statistic, seen = own.test
             log_tries += np.log(self.tries(candidate, hyper, [c for c, _ in members[:j]]) / (j + 1))
             dof, unseen = dof + seen, unseen + own.gain - statistic
-        return _threshold(round(dof, 1), round(log_tries, 1), False) + unseen
+        return _threshold(round(dof, 1), round(log_tries, 1), self.level(kind)) + unseen
 
     def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
         """Twice the log of one over the candidate's share of what may be, and of what its coefficients could have fitted."""
@@ -88,6 +103,5 @@ def further(candidate: Candidate, present: Collection[Candidate]) -> float:
 
 
 @lru_cache(maxsize=10000)
-def _threshold(dof: float, log_tries: float, expected: bool) -> float:
-    share = FALSE_ALARM / FAMILIES * (EXPECTED if expected else 1.0)
-    return float(chi2.isf(min(share / np.exp(log_tries), 0.2), dof))
+def _threshold(dof: float, log_tries: float, level: float) -> float:
+    return float(chi2.isf(min(level / np.exp(log_tries), 0.2), dof))

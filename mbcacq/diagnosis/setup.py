@@ -11,6 +11,7 @@ from mbcacq.diagnosis import base_fit
 from mbcacq.diagnosis.chart import Chart
 from mbcacq.diagnosis.linear import Linear
 from mbcacq.diagnosis.model import Model
+from mbcacq.diagnosis.sight import sighted
 from mbcacq.diagnosis.whitening import Noise
 from mbcacq.observations import Observations
 from mbcacq.physics import catalogue
@@ -46,7 +47,7 @@ def prepare(obs: Observations) -> Setup:
     linear = Linear(obs, state, keep)
     situation = Situation(obs, state, linear.prediction)
     candidates, dropped = catalogue.candidates(situation)
-    return Setup(linear, situation, candidates, dropped, first)
+    return Setup(linear, situation, sighted(linear, first, candidates), dropped, first)
 
 
 def thin(setup: Setup, keep: np.ndarray, most: int) -> Setup:

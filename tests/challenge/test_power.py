@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.challenge.power import ALLOWED, FAMILIES, LEVEL, least_gain, ninety, searched, tells, with_interval
+from mbcacq.challenge.power import ALLOWED, LEVEL, least_gain, ninety, searched, tells, with_interval
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():
@@ -25,10 +25,10 @@ def test_ninety_percent_of_a_normal_threshold():
 
 
 def test_who_must_search_needs_more_the_more_there_is_to_search():
-    assert searched(1, ALLOWED / FAMILIES / LEVEL) == pytest.approx(1.0)
+    assert searched(1, LEVEL / ALLOWED) == pytest.approx(1.0)
     # two-sided 1.96e-4 (2 % over 17 effects at 6 joints each): 3.725, and 90 % power: 1.282
-    assert searched(1, 6) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
-    assert searched(2, 40) < searched(2, 7000)
+    assert searched(1, 1 / 102) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
+    assert searched(2, 1 / 40) < searched(2, 1 / 7000)
 
 
 def test_one_of_two_that_cannot_be_told_apart_counts_as_told():

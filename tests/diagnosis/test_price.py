@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.price import FALSE_ALARM, FAMILIES, Prices
+from mbcacq.diagnosis.price import FALSE_ALARM, FEWEST, Prices
 from mbcacq.diagnosis.strengths import Strengths
 
 
-def elastic(joint):
-    return SimpleNamespace(name="joint_compliance", where=(f"A{joint}",), k=1, hyper=None, typical=np.array([1e-6]))
+def elastic(joint, name="joint_compliance", positive=False, sight=1.0):
+    return SimpleNamespace(name=name, where=(f"A{joint}",), k=1, hyper=None, typical=np.array([1e-6]), positive=positive, sight=sight)
 
 
 def alone(gain):
@@ -27,9 +27,52 @@ def test_the_best_pair_passes_by_chance_as_seldom_as_the_best_single_one(joints)
 
     pair, best = np.mean(gains[:, -1] + gains[:, -2] > needed), np.mean(gains[:, -1] > single)
 
-    level = FALSE_ALARM / FAMILIES
+    level = FALSE_ALARM / FEWEST * joints
     assert 0.3 * level < pair < level  # pairs share joints, so they are fewer than counted
     assert 0.7 * level < best < 1.2 * level
+
+
+@pytest.mark.parametrize("together", [1, 2])
+def test_of_what_only_yields_forwards_half_as_much_chance_passes(together):
+    """As seldom as the same effects of either sign, with less to gain: the sign is known, so half the chances are none."""
+    forwards = [elastic(j, positive=True) for j in range(1, 5)]
+    both = [elastic(j) for j in range(1, 5)]
+    z = np.random.default_rng(3).normal(size=(400000, 4))
+
+    def needed(candidates):
+        if together == 1:
+            return Prices(candidates).threshold(candidates[0], None, [])
+        return Prices(candidates).cost_together([(c, None) for c in candidates[:2]], [alone(0.0), alone(0.0)])
+
+    def passed(z, least):
+        return np.mean(np.sort(z**2, axis=1)[:, -together:].sum(axis=1) > least)
+
+    level = FALSE_ALARM / FEWEST * 4
+    assert needed(forwards) < needed(both) - 1.0
+    assert 0.3 * level < passed(np.maximum(z, 0.0), needed(forwards)) < 1.2 * level
+
+
+def test_every_place_of_every_kind_has_the_same_share_of_chance():
+    """The best of a hundred effects of noise, at sixty joints of one kind and forty of another, passes as rarely at each of them."""
+    many = [elastic(j) for j in range(60)] + [elastic(j, "joint_scale") for j in range(40)]
+    prices = Prices(many)
+    gains = np.random.default_rng(5).normal(size=(40000, 100)) ** 2
+    needed = np.array([prices.threshold(c, None, []) for c in many])
+
+    assert np.mean((gains > needed).any(axis=1)) == pytest.approx(FALSE_ALARM, rel=0.15)
+    assert np.ptp(needed) < 0.2
+
+
+def test_places_that_see_little_leave_their_chance_to_the_others_and_no_more():
+    sights = (0.9, 0.8, 0.1, 0.1)
+    candidates = [elastic(j, sight=s) for j, s in enumerate(sights)]
+    needed = np.array([Prices(candidates).threshold(c, None, []) for c in candidates])
+    alike = Prices([elastic(j) for j in range(4)]).threshold(elastic(0), None, [])
+    gains = np.random.default_rng(7).normal(size=(400000, 4)) ** 2
+
+    assert needed[0] < alike - 0.7
+    assert needed[2] > alike + 2.0
+    assert 0.7 < np.mean((gains > needed).any(axis=1)) / (FALSE_ALARM / FEWEST * 4) < 1.2
 
 
 def test_two_weak_joints_pass_together_where_neither_passes_alone():
@@ -42,7 +85,7 @@ def test_two_weak_joints_pass_together_where_neither_passes_alone():
 
 
 def test_what_is_of_different_kinds_is_not_tested_as_one():
-    other = SimpleNamespace(name="backlash", where=("A2",), k=1, hyper=None, typical=np.array([3e-5]))
+    other = elastic(2, "backlash")
     prices = Prices([elastic(2), other])
 
     assert prices.cost_together([(elastic(2), None), (other, None)], [alone(9.0), alone(9.0)]) == np.inf
@@ -51,7 +94,7 @@ def test_what_is_of_different_kinds_is_not_tested_as_one():
 
 def test_what_is_strong_where_little_is_seen_passes_too():
     """A scanner that only turned on its bracket moves the middle of its view by nothing."""
-    turned = SimpleNamespace(name="mount_shift", where=("mount",), k=6, hyper=None, typical=np.ones(6))
+    turned = SimpleNamespace(name="mount_shift", where=("mount",), k=6, hyper=None, typical=np.ones(6), positive=False, sight=1.0)
     prices = Prices([turned])
     seen = np.array([1, 1, 1, 0.02, 0.02, 0.02])
 
