@@ -5,7 +5,9 @@ import time
 
 import numpy as np
 import pytest
-from mbcacq_fakes.krc import FakeKrc
+from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S, START_DEG, settings
+from mbcacq_fakes.krc import FakeEkiController, FakeKrc
+from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.devices import MotionLimits
@@ -64,3 +66,26 @@ def cell():
     yield start
     for device in reversed(opened):
         device.stop() if isinstance(device, FakeKrc) else device.close()
+
+
+@pytest.fixture
+def eki_cell():
+    """eki_cell(system, controller={...}, robot={...}, connect=True) -> (controller, driver); everything is closed afterwards."""
+    opened = []
+
+    def start(system="kss", controller=None, robot=None, connect=True):
+        given = settings(system, **{"start_deg": START_DEG, "realtime": False, **(controller or {})}).to_json()
+        fake = FakeEkiController(**given)
+        opened.append(fake.stop)
+        fake.start()
+        options = {"address": "127.0.0.1", "port": fake.port, "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEED_DEG_S, "kinematics": DH,
+                   "silence_s": 2.0, "connect_timeout_s": 20.0, "reconnect_s": 4.0, **(robot or {})}
+        driver = KukaEki("arm", "KR 10 R1100-2", options)
+        opened.append(driver.close)
+        if connect:
+            driver.connect()
+        return fake, driver
+
+    yield start
+    for close in reversed(opened):
+        close()

@@ -13,6 +13,9 @@ from mbcacq_fakes.krc.eki_settings import EkiSettings
 
 FOLDER = files("mbcacq_kuka") / "controller"
 HOME = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
+START_DEG = (0.0, -90.0, 90.0, 0.0, 1.0, 0.0)  # beside the singularity of the wrist
+EKI_LIMITS_DEG = [(-5, 5), (-95, -85), (85, 95), (-5, 5), (-5, 5), (-5, 5)]  # as in the shipped data list
+SPEED_DEG_S = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
 SYSTEMS = ("kss", "iiqka")
 # KR 10 R1100-2: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg
 DH = ((-1, 0, 400, 25, -90, 0), (1, 0, 0, 560, 0, 0), (1, -90, 0, 25, -90, 0), (-1, 0, 515, 0, 90, 0), (1, 0, 0, 0, -90, 0), (-1, 180, 90, 0, 0, 0))
