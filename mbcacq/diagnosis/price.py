@@ -19,7 +19,7 @@ from mbcacq.diagnosis.model import Members
 from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics.effect import Candidate
 
-FALSE_ALARM = 0.03  # were the places independent; they overlap, and about half as many cells without any effect have one
+FALSE_ALARM = 0.02  # over all places together; in made cells it is one and a half in a hundred
 FEWEST = 50.0  # places that share it at least: where there are few candidates, they overlap less
 FAMILIES = 20
 FURTHER = 4.0  # a further effect is less likely than the first, by a factor of seven
