@@ -19,8 +19,9 @@ from mbcacq.diagnosis.model import Members
 from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics.effect import Candidate
 
-FALSE_ALARM = 0.02  # over all places together; in made cells it is one and a half in a hundred
-FEWEST = 50.0  # places that share it at least: where there are few candidates, they overlap less
+FALSE_ALARM = 0.02  # over all places together
+FEWEST = 50.0  # shares into which it is cut at least: few candidates do not take all of it
+FLATTER = 0.6  # power of the number of coefficients by which a share falls: more of them lose less by a rarer test
 FAMILIES = 20
 FURTHER = 4.0  # a further effect is less likely than the first, by a factor of seven
 EXPECTED = 5.0  # times as likely as otherwise is an effect at another joint where one is
@@ -35,13 +36,13 @@ class Prices:
         self._sight: defaultdict[str, float] = defaultdict(float)
         for c in candidates:
             self._sight[c.name] += c.sight
-        self._level = FALSE_ALARM / max(len(candidates), FEWEST)
+        self._level = FALSE_ALARM / max(sum(share(c) for c in candidates), FEWEST)
 
     def level(self, candidate: Candidate) -> float:
-        """How often chance may let the best of a candidate's kind pass. Kinds share by their places: wherever and whatever an effect is, it
-        is found at much the same multiple of the strength that a test needs which knows it.
+        """How often chance may let the best of a candidate's kind pass. Every place of every kind has its share, so that wherever and
+        whatever an effect is, it is found at the same multiple of the strength that a test needs which knows it.
         """
-        return self._level * max(self._places[candidate.name], 1)
+        return self._level * share(candidate) * max(self._places[candidate.name], 1)
 
     def tries(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate] = ()) -> float:
         """Number of independent chances that a candidate of this kind has: places (those that see little count, and get, little) times
@@ -91,6 +92,11 @@ class Prices:
         """Twice the log of one over the candidate's share of what may be, and of what its coefficients could have fitted."""
         share = 2 * np.log(self.tries(candidate, hyper, present) * (1.0 if expected(candidate, present) else FAMILIES))
         return share + own.price + further(candidate, present)
+
+
+def share(candidate: Candidate) -> float:
+    """Of chance, to that of an effect of one coefficient."""
+    return float(candidate.k**-FLATTER)
 
 
 def expected(candidate: Candidate, present: Collection[Candidate]) -> bool:
