@@ -31,7 +31,7 @@ PLAN = HERE.parent / "plans" / "seeing.yaml"
 PARTS = {
     "catalogue": ("Effects of the catalogue", 3700, "catalogue", 304, 0.0, ()),
     "outside": ("Effects outside the catalogue", 3800, "outside", 64, 0.0, ()),
-    "clean": ("Cells with nothing concealed", 5900, "none", 300, 0.0, ()),
+    "clean": ("Cells with nothing concealed", 6900, "none", 300, 0.0, ()),
     "outliers": ("1 % gross outliers", 4000, "catalogue,none", 51, 0.01, ()),
     "missing": ("No times, temperatures, senses of motion", 4100, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
     "two": ("Two effects at once", 4200, "two", 32, 0.0, ()),
@@ -45,7 +45,7 @@ brackets the shares in which two likelihood-ratio tests (level 1 %) find it on t
 the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples of that at
 which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative normal), the
 ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with
-2 % false alarms shared alike by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
+2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
 INTRODUCTION = """# Challenges
 
 Made by `python benchmarks/challenge.py` on the poses of `plans/seeing.yaml` (128 poses, 605 centres, the fast path of
@@ -69,7 +69,7 @@ def measure(part: str, share: float, jobs: int, kept: list[dict], file: Path) ->
 
 def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None:
     done = {(r["effect"], r["cell"]) for r in kept if r["part"] == "power"}
-    cells = [78000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
+    cells = [82000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
     todo = [(name, cell) for cell in cells for name in POWER if (name, cell) not in done]
     with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
         for (name, cell), one in zip(todo, pool.map(_power, todo), strict=True):
