@@ -19,7 +19,7 @@ from mbcacq.diagnosis.model import Members
 from mbcacq.diagnosis.strengths import Strengths
 from mbcacq.physics.effect import Candidate
 
-FALSE_ALARM = 0.02  # over all places together
+FALSE_ALARM = 0.015  # over all places together, were the noise known; it is estimated, and about 2 % of clean recordings have one
 FEWEST = 50.0  # shares into which it is cut at least: few candidates do not take all of it
 FLATTER = 0.6  # power of the number of coefficients by which a share falls: more of them lose less by a rarer test
 FAMILIES = 20

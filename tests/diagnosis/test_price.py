@@ -66,7 +66,7 @@ def test_all_places_of_all_kinds_together_pass_by_chance_as_seldom_as_stated():
 
 
 def test_effects_of_few_and_of_many_coefficients_need_the_same_multiple_of_what_a_test_needs_that_knows_them():
-    """Nine in ten found by a chi2 test that is wrong once in a hundred: 1.27 times as strong, whatever the number of coefficients."""
+    """Nine in ten found by a chi2 test that is wrong once in a hundred: 1.3 times as strong, whatever the number of coefficients."""
     many = [elastic(j, name, k=k) for name, k, places in (("a", 1, 54), ("b", 2, 10), ("c", 3, 28), ("d", 6, 1)) for j in range(places)]
     prices = Prices(many)
 
@@ -76,7 +76,7 @@ def test_effects_of_few_and_of_many_coefficients_need_the_same_multiple_of_what_
     for name in "abcd":
         one = next(c for c in many if c.name == name)
         ratio = strength(one.k, prices.threshold(one, None, [])) / strength(one.k, chi2.isf(0.01, one.k))
-        assert ratio == pytest.approx(1.278, abs=0.01)
+        assert ratio == pytest.approx(1.295, abs=0.01)
 
 
 def test_places_that_see_little_leave_their_chance_to_the_others_and_no_more():
