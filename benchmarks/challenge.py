@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.challenge.envelopes import draw, kinds
 from mbcacq.challenge.power import Cell, ninety, with_interval
 from mbcacq.challenge.run import _begin, _take
+from mbcacq.challenge.scenarios import draw, kinds
 from mbcacq.challenge.score import Score
 from mbcacq.challenge.table import markdown, row, summary
 

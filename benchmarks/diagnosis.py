@@ -45,7 +45,7 @@ def made(effect: str, seed: int, folder: Path) -> Path:
 
 def twist(s):
     """Of link 2 about its length, under the moment about it, until it saturates: no effect of the catalogue."""
-    from mbcacq.calibration.forward import Displacements
+    from mbcacq.estimation.forward_model import Displacements
 
     moment = s.gravity_moment(2)[:, 0]
     frame = np.zeros((s.obs.n_poses, s.n + 1, 6))

@@ -20,14 +20,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
 from cells import measure, scanner_cell  # noqa: E402
 
-from mbcacq.calibration import Noise, Options, blocks, calibrate  # noqa: E402
-from mbcacq.calibration.blocks import Estimate  # noqa: E402
-from mbcacq.calibration.forward import CellState, predict  # noqa: E402
-from mbcacq.calibration.linearise import Lineariser  # noqa: E402
-from mbcacq.calibration.options import PAIRS  # noqa: E402
-from mbcacq.calibration.rank import base_columns  # noqa: E402
-from mbcacq.calibration.solve import Weights, system  # noqa: E402
+from mbcacq.calibration import Noise, Options, calibrate
 from mbcacq.calibration.uncertainty import distance_uncertainty  # noqa: E402
+from mbcacq.estimation import parameters  # noqa: E402
+from mbcacq.estimation.forward_model import CellState, predict  # noqa: E402
+from mbcacq.estimation.identifiability import base_columns  # noqa: E402
+from mbcacq.estimation.linearization import Lineariser  # noqa: E402
+from mbcacq.estimation.options import PAIRS  # noqa: E402
+from mbcacq.estimation.parameters import Estimate  # noqa: E402
+from mbcacq.estimation.solver import Weights, system  # noqa: E402
 from mbcacq.geometry import se3  # noqa: E402
 
 NOISE, JOINT, CERTIFICATE = (0.005, 0.005, 0.009), 8e-6, 0.001
@@ -35,7 +36,7 @@ NOISE, JOINT, CERTIFICATE = (0.005, 0.005, 0.009), 8e-6, 0.001
 
 def bound(obs, truth: CellState):
     """Layout and covariance (g, g) of the free parameters at the truth, by the true noise."""
-    layout = blocks.build(obs, Options())
+    layout = parameters.build(obs, Options())
     lineariser = Lineariser(obs, layout, Options())
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     at = system(lineariser, Estimate(truth), Noise(np.array(NOISE), np.full(6, JOINT)), weights)

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from mbcacq import pipeline
 from mbcacq.calibration import Options, calibrate, verify
 from mbcacq.devices import load_driver
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load, path
-from mbcacq.plan.route import way_home
+from mbcacq.plan.routing import way_home
 from mbcacq.recording import load as load_run
+from mbcacq.workflow import run
 
 PLANS = Path(__file__).parents[1] / "plans"
 EKI = {"address": "127.0.0.1", "port": 54610}
@@ -44,7 +44,7 @@ def record(name: str, driver: str, seed: int, folder: Path) -> Path:
     loaded = plan(name, driver, seed)
     poses = expand(loaded)
     with load_driver("fakes", "cell")(loaded, poses, seed=seed) as cell:
-        pipeline.Acquisition(loaded, poses, path(loaded, poses), way_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        run.Acquisition(loaded, poses, path(loaded, poses), way_home(loaded, poses[-1]), folder).execute(cell.overrides())
     return folder
 
 

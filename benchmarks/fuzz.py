@@ -26,8 +26,8 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "tests" / "conformance")]
 if "--atheris" in sys.argv:    # ours are instrumented while they are imported
     import atheris
 
-    with atheris.instrument_imports(include=["mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq.recording", "mbcacq.plan.yamlfile",
-                                             "mbcacq.report.export", "mbcacq.spheres.ply_header"]):
+    with atheris.instrument_imports(include=["mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq.recording", "mbcacq.plan.yaml_source",
+                                             "mbcacq.exports", "mbcacq.spheres.ply_header"]):
         from fuzz_targets import Target, targets
 else:
     from fuzz_targets import Target, targets  # noqa: E402

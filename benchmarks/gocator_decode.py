@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.gocator import FakeGocator, encode
-from mbcacq_fakes.gocator.quantise import Scaling, extent, uniform_grid
+from mbcacq_fakes.protocols.gocator import FakeGocator, encode
+from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, uniform_grid
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_gocator.decode import decode
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.points import intensity_of, surface_points

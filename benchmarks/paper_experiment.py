@@ -23,15 +23,15 @@ sys.path.insert(0, str(ROOT / "tests" / "calibration"))
 from cells import inverse_kinematics, measure  # noqa: E402
 
 from mbcacq.calibration import Options, calibrate, verify  # noqa: E402
-from mbcacq.calibration.forward import CellState  # noqa: E402
-from mbcacq.calibration.paper import stages  # noqa: E402
-from mbcacq.calibration.paper.pairs import several_balls  # noqa: E402
-from mbcacq.cellfile import RobotSpec  # noqa: E402
+from mbcacq.calibration.staged import stages  # noqa: E402
+from mbcacq.calibration.staged.ball_pairs import several_balls  # noqa: E402
+from mbcacq.estimation.forward_model import CellState  # noqa: E402
 from mbcacq.geometry import se3  # noqa: E402
-from mbcacq.library import robot_file  # noqa: E402
-from mbcacq.observations import Observations  # noqa: E402
-from mbcacq.pipeline import solver_cell  # noqa: E402
+from mbcacq.model.cell_schema import RobotSpec  # noqa: E402
+from mbcacq.model.observations import Observations  # noqa: E402
+from mbcacq.model.shipped import robot_file  # noqa: E402
 from mbcacq.plan import expand, load  # noqa: E402
+from mbcacq.workflow.run import solver_cell  # noqa: E402
 
 TABLE_1 = np.array([  # deg, mm, mm, deg, deg
     [0.021, 0.454, 0.143, 0.007, 0], [-0.017, 0, -0.261, 0.002, 0.008], [0.031, -0.217, 0.051, -0.013, 0],

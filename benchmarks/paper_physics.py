@@ -65,7 +65,7 @@ def repeatability_of(loaded, poses, urad: float) -> float:
 
 def with_repeatability(obs, urad: float):
     """The recording with a stated repeatability that amounts to ``urad`` at each joint."""
-    from mbcacq.calibration.variance import first_noise
+    from mbcacq.estimation.variance_components import first_noise
 
     one = first_noise(replace(obs.cell, robot=replace(obs.cell.robot, repeatability_mm=1.0))).joint.mean()
     return replace(obs, cell=replace(obs.cell, robot=replace(obs.cell.robot, repeatability_mm=1e-6 * urad / float(one))))
@@ -137,8 +137,8 @@ def best_forms(rows) -> list[dict[str, Any]]:
 def stretch_signal(plan) -> float:
     """rms (um) by which the distances of the paper's constraint change when all lengths of a perfect arm are stretched by WANTED / L,
     angles and hand-eye adjusted to hide it: what the method has to see the arm's size by."""
-    from mbcacq.calibration.paper import distance
-    from mbcacq.calibration.paper.pairs import several_balls
+    from mbcacq.calibration.staged import distance_constraint
+    from mbcacq.calibration.staged.ball_pairs import several_balls
 
     obs = several_balls(record(*plan, None, 0.0, 1, errors="none", **EXACT), "four")
     obs = obs.select(obs.phase == "position")
@@ -146,13 +146,13 @@ def stretch_signal(plan) -> float:
     free = np.ones((chain.n, 5), bool)
     free[:, 1:3] = False
     free[~chain.parallel_next(), 4] = False
-    at = distance.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
+    at = distance_constraint.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
     free = np.append(free.reshape(-1), np.ones(6, bool))
     left = []
     for stretch in (0.0, WANTED / BAR):
         longer = np.zeros((chain.n, 5))
         longer[:, 1:3] = stretch * chain.rows[:, 1:3]
-        left.append(distance.identify(chain.with_errors(longer), hand_eye, obs.q, obs.pose, obs.xyz, at, free).rms_after)
+        left.append(distance_constraint.identify(chain.with_errors(longer), hand_eye, obs.q, obs.pose, obs.xyz, at, free).rms_after)
     return 1e3 * float(np.sqrt(max(left[1] ** 2 - left[0] ** 2, 0.0)))    # the certificate's own errors are in both
 
 
@@ -180,11 +180,11 @@ def _turn(known, seen) -> np.ndarray:
 
 def stopped_early(plan, seed: int = 1) -> dict[int, list[float]]:
     """Signed mean and scatter (mm) over the ten places if the damped least squares end after so many iterations; no noise, no effect."""
-    from mbcacq.calibration.paper import distance
+    from mbcacq.calibration.staged import distance_constraint
 
     obs, out = exact(plan, None, 0.0, seed), {}
     for limit in (1, 2, 3, 6):
-        with patch.object(distance, "identify", partial(distance.identify, limit=limit)):
+        with patch.object(distance_constraint, "identify", partial(distance_constraint.identify, limit=limit)):
             b = judge(obs, "paper").places["b"]
         out[limit] = [float(b.mean()), float(b.std(ddof=1))]
     return out

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from mbcacq_fakes import recorded
+from mbcacq_fakes.cell import computed_run
 
-from mbcacq.observations import Observations
-from mbcacq.pipeline import solver_cell
+from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
+from mbcacq.workflow.run import solver_cell
 
 PLANS = Path(__file__).parents[1] / "plans"
 NOISE = np.array([0.005, 0.005, 0.009])    # mm, of a ball centre in one exposure
@@ -146,11 +146,11 @@ def record(loaded: Any, poses: Sequence[Any], effect: Effect | None, size: float
     fake = {"noise_mm": (noise * NOISE).tolist(), "repeatability_urad": repeatability_urad, "errors": errors}
     between = effect is not None and effect.family == "arm_warmer_at_bar"
     hidden = [] if effect is None or between else effect.hidden(size)
-    got = recorded.observe(loaded.cell, poses, hidden, seed, fake=fake)
+    got = computed_run.observe(loaded.cell, poses, hidden, seed, fake=fake)
     phase = np.array([p.phase for p in poses])
     xyz = got.xyz
     if between:
-        warm = recorded.observe(loaded.cell, poses, [], seed, fake={**fake, "errors": _grown(loaded, 23e-6 * size)})
+        warm = computed_run.observe(loaded.cell, poses, [], seed, fake={**fake, "errors": _grown(loaded, 23e-6 * size)})
         xyz = np.where((phase == "verification")[got.pose, None], warm.xyz, xyz)
     robot = replace(loaded.cell.robot, repeatability_mm=None)
     cell = replace(solver_cell(loaded), robot=robot, noise_mm=noise * NOISE / np.sqrt(loaded.plan.exposures))

@@ -20,9 +20,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np  # noqa: E402
 from real_data_figures import bars, spectrum  # noqa: E402
 
-from mbcacq.diagnosis import base_fit  # noqa: E402
-from mbcacq.diagnosis.linear import Linear  # noqa: E402
-from mbcacq.physics.situation import Situation  # noqa: E402
+from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
+from mbcacq.diagnosis.linearized.linear_problem import Linear  # noqa: E402
+from mbcacq.effects.context import Situation  # noqa: E402
 from mbcacq.recording import load  # noqa: E402
 
 SETS = ("ur5-tracker", "ur10-tracker-c", "ur10-tracker-a", "panda-sockets", "iiwa14-sockets")
@@ -41,7 +41,7 @@ class Data:
             chosen = np.zeros(obs.n_poses, bool)
             chosen[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True
             obs = obs.select(chosen)
-        state, keep = base_fit.fit(obs, base_fit.first_noise(obs))
+        state, keep = geometry_fit.fit(obs, geometry_fit.first_noise(obs))
         self.obs, self.linear = obs, Linear(obs, state, keep)
         self.situation = Situation(obs, state, self.linear.prediction)
         self.n = self.situation.n

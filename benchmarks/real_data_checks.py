@@ -17,9 +17,9 @@ import numpy as np
 from real_data import Data, rms
 from real_data_campaigns import whole
 
-from mbcacq.diagnosis import quality
-from mbcacq.diagnosis.finding import find, prepare
-from mbcacq.diagnosis.model import NOTHING
+from mbcacq.diagnosis.model_fit import find, prepare
+from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.recording import load
 
 
@@ -34,8 +34,8 @@ def diagnosed(folder: Path) -> None:
     for test in [obs.station == k for k in stations] if len(stations) > 1 else [chance]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
         part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
-        before = quality.judge(linear, train, judged, NOTHING, None, full.noise)
-        after = quality.judge(linear, train, judged, part.model, part.smooth, full.noise)
+        before = predictive_score.judge(linear, train, judged, NOTHING, None, full.noise)
+        after = predictive_score.judge(linear, train, judged, part.model, part.smooth, full.noise)
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
 
 

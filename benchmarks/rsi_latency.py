@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.devices import MotionLimits

@@ -19,11 +19,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
 from cells import scanner_cell  # noqa: E402
 
-from mbcacq.calibration import Noise, Options, blocks, calibrate  # noqa: E402
-from mbcacq.calibration.blocks import Estimate  # noqa: E402
-from mbcacq.calibration.linearise import Lineariser  # noqa: E402
-from mbcacq.calibration.solve import Weights, solve, system  # noqa: E402
-from mbcacq.calibration.start import start  # noqa: E402
+from mbcacq.calibration import Noise, Options, calibrate
+from mbcacq.estimation import parameters  # noqa: E402
+from mbcacq.estimation.initial_guess import start  # noqa: E402
+from mbcacq.estimation.linearization import Lineariser  # noqa: E402
+from mbcacq.estimation.parameters import Estimate  # noqa: E402
+from mbcacq.estimation.solver import Weights, solve, system  # noqa: E402
 
 PEER_POSES, PEER_EVALUATIONS = 120, 8
 NOISE = Noise(np.array([0.005, 0.005, 0.009]), np.full(6, 8e-6))
@@ -76,7 +77,7 @@ def main() -> None:
         obs = scanner_cell(np.random.default_rng(0), stations=poses // 8).observations
         low, middle, own = best(lambda obs=obs: calibrate(obs), arguments.repeats)
         options = Options(balls=False)
-        lineariser = Lineariser(obs, blocks.build(obs, options), options)
+        lineariser = Lineariser(obs, parameters.build(obs, options), options)
         begin, weights = Estimate(start(obs)), Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
         alone, *_ = best(lambda a=lineariser, b=begin, w=weights: solve(a, b, NOISE, w), arguments.repeats)
         other = ratio = "-"

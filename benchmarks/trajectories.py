@@ -13,18 +13,18 @@ import json
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from mbcacq_fakes.moving.recorded import recorded
+from mbcacq_fakes.dynamics.recorded import recorded
 
-from mbcacq import library
-from mbcacq.cellfile import RobotSpec
-from mbcacq.challenge.trajectory import Result, draw, take
-from mbcacq.recording.yaml_text import load_yaml, read_yaml_text
+from mbcacq.challenge.motion import Result, draw, take
+from mbcacq.model import shipped
+from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text
 
 WITHIN = 3.0
 
 
 def robot(name: str = "kr10_r1100_2"):
-    path = library.robot_file(name)
+    path = shipped.robot_file(name)
     return RobotSpec.model_validate(load_yaml(read_yaml_text(path), str(path))[0]).model()
 
 

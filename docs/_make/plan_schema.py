@@ -9,7 +9,7 @@ from types import UnionType
 
 from pydantic import BaseModel
 
-from mbcacq.cellfile import ArtefactSpec, RobotSpec
+from mbcacq.model.cell_schema import ArtefactSpec, RobotSpec
 from mbcacq.plan.schema import Plan
 
 FIELD = re.compile(r"^\s{4}(\w+)\s*:[^#]*(?:#\s*(.*))?$")

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbcacq.acquisition.observe import predicted_centres
-from mbcacq.cell import Cell
+from mbcacq.acquisition.expected_view import predicted_centres
 from mbcacq.geometry import se3
+from mbcacq.model.cell import Cell
 from mbcacq.plan import PlannedPose
 
 STAYED = 0.3        # of the way it should have gone; less is not moved

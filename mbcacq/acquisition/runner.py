@@ -11,16 +11,17 @@ from typing import Protocol
 import numpy as np
 
 from mbcacq.acquisition import events
-from mbcacq.acquisition.bus import EventBus
 from mbcacq.acquisition.cell_devices import CellDevices
-from mbcacq.acquisition.motion import Mover, motion_limits
-from mbcacq.acquisition.observe import mean_centres, predicted_centres
-from mbcacq.acquisition.patience import PatientScanner, read_sensor
+from mbcacq.acquisition.cycle_collector import CyclePump
+from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.expected_view import mean_centres, predicted_centres
+from mbcacq.acquisition.monitor import RobotWatch
+from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.placement import Placement
-from mbcacq.acquisition.pump import CyclePump
-from mbcacq.acquisition.watch import RobotWatch
+from mbcacq.acquisition.reconnect_policy import PatientScanner, read_sensor
 from mbcacq.devices import Aborted, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan.motion_limits import motion_limits
 
 MISSED_SHARE = 0.2  # of the poses; more than that seen without enough balls ends the run
 PLACINGS = 3        # how often an operator is asked to put the artefact where it belongs

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.rank import base_columns, typical_points
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.estimation.identifiability import base_columns, typical_points
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class AccuracyMap:
                 "postures": self.postures.tolist()}
 
 
-def accuracy_map(calibration: Calibration, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:
+def accuracy_map(calibration: CalibrationFit, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:
     """Sample postures within the joint limits, and collect the uncertainty of the point in the middle of what the scanner sees."""
     obs = calibration.observations
     rng = np.random.default_rng(seed)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.calibration_fit import CalibrationFit
 
 
 def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str, float]:
@@ -30,7 +30,7 @@ def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str,
     }
 
 
-def of_calibration(calibration: Calibration) -> dict[str, float]:
+def of_calibration(calibration: CalibrationFit) -> dict[str, float]:
     """O1..O5 of the kinematic and hand-eye parameters of a calibration, balls, stations and effects being free as they were."""
     layout = calibration.layout
     arm = int(layout.blocks[0].free.sum() + layout.blocks[1].free.sum())

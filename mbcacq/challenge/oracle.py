@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis import folds, noise, quality
-from mbcacq.diagnosis.compose import columns_of, outliers
-from mbcacq.diagnosis.hypers import best_hyper
-from mbcacq.diagnosis.linear import Linear
-from mbcacq.diagnosis.model import NOTHING, Model
-from mbcacq.diagnosis.screen import Screen
-from mbcacq.diagnosis.setup import Setup, prepare
-from mbcacq.diagnosis.whitening import Noise
-from mbcacq.observations import Observations
-from mbcacq.physics import payload
-from mbcacq.physics.effect import Candidate
+from mbcacq.diagnosis.linearized import variance_components
+from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.nonparametric.joint_model import columns_of, outliers
+from mbcacq.diagnosis.problem import Setup, prepare
+from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.effect_set import NOTHING, Model
+from mbcacq.diagnosis.search.hyperparameters import best_hyper
+from mbcacq.diagnosis.validation import folds, predictive_score
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.pose import payload
+from mbcacq.model.observations import Observations
 
 FOLDS = 4
 
@@ -53,11 +54,11 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     known = bool(truth) and all(each)
     model, rest = Model((*beside, *chain.from_iterable(each))), Model(tuple(beside))
     linear = setup.linear
-    sigma = noise.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
+    sigma = variance_components.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
     better = outliers(Screen(linear, sigma), model)
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
-        sigma = noise.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
+        sigma = variance_components.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
     others = [Model((*beside, *chain.from_iterable(each[:j] + each[j + 1:]))) for j in range(len(each))] if len(each) > 1 else []
     before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
@@ -114,15 +115,15 @@ def true_hypers(setup: Setup, candidate: Candidate, effect: dict[str, Any]) -> l
 def without_effect(with_it: Observations, without_it: Observations) -> Achievable:
     """For an effect without a name: held-out chi2 of the geometry alone, and in the same cell had nothing been concealed."""
     clean = prepare(without_it)
-    sigma = noise.estimate(clean.linear, *columns_of(clean.linear, NOTHING, None), clean.first, clean.first)
+    sigma = variance_components.estimate(clean.linear, *columns_of(clean.linear, NOTHING, None), clean.first, clean.first)
     return Achievable(held_out(prepare(with_it).linear, NOTHING, sigma), held_out(clean.linear, NOTHING, sigma), False)
 
 
 def held_out(linear: Linear, model: Model, sigma: Noise, by_pose: bool = False) -> float:
     """chi2 per degree of freedom on stations left out in turn. by_pose: on poses, for what happens to one station alone."""
     fold = np.arange(linear.obs.n_poses) % FOLDS if by_pose else folds.split(linear, FOLDS)[0]
-    total = quality.EMPTY
+    total = predictive_score.EMPTY
     for k in range(int(fold.max()) + 1):
         train, test = linear.keep & (fold != k)[linear.obs.pose], linear.keep & (fold == k)[linear.obs.pose]
-        total += quality.judge(linear, train, test, model, None, sigma)
+        total += predictive_score.judge(linear, train, test, model, None, sigma)
     return total.chi2_dof

@@ -11,22 +11,23 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2, norm
 
-from mbcacq.challenge import made
-from mbcacq.challenge.envelopes import Envelope
+from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger, plain
+from mbcacq.challenge.scenarios import Envelope
 from mbcacq.challenge.score import at_place
-from mbcacq.diagnosis import hypers, noise
-from mbcacq.diagnosis.blocks import prior_weight
-from mbcacq.diagnosis.compose import columns_of, with_members
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.hypers import best_hyper
-from mbcacq.diagnosis.model import NOTHING, Model
-from mbcacq.diagnosis.price import FALSE_ALARM, Prices
-from mbcacq.diagnosis.screen import Screen
-from mbcacq.diagnosis.setup import Setup, prepare
-from mbcacq.diagnosis.unnamed import likelihood
-from mbcacq.diagnosis.whitening import Noise
+from mbcacq.diagnosis.linearized import variance_components
+from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.nonparametric.joint_model import columns_of, with_members
+from mbcacq.diagnosis.nonparametric.model_comparison import likelihood
+from mbcacq.diagnosis.problem import Setup, prepare
+from mbcacq.diagnosis.search import hyperparameters
+from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.effect_set import NOTHING, Model
+from mbcacq.diagnosis.search.hyperparameters import best_hyper
+from mbcacq.diagnosis.search.projected_solve import prior_weight
+from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, Prices
 
 LEVEL = 0.01        # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
 ALLOWED = 0.02      # rate of false alarms over the whole catalogue
@@ -72,7 +73,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
     for multiple in multiples:
         plainly = replace(envelope, seed=seed + int(1000 * multiple))
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
-        observations, told = made.observe(challenger.loaded, challenger.poses, plainly, [{**one, "strength": strength}])
+        observations, told = simulated_cells.observe(challenger.loaded, challenger.poses, plainly, [{**one, "strength": strength}])
         truth = plain(told["effects"][0])
         found.append(bool(tells(diagnose(observations).as_json(), truth)))
         setup = prepare(observations)
@@ -91,13 +92,13 @@ def estimated(setup: Setup, model: Model) -> tuple[Model, float]:
             others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1:]])
             members[j] = candidate, best_hyper(others, candidate).hyper
             same = sum(c.key == candidate.key for c, _ in members[:j + 1])
-            choices *= max(hypers.values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
+            choices *= max(hyperparameters.values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
     return Model(tuple(members)), choices
 
 
 def plain_noise(setup: Setup) -> Noise:
     """With geometry alone."""
-    return noise.estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
+    return variance_components.estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
 
 
 def likelihood_ratio(setup: Setup, model: Model) -> float:
@@ -106,7 +107,7 @@ def likelihood_ratio(setup: Setup, model: Model) -> float:
     """
     linear = setup.linear
     plainly = Screen(linear, plain_noise(setup))
-    there = Screen(linear, noise.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
+    there = Screen(linear, variance_components.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
     return likelihood(there, with_members(there, model), setup.first) - likelihood(plainly, plainly, setup.first)
 
 
@@ -122,7 +123,7 @@ def sought(challenger: Challenger, envelope: Envelope, one: dict) -> tuple[int, 
     """Coefficients of the true model, and its share of all that may be: all places of all effects alike, of several joints or orders their
     choices.
     """
-    observations, told = made.observe(challenger.loaded, challenger.poses, envelope, [one])
+    observations, told = simulated_cells.observe(challenger.loaded, challenger.poses, envelope, [one])
     setup = prepare(observations)
     members = true_members(setup, plain(told["effects"][0]))
     prices, present, tries = Prices(setup.candidates), [], 1.0

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
-from mbcacq.challenge import made, oracle
-from mbcacq.challenge.envelopes import OUTSIDE, Envelope
+from mbcacq.challenge import oracle, simulated_cells
+from mbcacq.challenge.scenarios import OUTSIDE, Envelope
 from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
@@ -62,8 +62,8 @@ class Challenger:
         truth = [with_places(plain(effect)) for effect in told["effects"]]
         outside = any(name in OUTSIDE for name in envelope.names)
         if outside:
-            clean, _ = made.observe(self.loaded, self.poses, envelope, [])
-            fast = observations if not self.protocols else made.observe(self.loaded, self.poses, envelope, concealed)[0]
+            clean, _ = simulated_cells.observe(self.loaded, self.poses, envelope, [])
+            fast = observations if not self.protocols else simulated_cells.observe(self.loaded, self.poses, envelope, concealed)[0]
             possible = oracle.without_effect(fast, clean)
         else:
             possible = oracle.achievable(observations, truth)
@@ -76,11 +76,11 @@ class Challenger:
 
     def _record(self, envelope: Envelope, concealed: list[dict[str, Any]]):
         if not self.protocols:
-            return made.observe(self.loaded, self.poses, envelope, concealed)
+            return simulated_cells.observe(self.loaded, self.poses, envelope, concealed)
         if self.folder is not None:
-            return made.run(self.loaded, self.poses, envelope, concealed, self.folder / f"{envelope.number:03d}" / "run")
+            return simulated_cells.run(self.loaded, self.poses, envelope, concealed, self.folder / f"{envelope.number:03d}" / "run")
         with TemporaryDirectory(prefix="mbcacq-challenge-") as temporary:
-            return made.run(self.loaded, self.poses, envelope, concealed, Path(temporary))
+            return simulated_cells.run(self.loaded, self.poses, envelope, concealed, Path(temporary))
 
     def _keep(self, outcome: Outcome, observations) -> None:
         from mbcacq.recording import write_observation_set

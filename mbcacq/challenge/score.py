@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.envelopes import COMPANIONS
+from mbcacq.challenge.scenarios import COMPANIONS
 
 WITHIN = 3.0
 ORDER_TOLERANCE = 0.1

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.challenge.envelopes import Envelope
-from mbcacq.challenge.made import Concealed, observe
-from mbcacq.diagnosis.linear import Linear
-from mbcacq.diagnosis.screen import Screen
-from mbcacq.diagnosis.whitening import Noise
+from mbcacq.challenge.scenarios import Envelope
+from mbcacq.challenge.simulated_cells import Concealed, observe
+from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.search.candidate_scoring import Screen
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 LARGEST = 30.0      # times its plain size: beyond this an effect that the plan cannot see stays weak
@@ -31,7 +31,7 @@ class Gauge:
 
     @cached_property
     def screen(self) -> Screen:
-        from mbcacq.plan.observed import planned_state
+        from mbcacq.design.simulated_observations import planned_state
 
         quiet = Envelope(0, "none", 1, (), 1, 0.0)
         observations, _ = observe(self.loaded, self.poses, quiet, [])

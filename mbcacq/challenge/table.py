@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.envelopes import NONE, OUTSIDE
+from mbcacq.challenge.scenarios import NONE, OUTSIDE
 from mbcacq.challenge.score import WITHIN, Score
 
 COLUMNS = ("kind", "challenges", "that count", "named", "and placed", "located", "share of achievable",

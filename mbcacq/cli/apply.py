@@ -26,9 +26,9 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     import numpy as np
 
     from mbcacq.errors import ConfigError
-    from mbcacq.report.apply import place_scan
-    from mbcacq.report.clouds import read, write
-    from mbcacq.report.export.result_json import load_result
+    from mbcacq.exports.clouds import read, write
+    from mbcacq.exports.result_json import load_result
+    from mbcacq.exports.scan_correction import place_scan
 
     out = out or cloud.with_name(f"{cloud.stem}_base.ply")
     if out.exists() and not force:

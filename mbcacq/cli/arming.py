@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mbcacq.acquisition.motion import T1_MM_S
-from mbcacq.cell_address import on_loopback_only
+from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
+from mbcacq.plan.motion_limits import T1_MM_S
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan, PlannedPose
-    from mbcacq.plan.sweep import Swept
+    from mbcacq.plan.motion_preview import Swept
 
 
 def ask_before_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept, arm: bool) -> None:

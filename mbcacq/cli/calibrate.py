@@ -42,7 +42,7 @@ def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
     """
     from mbcacq.calibration import Options, calibrate, verify
-    from mbcacq.calibration.held_out import held_out as leave_out
+    from mbcacq.calibration.cross_validation import held_out as leave_out
     from mbcacq.errors import ConfigError
     from mbcacq.recording import find_gaps, load
 
@@ -76,7 +76,7 @@ def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_
 def _draw_l_curve(result: dict[str, Any], path: Path) -> None:
     import numpy as np
 
-    from mbcacq.calibration.paper.angles import LCurve
+    from mbcacq.calibration.staged.angle_adjustment import LCurve
     from mbcacq.errors import ConfigError
 
     curve = next((s["l_curve"] for s in result.get("stages", ()) if "l_curve" in s), None)

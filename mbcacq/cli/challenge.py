@@ -36,11 +36,11 @@ def command(seed: int, count: int, plan: Path | None, effects: str, protocols: b
     """
     import numpy as np
 
-    from mbcacq import library
-    from mbcacq.challenge.envelopes import draw, kinds
     from mbcacq.challenge.run import take_all
+    from mbcacq.challenge.scenarios import draw, kinds
     from mbcacq.challenge.table import line, summary
     from mbcacq.errors import ConfigError
+    from mbcacq.model import shipped
 
     if protocols and outliers:
         raise ConfigError("gross outliers can only be made with --fast; leave out --outliers, or add --fast")
@@ -48,7 +48,7 @@ def command(seed: int, count: int, plan: Path | None, effects: str, protocols: b
     order = np.random.default_rng([seed, 21]).permutation(len(wanted))
     envelopes = draw(seed, count, [wanted[i] for i in order], outliers, missing)
 
-    outcomes = take_all(plan or library.folder() / "seeing.yaml", envelopes, protocols, out, jobs,
+    outcomes = take_all(plan or shipped.folder() / "seeing.yaml", envelopes, protocols, out, jobs,
                         lambda o: click.echo(f"{o.envelope.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True))
     rows = summary([o.score for o in outcomes])
     if as_json:

@@ -22,7 +22,7 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
     Example:
       mbcacq compare runs/today
     """
-    from mbcacq.calibration.comparison import compare
+    from mbcacq.calibration.compare_methods import compare
     from mbcacq.recording import load
 
     rows = compare(load(data), held_out=not no_held_out, seed=seed)

@@ -18,8 +18,8 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
 
     README.txt among them says where each file goes, and in which order things are started.
     """
-    from mbcacq import controller_files
     from mbcacq.plan import load
+    from mbcacq.workflow import controller_files
 
     written = controller_files.write(controller_files.make(load(plan)), out, replace)
     if as_json:

@@ -26,7 +26,7 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
     """
     from mbcacq.errors import ConfigError
-    from mbcacq.recording.trajectory import is_trajectory_set
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
 
     if all(is_trajectory_set(folder) for folder in data):
         content, text = diagnose_in_time(data)
@@ -39,8 +39,8 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
 
 
 def diagnose_in_time(folders: tuple[Path, ...]) -> tuple[dict, str]:
-    from mbcacq.diagnosis.trajectory import diagnose_trajectories
-    from mbcacq.diagnosis.trajectory.text import trajectory_words
+    from mbcacq.diagnosis.motion import diagnose_trajectories
+    from mbcacq.diagnosis.motion.text import trajectory_words
     from mbcacq.recording import read_trajectory_set
 
     content = diagnose_trajectories([read_trajectory_set(folder) for folder in folders])
@@ -48,23 +48,23 @@ def diagnose_in_time(folders: tuple[Path, ...]) -> tuple[dict, str]:
 
 
 def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: int | None) -> tuple[dict, str]:
-    from mbcacq.diagnosis.crew import cores
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.text import words
+    from mbcacq.diagnosis.output.text import words
+    from mbcacq.diagnosis.validation.workers import cores
     from mbcacq.recording import load
 
     observations = load(data)
     result = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True), workers=workers or cores())
     if report is not None:
-        from mbcacq.diagnosis.figures import write_html
+        from mbcacq.workflow.diagnosis_files import write_html
 
         write_html(result, result.evidence, report)
     if rrd is not None:
-        from mbcacq.diagnosis.figures import write_rrd
+        from mbcacq.workflow.diagnosis_files import write_rrd
 
         write_rrd(result, observations, rrd)
     if is_run(data):
-        from mbcacq.diagnosis.figures import keep_beside
+        from mbcacq.workflow.diagnosis_files import keep_beside
 
         keep_beside(result, observations, data)
     return result.as_json(), words(result)
@@ -72,9 +72,10 @@ def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: i
 
 def beside_motion(data: Path, content: dict, text: str) -> tuple[dict, str]:
     """What the motion between the poses says, where a run recorded torques or joint-side angles; else the poses' diagnosis as it is."""
-    from mbcacq.diagnosis.trajectory import beside, diagnose_trajectories
+    from mbcacq.diagnosis.motion import combine, diagnose_trajectories
     from mbcacq.errors import ConfigError
-    from mbcacq.recording.trajectory import moves, trajectory_of_run
+    from mbcacq.model.trajectory import moves
+    from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
     if not (is_run(data) or data.suffix == ".rrd"):
         return content, text
@@ -86,13 +87,13 @@ def beside_motion(data: Path, content: dict, text: str) -> tuple[dict, str]:
     if not stretches:
         return content, text
     click.echo("comparing the motion between the poses ...", err=True)
-    content = beside.joined(content, diagnose_trajectories(stretches))
-    return content, beside.words(content, text)
+    content = combine.joined(content, diagnose_trajectories(stretches))
+    return content, combine.words(content, text)
 
 
 def is_run(data: Path) -> bool:
     """Whether DATA is the folder of a run, where the diagnosis is kept beside the recording."""
-    from mbcacq.recording import layout
+    from mbcacq.recording.rrd import layout
 
     return data.is_dir() and bool(layout.parts(data))
 

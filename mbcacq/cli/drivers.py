@@ -11,7 +11,7 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(as_json: bool) -> None:
     """List the installed drivers: kind, name, the package each comes from, whether it can be used, whether it was tried on hardware."""
-    from mbcacq.installed import survey
+    from mbcacq.devices.installed import survey
 
     found = list(survey())
     if as_json:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.report.export.cli_options import export_results, result_options
+from mbcacq.exports.cli_options import export_results, result_options
 
 
 @click.command("export")
@@ -30,17 +30,17 @@ def command(run: Path, observations: Path | None, scans: bool, trajectory: Path 
         if folder is not None and (folder / "cell.yaml").exists() and not force:
             raise ConfigError(f"{folder} already holds a set; give another folder, or --force to replace it")
     if observations is not None:
-        from mbcacq.recording.observation_set import write_observation_set
+        from mbcacq.recording.datasets.observation_set import write_observation_set
 
         measured = load(run)
         write_observation_set(measured, observations)
         written.append({"file": str(observations), "poses": measured.n_poses, "centres": measured.n_centres})
         if scans:
-            from mbcacq.recording.scan_folder import write_scans
+            from mbcacq.recording.rrd.scan_export import write_scans
 
             written.append({"file": str(observations / "scans"), "clouds": write_scans(run, observations)})
     if trajectory is not None:
-        from mbcacq.recording.trajectory import export_trajectory
+        from mbcacq.recording.rrd.trajectory_recording import export_trajectory
 
         written.append({"file": str(trajectory), "samples": export_trajectory(run, trajectory)})
     if as_json:

@@ -24,7 +24,7 @@ def command() -> None:
 def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     """Walk through PLAN: every pose with its joint angles, and the time it all takes."""
     from mbcacq.plan import expand, load
-    from mbcacq.plan.route import find_paths
+    from mbcacq.plan.routing import find_paths
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
@@ -32,7 +32,7 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     routes = find_paths(loaded, poses)
     content = summary(loaded, poses, routes)
     if rrd is not None:
-        from mbcacq.plan.drawing import draw
+        from mbcacq.recording.rrd.plan_recording import draw
 
         draw(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     if as_json:
@@ -53,12 +53,12 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
 
     Errors end with exit code 2.
     """
+    from mbcacq.design.plan_findings import insight, words
     from mbcacq.plan import load
-    from mbcacq.plan.checks import check
     from mbcacq.plan.expansion import expand_reachable
+    from mbcacq.plan.feasibility import check
     from mbcacq.plan.findings import merged
-    from mbcacq.plan.insight import insight, words
-    from mbcacq.plan.route import find_paths
+    from mbcacq.plan.routing import find_paths
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
@@ -100,9 +100,9 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     Views that can be taken are drawn at random; the best of them are chosen by greedy growth and exchange. The poses of the phases
     'translation', 'orientation' and 'verification' stay. Both plans are then compared, in expectation and by simulated cells.
     """
+    from mbcacq.design.optimal_design import compare, design
     from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
-    from mbcacq.plan.design import compare, design
 
     target = out or plan.with_name(f"{plan.stem}_designed.yaml")
     if target.exists() and not force:

@@ -17,7 +17,7 @@ def command(recording: Path, as_json: bool) -> None:
     Everything complete before the tear goes into a copy, NAME.recovered.rrd; the original is not touched. All commands that
     take a run folder use the copy from then on.
     """
-    from mbcacq.recording.recovery import recover
+    from mbcacq.recording.run_folder.recovery import recover
 
     found = recover(recording)
     if as_json:

@@ -70,7 +70,8 @@ def _calibrate(observations: Any) -> tuple[Any, dict[str, Any]]:
 def _diagnose(observations: Any, run: Path) -> dict[str, Any]:
     from mbcacq.cli.diagnose import is_run
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.figures import keep_beside, pictures
+    from mbcacq.diagnosis.output.figures import pictures
+    from mbcacq.workflow.diagnosis_files import keep_beside
 
     found = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True))
     if is_run(run):

@@ -16,7 +16,7 @@ from mbcacq.errors import Aborted, CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan, PlannedPose
-    from mbcacq.recording.progress import Progress
+    from mbcacq.recording.run_folder.progress import Progress
 
 
 @click.command("run")
@@ -41,12 +41,12 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
       mbcacq run my-cell.yaml --arm --step
       mbcacq run my-cell.yaml --arm --resume runs/2026-11-21T10-00-00_my-cell
     """
-    from mbcacq import pipeline
     from mbcacq.cli.arming import ask_before_motion
     from mbcacq.cli.progress import RunProgress
     from mbcacq.cli.stepping import KeyPause
     from mbcacq.devices import load_driver
     from mbcacq.plan import expand, load, refuse_errors
+    from mbcacq.workflow import run
 
     end_in_order_when_told()
     if resume and out:
@@ -56,20 +56,20 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
     poses = expand(loaded)
     refuse_errors(loaded, poses)
     cell = f"the fake cell of seed {seed}" if dry_run else "the plan's own devices"
-    before = pipeline.resume_folder(resume, loaded, cell) if resume else pipeline.fresh()
+    before = run.resume_folder(resume, loaded, cell) if resume else run.fresh()
     for sentence in before.told:
         click.echo(sentence, err=True)
     if resume and not again:
         again = moved_meanwhile(loaded, poses, before, asked=not (dry_run or yes))
-    done = pipeline.without_partial_stations(poses, before) if again else before.done
+    done = run.without_partial_stations(poses, before) if again else before.done
     if all(pose.number in done for pose in poses):
         click.echo(f"all {len(poses)} poses were measured already; nothing moves", err=True)
         folder = resume
     else:
-        acquisition = pipeline.plan_run(loaded, poses, done, before.part, cell)
+        acquisition = run.plan_run(loaded, poses, done, before.part, cell)
         if not dry_run:
             ask_before_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep(), arm)
-        folder = acquisition.folder = resume or pipeline.new_run_folder(out, plan.stem)
+        folder = acquisition.folder = resume or run.new_run_folder(out, plan.stem)
         fake = load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed) if dry_run else nullcontext()
         with fake:
             overrides = fake.overrides() if dry_run else {}
@@ -78,7 +78,7 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
             if not_merged := acquisition.execute(overrides, [RunProgress(quiet=as_json)], live=live, told=tell_viewer, pause=pause):
                 click.echo(not_merged, err=True)
     limit = loaded.plan.accept.sphere_spacing_error_mm
-    result = pipeline.evaluate(folder, limit)
+    result = run.evaluate(folder, limit)
     if as_json:
         click.echo(json.dumps(result))
     else:

@@ -15,7 +15,7 @@ def command(kind: str) -> None:
     In VS Code (YAML extension): write it to plan.schema.json and put
     `# yaml-language-server: $schema=plan.schema.json` on the first line of the plan.
     """
-    from mbcacq.cellfile import ArtefactSpec, RobotSpec
+    from mbcacq.model.cell_schema import ArtefactSpec, RobotSpec
     from mbcacq.plan.schema import Plan
 
     model = {"plan": Plan, "robot": RobotSpec, "artefact": ArtefactSpec}[kind]

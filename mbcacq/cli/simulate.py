@@ -32,8 +32,8 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
     """
     from mbcacq.plan import expand, load, refuse_errors
     from mbcacq.recording import write_observation_set
-    from mbcacq.recording.trajectory import is_trajectory_set, read_trajectory_set, write_trajectory_set
-    from mbcacq.twin import simulate, simulate_motion
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set, write_trajectory_set
+    from mbcacq.workflow.simulate import simulate, simulate_motion
 
     if (out / "cell.yaml").exists() and not force:
         raise ConfigError(f"{out} already holds an observation set; give another --out, or --force to replace it")

@@ -24,14 +24,14 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     The viewer of rerun reports anonymous usage unless told not to: rerun analytics disable
     """
     from mbcacq.errors import ConfigError
-    from mbcacq.recording import viewer
+    from mbcacq.recording.viewer import open_viewer
 
-    sources = viewer.files(run)
+    sources = open_viewer.files(run)
     if screenshot is None:
-        viewer.view(sources)
+        open_viewer.view(sources)
         return
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):
         raise ConfigError(f"--size {size}: give width and height between 200 and 8000, such as 1600x1000")
-    for picture in viewer.screenshots(sources, screenshot, (int(width), int(height)), pose):
+    for picture in open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose):
         click.echo(str(picture))

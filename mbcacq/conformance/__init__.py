@@ -14,7 +14,6 @@
 Needs no test framework. docs/conformance.md tells what each check asks for.
 """
 
-from mbcacq.conformance.bench import Bench, Stand
 from mbcacq.conformance.bounded import Hang, bounded
 from mbcacq.conformance.checks import CHECKS
 from mbcacq.conformance.faults import ACTIONS, Channel, Fault, as_read, counted, ended
@@ -24,6 +23,7 @@ from mbcacq.conformance.proxy_pty import PtyProxy
 from mbcacq.conformance.proxy_udp import UdpProxy
 from mbcacq.conformance.run import Result, check, run
 from mbcacq.conformance.steps import Skip
+from mbcacq.conformance.test_stand import Bench, Stand
 from mbcacq.conformance.trace import Replay, Trace
 
 __all__ = [

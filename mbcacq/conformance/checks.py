@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from mbcacq.conformance.bench import Bench, Stand
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
 from mbcacq.conformance.steps import Skip, comes_back, fault, need_proxies, rests, segments, works_anew
+from mbcacq.conformance.test_stand import Bench, Stand
 from mbcacq.devices import Aborted, ConfigError, ConnectError, IdentityError
 
 Check = Callable[[Bench, Stand], None]

@@ -6,10 +6,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mbcacq.conformance.bench import Bench, Stand
 from mbcacq.conformance.bounded import Hang, bounded, outcome
 from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER
 from mbcacq.conformance.steps import comes_back, rests
+from mbcacq.conformance.test_stand import Bench, Stand
 
 _CALM_S = 0.05    # a fault at the very last message takes effect after the work
 RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"

@@ -6,9 +6,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mbcacq.conformance.bench import Bench
 from mbcacq.conformance.checks import CHECKS, Check
 from mbcacq.conformance.steps import Skip
+from mbcacq.conformance.test_stand import Bench
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mbcacq.conformance.bench import Bench, Stand
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
+from mbcacq.conformance.test_stand import Bench, Stand
 
 
 class Skip(Exception):

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis import prove, readmit
-from mbcacq.diagnosis.conclude import WEAK, conclude
-from mbcacq.diagnosis.finding import Finding, find
+from mbcacq.diagnosis import outlier_readmission
+from mbcacq.diagnosis.linearized.variance_components import MANY_POSES
+from mbcacq.diagnosis.model_fit import Finding, find
+from mbcacq.diagnosis.problem import prepare, thin
 from mbcacq.diagnosis.result import Diagnosis
-from mbcacq.diagnosis.setup import prepare, thin
-from mbcacq.diagnosis.smooth import MANY_POSES
+from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.diagnosis.verdict import WEAK, conclude
 from mbcacq.errors import CalibrationError
-from mbcacq.observations import Observations
+from mbcacq.model.observations import Observations
 
 MOST_POSES = 4000
 FEWEST_POSES = 12
@@ -33,7 +34,7 @@ def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: 
 
 def _diagnose(obs: Observations, folds: int | None, progress, workers: int) -> Diagnosis:
     progress("fitting the geometry")
-    setup = readmit.readmitted(prepare(obs))
+    setup = outlier_readmission.readmitted(prepare(obs))
     extra = []
     if obs.n_poses > MOST_POSES:
         setup = thin(setup, setup.linear.keep, MOST_POSES)
@@ -43,7 +44,7 @@ def _diagnose(obs: Observations, folds: int | None, progress, workers: int) -> D
     progress("proving on data left out")
     if obs.n_poses >= MANY_POSES:
         workers = 1  # each would need as much memory as all of them in turn
-    proof = prove.prove(setup, full, folds or usual_folds(obs, full), workers)
+    proof = cross_validation.prove(setup, full, folds or usual_folds(obs, full), workers)
     result = conclude(setup, full, proof)
     result.notes += extra
     return result

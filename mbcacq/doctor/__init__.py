@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
+
+from mbcacq.doctor.line import Line, from_error
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
 
-Level = Literal["ok", "warning", "error"]
-
-
-@dataclass(frozen=True)
-class Line:
-    """level: 'error' keeps a run from succeeding. topic: stable name for programs. cure: what to do, '' where all is well."""
-
-    level: Level
-    topic: str
-    text: str
-    cure: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
-
-
-def from_error(topic: str, error: BaseException) -> Line:
-    """Our errors end with what to do about them, behind the last semicolon."""
-    what, _, cure = str(error).rpartition("; ")
-    return Line("error", topic, what or str(error), cure if what else "see docs/reference/errors.md")
+__all__ = ["Line", "checkup", "from_error"]
 
 
 def checkup(loaded: LoadedPlan | None, arm: bool = False) -> Iterator[Line]:

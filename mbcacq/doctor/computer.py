@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbcacq.doctor import Line
+from mbcacq.doctor.line import Line
 
 LIBRARIES = {   # distribution: module; None: only its presence is asked for
     "numpy": "numpy", "scipy": "scipy", "pydantic": "pydantic", "rerun-sdk": "rerun", "coal": "coal", "ruckig": "ruckig",

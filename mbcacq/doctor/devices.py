@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbcacq.devices import ConfigError, Device, MbcacqError
-from mbcacq.doctor import Line, from_error
+from mbcacq.doctor.line import Line, from_error
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def lines(loaded: LoadedPlan, arm: bool) -> Iterator[Line]:
     from mbcacq.acquisition.cell_devices import create_devices
-    from mbcacq.cell_address import on_loopback_only
+    from mbcacq.devices.addresses import on_loopback_only
 
     try:
         devices = create_devices(loaded).all

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from mbcacq.doctor import Line
-from mbcacq.installed import Installed, survey
+from mbcacq.devices.installed import Installed, survey
+from mbcacq.doctor.line import Line
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan

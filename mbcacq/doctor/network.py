@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbcacq.doctor import Line
+from mbcacq.doctor.line import Line
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan

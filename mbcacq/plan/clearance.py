@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.plan import LoadedPlan
-from mbcacq.plan.bodies import Body, arm_bodies, station_bodies, surrounding_bodies
+from mbcacq.plan.collision import Body, arm_bodies, station_bodies, surrounding_bodies
+from mbcacq.plan.planned import LoadedPlan
 
 FINEST_MM = 4.0         # motions are divided until nothing moves further than this between two looks
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan.choice import DEFAULT_SPEED, cheapest
+from mbcacq.plan.expansion_targets import Target, targets
+from mbcacq.plan.ik_selection import DEFAULT_SPEED, cheapest
 from mbcacq.plan.kinematics import InverseKinematics
-from mbcacq.plan.targets import Target, targets
+from mbcacq.plan.planned import LoadedPlan, PlannedPose
 
 
 def expand(loaded: LoadedPlan) -> list[PlannedPose]:

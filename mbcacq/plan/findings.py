@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.planned import LoadedPlan, PlannedPose
 
 Level = Literal["error", "warning", "info"]
 

@@ -12,10 +12,10 @@ from itertools import product
 
 import numpy as np
 
-from mbcacq.cell import RobotModel
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import RobotModel
 
 TURN = 2 * np.pi
 AGREEMENT = 1e-6        # mm, and rad: how well the closed form must repeat the chain

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq import cell
-from mbcacq.cellfile import ArtefactSpec, PoseSpec, RobotSpec
-from mbcacq.plan import LoadedPlan
+from mbcacq.model import cell
+from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
+from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.schema import Look, Plan, Taught
-from mbcacq.plan.yamlfile import Path_, YamlFile, read
+from mbcacq.plan.yaml_source import Path_, YamlFile, read
 
 ROTATION_TOLERANCE = 0.02      # published matrices carry two to four digits
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from mbcacq.cellfile import PayloadSpec, PoseSpec, Strict, Vector
+from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, Vector
 
 
 class RobotUse(Strict):

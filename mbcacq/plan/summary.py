@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan.duration import duration, motion_time
-from mbcacq.plan.route import Routes, find_paths
+from mbcacq.plan.motion_limits import motion_limits
+from mbcacq.plan.planned import LoadedPlan, PlannedPose
+from mbcacq.plan.routing import Routes, find_paths
+from mbcacq.plan.timing import duration, motion_time
 
 
 def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> dict[str, Any]:
@@ -43,8 +44,6 @@ def _step(loaded: LoadedPlan, index: int, poses: Sequence[PlannedPose]) -> dict[
 
 def _starts(loaded: LoadedPlan, poses, transits) -> list[float]:
     """s from the start of the run to the beginning of each pose's first motion, without the operator's time."""
-    from mbcacq.acquisition.motion import motion_limits
-
     limits, use = motion_limits(loaded), loaded.plan.robot
     clock, out, last = 0.0, [], np.radians(use.home_deg)
     for pose, transit in zip(poses, transits, strict=True):

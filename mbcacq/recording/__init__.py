@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mbcacq.observations import Observations
+    from mbcacq.model.observations import Observations
 
 _LAZY = {
-    "Journal": "journal", "Recorder": "writer", "Recording": "reader", "Trajectory": "trajectory", "find_gaps": "gaps",
-    "log_result": "result", "poses_done": "progress", "read_observation_set": "observation_set", "read_trajectory_set": "trajectory",
-    "recover": "recovery", "take_stock": "progress", "write_diagnosis": "diagnosis_file", "write_observation_set": "observation_set",
+    "Journal": "run_folder.journal", "Recorder": "rrd.writer", "Recording": "rrd.reader", "Trajectory": "datasets.trajectory_set",
+    "find_gaps": "run_folder.gaps", "log_result": "rrd.result_recording", "poses_done": "run_folder.progress",
+    "read_observation_set": "datasets.observation_set", "read_trajectory_set": "datasets.trajectory_set",
+    "recover": "run_folder.recovery", "take_stock": "run_folder.progress", "write_diagnosis": "rrd.diagnosis_recording",
+    "write_observation_set": "datasets.observation_set",
 }
 __all__ = ["ACCEPTED", "load", *_LAZY]
 
@@ -32,11 +34,11 @@ def load(path: Path | str) -> Observations:
     if path.is_dir() and (path / "trajectory.csv").exists() and not (path / "poses.csv").exists():
         raise ConfigError(f"{path} is a trajectory set, a recording in time; only mbcacq diagnose takes it")
     if path.is_dir() and (path / "cell.yaml").exists():
-        from mbcacq.recording.observation_set import read_observation_set
+        from mbcacq.recording.datasets.observation_set import read_observation_set
 
         return read_observation_set(path)
     if path.suffix == ".rrd" or (path.is_dir() and any(path.glob("run*.rrd"))):
-        from mbcacq.recording.reader import read_observations
+        from mbcacq.recording.rrd.reader import read_observations
 
         return read_observations(path)
     raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")

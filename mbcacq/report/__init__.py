@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.report.run_folder import about_run, everything_about
+from mbcacq.report.sources.run_folder import about_run, everything_about
 
 if TYPE_CHECKING:
-    from mbcacq.observations import Observations
+    from mbcacq.model.observations import Observations
 
 __all__ = ["about_run", "everything_about", "report_from_result", "write_diagnosis_page"]
 
@@ -22,8 +22,8 @@ def report_from_result(result: Mapping[str, Any], *, path: str | Path, observati
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'devices', 'hashes'. Raises
     ConfigError for a damaged result, RecordingError where the file cannot be written.
     """
-    from mbcacq.report.from_result import content_of
     from mbcacq.report.page import render, write
+    from mbcacq.report.sources.from_result import content_of
 
     return write(render(content_of(result, observations, run_info)), path)
 
@@ -31,6 +31,6 @@ def report_from_result(result: Mapping[str, Any], *, path: str | Path, observati
 def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any], path: str | Path, title: str = "Diagnosis") -> Path:
     """Write a diagnosis (its JSON and what its pictures need) as a page of its own."""
     from mbcacq.report.page import render_diagnosis, write
-    from mbcacq.report.told import told
+    from mbcacq.report.sources.diagnosis_content import told
 
     return write(render_diagnosis(told(diagnosis, pictures), title), path)

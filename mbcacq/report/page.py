@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.errors import RecordingError
 from mbcacq.report.content import Content
+from mbcacq.report.sources.diagnosis_content import Told
 from mbcacq.report.tables import groups, held, matrices
-from mbcacq.report.told import Told
 from mbcacq.report.verdict import readable
 
 HERE = Path(__file__).parent
@@ -20,7 +20,7 @@ def render(content: Content) -> str:
     """HTML of a report. Every text is escaped; the plotting library is inlined once."""
     from markupsafe import Markup
 
-    from mbcacq.report.picture import spacing_picture
+    from mbcacq.report.charts.svg import spacing_picture
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
     figures = _figures(content) | ({} if content.diagnosis is None else _of_diagnosis(content.diagnosis))
@@ -73,30 +73,30 @@ def shape_title(effect: str, at: str) -> str:
 
 
 def _figures(content: Content) -> dict[str, Any]:
-    from mbcacq.report import charts, charts_more
+    from mbcacq.report.charts import calibration_charts, more_charts
 
     figures: dict[str, Any] = {}
     if content.spacing is not None:
-        figures["spacing"] = charts.spacing(content.spacing)
+        figures["spacing"] = calibration_charts.spacing(content.spacing)
     if (data := content.residuals) is not None and len(data.xyz):
-        figures["pose"] = charts.residual_per_pose(data)
+        figures["pose"] = calibration_charts.residual_per_pose(data)
         data = data.used()
-        figures |= {"ball": charts.residual_per_ball(data), "ball_mean": charts.residual_mean_per_ball(data)}
+        figures |= {"ball": calibration_charts.residual_per_ball(data), "ball_mean": calibration_charts.residual_mean_per_ball(data)}
         if data.station is not None:
-            figures["station"] = charts_more.residual_per_station(data)
+            figures["station"] = more_charts.residual_per_station(data)
         if data.q_deg is not None:
-            figures |= {f"axis_{i}": charts_more.residual_over_axis(data, i) for i in range(data.q_deg.shape[1])}
+            figures |= {f"axis_{i}": more_charts.residual_over_axis(data, i) for i in range(data.q_deg.shape[1])}
         if data.weighted is not None:
-            figures["histogram"] = charts.histogram(data)
+            figures["histogram"] = calibration_charts.histogram(data)
     if content.spheres is not None:
-        figures |= {"sphere_rms": charts_more.sphere_quality(content.spheres), "sphere_points": charts_more.sphere_points(content.spheres)}
+        figures |= {"sphere_rms": more_charts.sphere_quality(content.spheres), "sphere_points": more_charts.sphere_points(content.spheres)}
     if content.correlation is not None and len(content.correlation[0]) > 1:
-        figures["correlation"] = charts.correlation(*content.correlation)
+        figures["correlation"] = calibration_charts.correlation(*content.correlation)
     if content.accuracy is not None:
-        figures |= {"accuracy_top": charts_more.accuracy(content.accuracy, 1), "accuracy_side": charts_more.accuracy(content.accuracy, 2)}
+        figures |= {"accuracy_top": more_charts.accuracy(content.accuracy, 1), "accuracy_side": more_charts.accuracy(content.accuracy, 2)}
     if content.coverage is not None and len(content.coverage.q_deg):
-        figures["joints"] = charts.joint_coverage(content.coverage)
-        draw = charts.ball_coverage if content.coverage.balls is not None else charts.place_coverage
+        figures["joints"] = calibration_charts.joint_coverage(content.coverage)
+        draw = calibration_charts.ball_coverage if content.coverage.balls is not None else calibration_charts.place_coverage
         if content.coverage.flange is not None:
             figures |= {"places_top": draw(content.coverage, 1), "places_side": draw(content.coverage, 2)}
     figures |= _of_devices(content)
@@ -104,26 +104,26 @@ def _figures(content: Content) -> dict[str, Any]:
 
 
 def _of_devices(content: Content) -> dict[str, Any]:
-    from mbcacq.report import charts_more
+    from mbcacq.report.charts import more_charts
 
     out: dict[str, Any] = {}
     if (devices := content.devices) is None:
         return out
     if devices.state_s:
-        out["states"] = charts_more.time_spent(devices)
-    for name, data, draw in (("late", devices.late, charts_more.late_answers), ("period", devices.period_ms, charts_more.periods),
-                             ("exposure", devices.exposure_s, charts_more.exposure_times)):
+        out["states"] = more_charts.time_spent(devices)
+    for name, data, draw in (("late", devices.late, more_charts.late_answers), ("period", devices.period_ms, more_charts.periods),
+                             ("exposure", devices.exposure_s, more_charts.exposure_times)):
         if data is not None and len(data) and (name != "late" or data.any()):
             out[name] = draw(devices)
     return out
 
 
 def _of_diagnosis(told: Told) -> dict[str, Any]:
-    from mbcacq.report import charts_diagnosis as charts
+    from mbcacq.report.charts import diagnosis_charts
 
-    figures: dict[str, Any] = {} if told.map is None else {"map": charts.heat_map(told)}
-    figures |= {f"shape_{k}": charts.shape(curve) for k, curve in enumerate(told.curves)}
-    figures |= {f"along_{k}": charts.along(told, cause) for k, cause in enumerate(told.causes)} if told.centres else {}
+    figures: dict[str, Any] = {} if told.map is None else {"map": diagnosis_charts.heat_map(told)}
+    figures |= {f"shape_{k}": diagnosis_charts.shape(curve) for k, curve in enumerate(told.curves)}
+    figures |= {f"along_{k}": diagnosis_charts.along(told, cause) for k, cause in enumerate(told.causes)} if told.centres else {}
     return {name: _div(name, figure) for name, figure in figures.items()}
 
 

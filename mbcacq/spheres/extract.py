@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.cell import Artefact
 from mbcacq.errors import ConfigError, DeviceFault
+from mbcacq.model.cell import Artefact
 from mbcacq.spheres.candidates import ball_candidates
 from mbcacq.spheres.fit import SphereFit, rough_fits, sphere_fits
 from mbcacq.spheres.found import BallOptions, FoundBalls

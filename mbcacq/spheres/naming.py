@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.cell import Artefact
 from mbcacq.errors import DeviceFault
+from mbcacq.model.cell import Artefact
 from mbcacq.spheres.fit import SphereFit
 from mbcacq.spheres.found import BallOptions, FoundBalls
 from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_cost

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.cell import Artefact
 from mbcacq.errors import ConfigError
 from mbcacq.lazy import open3d
+from mbcacq.model.cell import Artefact
 from mbcacq.spheres.extract import find_balls
 from mbcacq.spheres.found import BallOptions, FoundBalls
 from mbcacq.spheres.ply_header import check_header

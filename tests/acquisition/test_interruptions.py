@@ -9,14 +9,14 @@ from stand_ins import JumpingRobot, Placer, StandIn, StillScanner
 from test_runner import Finder, make, world  # noqa: F401 world is a fixture
 
 from mbcacq import devices
-from mbcacq.acquisition import events, patience
+from mbcacq.acquisition import events, reconnect_policy
 from mbcacq.devices import Description, Field
 from mbcacq.plan.schema import SensorUse
 
 
 @pytest.fixture(autouse=True)
 def brisk(monkeypatch):
-    monkeypatch.setattr(patience, "PAUSE_S", 0.01)
+    monkeypatch.setattr(reconnect_policy, "PAUSE_S", 0.01)
 
 
 class Rebooting(StillScanner):

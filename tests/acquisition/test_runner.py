@@ -9,15 +9,15 @@ from stand_ins import Finder, JumpingRobot, Placer, StillScanner
 
 from mbcacq import devices
 from mbcacq.acquisition import events
-from mbcacq.acquisition.bus import EventBus
 from mbcacq.acquisition.cell_devices import CellDevices
-from mbcacq.acquisition.motion import arms_beyond, check_target, longest_duration, motion_limits
-from mbcacq.acquisition.observe import predicted_centres
+from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.expected_view import predicted_centres
 from mbcacq.acquisition.runner import Runner
-from mbcacq.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration, motion_limits
 from mbcacq.plan.schema import Plan
 
 CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0.0, 0, -90, 0, 0, 180]), np.array([400.0, 0, 0, 515, 0, 90]),

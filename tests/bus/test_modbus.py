@@ -4,7 +4,7 @@ import threading
 import pytest
 from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.registers import Register
-from mbcacq_fakes.modbus import FakeModbus, FakePositioner
+from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
 
 from mbcacq.devices import (
     Aborted,
@@ -156,7 +156,7 @@ def test_rtu_over_a_terminal_device_and_the_cable_pulled():
     with fake() as server:
         server.stop()
     with FakeModbus(server.positioner, rtu=True) as server:
-        from mbcacq_fakes.terminal_bridge import TerminalBridge
+        from mbcacq_fakes.cell.terminal_bridge import TerminalBridge
 
         with TerminalBridge(server.host, server.port) as cable:
             link = {k: v for k, v in options(server).items() if k not in ("host", "port")}

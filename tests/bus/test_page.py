@@ -7,8 +7,8 @@ import pytest
 import yaml
 from mbcacq_bus.options import parse
 from mbcacq_bus.serial_positioner import SerialPositionerOptions
-from mbcacq_fakes.line_for import template
-from mbcacq_fakes.serial_positioner import FakeSerialPositioner
+from mbcacq_fakes.protocols.bus.line_for import template
+from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
 from mbcacq.devices import create
 

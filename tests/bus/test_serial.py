@@ -4,7 +4,7 @@ import time
 
 import pytest
 from mbcacq_bus.serial import SerialSensor
-from mbcacq_fakes.serial_sensor import FakeSerialSensor
+from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
 

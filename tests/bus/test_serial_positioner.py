@@ -5,8 +5,8 @@ import threading
 import pytest
 from mbcacq_bus.options import parse
 from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
-from mbcacq_fakes.serial_line import SerialLine
-from mbcacq_fakes.serial_positioner import FakeSerialPositioner
+from mbcacq_fakes.protocols.bus.serial_line import SerialLine
+from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
 from mbcacq.devices import (
     Aborted,

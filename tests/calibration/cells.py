@@ -6,12 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration import forward
-from mbcacq.calibration.forward import CellState
-from mbcacq.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station
+from mbcacq.estimation import forward_model
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.observations import Observations
+from mbcacq.model.cell import (
+    ARTEFACT_IN_SCANNER,
+    TARGET_IN_BASE,
+    Artefact,
+    Cell,
+    RobotModel,
+    Station,
+)
+from mbcacq.model.observations import Observations
 
 MBC = np.array([[-4.5, 24.9, -10.5], [-37.4, 6.3, -5.4], [6.9, -8.9, 5.8], [-17.6, -10.7, 5.9],
                 [-30.5, -22.7, 10.2], [15.6, -37.0, 3.8], [6.3, 10.4, 14.8], [-16.1, -32.2, -5.1]])
@@ -103,8 +110,8 @@ def scanner_cell(
 
 def measure(obs: Observations, truth: CellState, rng: np.random.Generator, noise, joint_rad: float) -> Observations:
     """New readings of the same poses: the joints stand off by the repeatability, every centre has scanner noise."""
-    off = forward.Displacements(joint=rng.normal(size=obs.q.shape) * joint_rad)
-    xyz = forward.predict(obs, truth, off).xyz
+    off = forward_model.Displacements(joint=rng.normal(size=obs.q.shape) * joint_rad)
+    xyz = forward_model.predict(obs, truth, off).xyz
     return replace(obs, xyz=xyz + rng.normal(size=xyz.shape) * np.asarray(noise))
 
 
@@ -121,7 +128,7 @@ def tracker_cell(rng: np.random.Generator, poses: int = 300, *, orientation: boo
     truth = CellState(chain.with_errors(errors), hand_eye, station, np.zeros((1, 3)))
     obs = Observations(cell, np.arange(poses), np.zeros(poses, int), q, np.arange(poses), np.zeros(poses, int), np.zeros((poses, 3)),
                        rotation=np.tile(np.eye(3), (poses, 1, 1)) if orientation else None)
-    exact = forward.predict(obs, truth, forward.Displacements(joint=rng.normal(size=q.shape) * joint_rad))
+    exact = forward_model.predict(obs, truth, forward_model.Displacements(joint=rng.normal(size=q.shape) * joint_rad))
     obs = replace(obs, xyz=exact.xyz + rng.normal(size=(poses, 3)) * noise)
     if orientation:
         obs = replace(obs, rotation=se3.rotation_exp(rng.normal(size=(poses, 3)) * turn) @ exact.rotation)

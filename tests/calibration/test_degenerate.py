@@ -10,8 +10,8 @@ from cells import measure, scanner_cell
 from click.testing import CliRunner
 
 from mbcacq.calibration import Options, calibrate
-from mbcacq.calibration.comparison import compare
-from mbcacq.calibration.rivals import RIVALS
+from mbcacq.calibration.compare_methods import compare
+from mbcacq.calibration.methods import RIVALS
 from mbcacq.errors import CalibrationError
 
 NOISE = (0.005, 0.005, 0.009)
@@ -138,7 +138,7 @@ def test_a_figure_that_cannot_be_held_out_says_why(cell):
 
 def test_the_command_ends_with_its_own_exit_code(cell, tmp_path):
     from mbcacq.cli.app import app
-    from mbcacq.recording.observation_set import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
 
     write_observation_set(one_pose(cell), tmp_path / "one")
     outcome = CliRunner().invoke(app, ["compare", str(tmp_path / "one")])

@@ -7,9 +7,9 @@ import pytest
 from cells import iiwa, measure, scanner_cell, tracker_cell
 
 from mbcacq.calibration import Options, calibrate, state_from_dict, verify
-from mbcacq.calibration.terms import Part, term
-from mbcacq.cell import Station
+from mbcacq.estimation.terms import Part, term
 from mbcacq.geometry import se3
+from mbcacq.model.cell import Station
 
 NOISE = (0.005, 0.005, 0.009)
 

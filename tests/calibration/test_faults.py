@@ -138,7 +138,7 @@ def test_an_absurd_coordinate_is_refused_in_one_sentence(tmp_path):
 
 
 def test_parameters_that_run_away_are_named():
-    from mbcacq.calibration.adequacy import refuse_runaway
+    from mbcacq.calibration.sufficiency import refuse_runaway
     from mbcacq.geometry.chain import Chain
 
     nominal = Chain(*np.ones((6, 6)))

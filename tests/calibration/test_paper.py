@@ -7,8 +7,8 @@ import pytest
 from cells import HAND_EYE, MBC, measure, scanner_cell, tracker_cell
 
 from mbcacq.calibration import Options, calibrate, verify
-from mbcacq.calibration.paper import angles, distance, hand_eye, method
-from mbcacq.calibration.paper.propagation import scanner_noise
+from mbcacq.calibration.staged import angle_adjustment, distance_constraint, hand_eye, method
+from mbcacq.calibration.staged.error_propagation import scanner_noise
 from mbcacq.calibration.uncertainty import distance_uncertainty
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
@@ -26,24 +26,24 @@ def exact():
 
 
 def test_angles_and_their_derivatives():
-    corners = angles.triples(4)
+    corners = angle_adjustment.triples(4)
     assert len(corners) == 12
     right = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]])
-    value, B = angles.angles(right, corners)
+    value, B = angle_adjustment.angles(right, corners)
     assert np.degrees(value[0][(corners == [0, 1, 2]).all(axis=1)]) == pytest.approx(90)
     assert np.degrees(value[0][(corners == [1, 0, 2]).all(axis=1)]) == pytest.approx(45)
     rng = np.random.default_rng(1)
     points = rng.normal(size=(1, 4, 3))
-    _, B = angles.angles(points, corners)
+    _, B = angle_adjustment.angles(points, corners)
     for j in range(12):
         step = np.zeros(12)
         step[j] = 1e-6
-        difference = angles.angles(points + step.reshape(4, 3), corners)[0] - angles.angles(points - step.reshape(4, 3), corners)[0]
+        difference = angle_adjustment.angles(points + step.reshape(4, 3), corners)[0] - angle_adjustment.angles(points - step.reshape(4, 3), corners)[0]
         np.testing.assert_allclose(B[0, :, j], difference[0] / 2e-6, atol=1e-7)
 
 
 def test_angles_leave_seven_directions_undetermined():
-    _, B = angles.angles(MBC[None], angles.triples(8))
+    _, B = angle_adjustment.angles(MBC[None], angle_adjustment.triples(8))
     assert np.linalg.matrix_rank(B[0], tol=1e-9) == 24 - 7
 
 
@@ -52,7 +52,7 @@ def test_adjustment_restores_the_shape_but_not_the_scale():
     T = se3.exp(rng.normal(size=(20, 6)) * np.array([50, 50, 50, 0.5, 0.5, 0.5]))
     true = 1.002 * se3.apply(T[:, None], MBC[None])
     measured = true + rng.normal(size=true.shape) * 0.05
-    corrected, curve, _ = angles.adjust(measured, MBC)
+    corrected, curve, _ = angle_adjustment.adjust(measured, MBC)
 
     def shape(points):
         d = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
@@ -70,7 +70,7 @@ def test_adjustment_restores_the_shape_but_not_the_scale():
 
 
 def test_l_curve_can_be_drawn(tmp_path):
-    _, curve, _ = angles.adjust(MBC[None] + np.random.default_rng(3).normal(size=(4, 8, 3)) * 0.01, MBC)
+    _, curve, _ = angle_adjustment.adjust(MBC[None] + np.random.default_rng(3).normal(size=(4, 8, 3)) * 0.01, MBC)
     curve.plot(tmp_path / "curve.html")
     assert "ridge parameter" in (tmp_path / "curve.html").read_text()
 
@@ -101,7 +101,7 @@ def test_parallel_translations_and_turns_about_one_axis_are_refused(exact):
 
 def test_distances_of_one_scan_are_left_out():
     pose, station, ball = np.repeat([0, 1, 2], 2), np.repeat([0, 0, 1], 2), np.tile([0, 1], 3)
-    found = distance.pairs(pose, station, ball, MBC)
+    found = distance_constraint.pairs(pose, station, ball, MBC)
     assert {(a, b) for a, b in zip(found.a, found.b, strict=True)} == {(0, 3), (1, 2)}
     np.testing.assert_allclose(found.certified, np.linalg.norm(MBC[0] - MBC[1]))
 
@@ -111,8 +111,8 @@ def test_distance_constraint_identifies_arm_and_hand_eye_without_noise():
     obs = cell.observations
     free = np.concatenate([b.free for b in method.published_layout(obs, Options()).blocks[:2]])
     free &= ~np.isin(np.arange(36), [0, 1, 25, 26, 27, 28, 29])  # theta_1, d_1 and the last link, so that the answer is unique
-    at = distance.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
-    found = distance.identify(obs.cell.robot.chain, HAND_EYE, obs.q, obs.pose, obs.xyz, at, free)
+    at = distance_constraint.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
+    found = distance_constraint.identify(obs.cell.robot.chain, HAND_EYE, obs.q, obs.pose, obs.xyz, at, free)
     assert found.rms_after < 1e-3 < found.rms_before
     np.testing.assert_allclose(found.chain.rows - obs.cell.robot.chain.rows, cell.errors, atol=0.02)
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from mbcacq.calibration import Options, calibrate
-from mbcacq.calibration.held_out import held_out
+from mbcacq.calibration.cross_validation import held_out
 from mbcacq.calibration.uncertainty import point_covariance, to_base
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError

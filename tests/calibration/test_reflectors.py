@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from cells import measure, tracker_cell
 
-from mbcacq.calibration import blocks, estimate, forward
-from mbcacq.calibration.linearise import Lineariser
-from mbcacq.calibration.options import Options
-from mbcacq.cell import Artefact
+from mbcacq.calibration import calibrate
+from mbcacq.estimation import forward_model, parameters
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import Options
 from mbcacq.geometry import se3
+from mbcacq.model.cell import Artefact
 
 REFLECTORS = np.array([[0.0, 0, 0], [115.0, 0, 0], [-10.0, 184.0, 5.5]])
 
@@ -27,13 +28,13 @@ def three_reflectors(rng, orientation=False, poses=150):
     truth = replace(one.truth, balls=REFLECTORS + rng.normal(size=(3, 3)) * 0.005,
                     T_flange_scanner=se3.exp(np.array([30.0, -20, 90, 0.3, -0.2, 1.1])))
     if orientation:
-        obs = replace(obs, rotation=forward.predict(obs, truth).rotation)
+        obs = replace(obs, rotation=forward_model.predict(obs, truth).rotation)
     return measure(obs, truth, rng, np.full(3, 0.02), 1e-5), truth
 
 
 def test_turn_of_the_target_and_place_of_the_reflectors_are_recovered():
     obs, truth = three_reflectors(np.random.default_rng(3))
-    result = estimate.calibrate(obs)
+    result = calibrate(obs)
     turn = se3.rotation_log((result.state.T_flange_scanner[:3, :3].T @ truth.T_flange_scanner[:3, :3])[None])[0]
     assert np.linalg.norm(turn) < 1.5e-4
     q = np.random.default_rng(4).uniform(-1, 1, (50, 6))
@@ -48,9 +49,9 @@ def test_turn_of_the_target_and_place_of_the_reflectors_are_recovered():
 def test_columns_are_derivatives_of_what_is_seen(orientation):
     obs, truth = three_reflectors(np.random.default_rng(5), orientation, poses=12)
     options = Options()
-    layout = blocks.build(obs, options)
+    layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
-    at, still = blocks.Estimate(truth), np.zeros((1, 6))
+    at, still = parameters.Estimate(truth), np.zeros((1, 6))
     assert layout.blocks[2].free.all()
     columns = lineariser.rows.unpad(lineariser(at).X)
     for j, name in enumerate(layout.names):

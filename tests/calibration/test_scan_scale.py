@@ -7,8 +7,8 @@ import pytest
 from cells import measure, scanner_cell, tracker_cell
 
 from mbcacq.calibration import Options, calibrate, verify
-from mbcacq.calibration.scan_scale import scan_scale
 from mbcacq.cli import tables
+from mbcacq.estimation.scan_scale import scan_scale
 
 
 def grown(obs, ppm):

@@ -8,9 +8,9 @@ from cells import measure, scanner_cell
 
 from mbcacq.calibration import calibrate
 from mbcacq.calibration.uncertainty import expected_accuracy
-from mbcacq.cell import Station
 from mbcacq.cli import tables
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import Station
 
 NOISE = (0.005, 0.005, 0.009)
 

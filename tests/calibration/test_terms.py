@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from cells import scanner_cell, tracker_cell
 
-from mbcacq.calibration import forward
-from mbcacq.calibration.terms import Part, accumulate, columns, term
+from mbcacq.estimation import forward_model
+from mbcacq.estimation.terms import Part, accumulate, columns, term
 
 
 def residual_derivative(obs, state, one, h=1e-4):
@@ -14,9 +14,9 @@ def residual_derivative(obs, state, one, h=1e-4):
     for j in range(one.size):
         c = np.zeros(one.size)
         c[j] = h
-        up = forward.residual(obs, forward.predict(obs, state, accumulate(obs, [one], [c])))
+        up = forward_model.residual(obs, forward_model.predict(obs, state, accumulate(obs, [one], [c])))
         c[j] = -h
-        down = forward.residual(obs, forward.predict(obs, state, accumulate(obs, [one], [c])))
+        down = forward_model.residual(obs, forward_model.predict(obs, state, accumulate(obs, [one], [c])))
         out.append((down - up) / (2 * h))
     return np.stack(out, axis=-1)
 
@@ -32,7 +32,7 @@ def test_columns_are_derivatives_with_a_scanner(place, index, component):
     obs, state = cell.observations, cell.truth
     rows = obs.n_poses if place in ("joint", "frame", "station") else obs.n_centres
     one = term("x", [Part(place, index, component, rng.normal(size=(rows, 2)))])
-    analytic = columns(obs, forward.predict(obs, state), one)
+    analytic = columns(obs, forward_model.predict(obs, state), one)
     np.testing.assert_allclose(analytic, residual_derivative(obs, state, one), atol=2e-4, rtol=1e-6)
 
 
@@ -43,7 +43,7 @@ def test_columns_are_derivatives_with_a_tracker(place, index, component, orienta
     cell = tracker_cell(rng, poses=5, orientation=orientation)
     obs, state = cell.observations, cell.truth
     one = term("x", [Part(place, index, component, rng.normal(size=(5, 2)))])
-    analytic = columns(obs, forward.predict(obs, state), one)
+    analytic = columns(obs, forward_model.predict(obs, state), one)
     np.testing.assert_allclose(analytic, residual_derivative(obs, state, one), atol=2e-4, rtol=1e-6)
 
 
@@ -53,7 +53,7 @@ def test_parts_share_their_coefficients():
     obs, state = cell.observations, cell.truth
     a = Part("joint", 1, 0, rng.normal(size=(obs.n_poses, 1)))
     b = Part("point", 0, 2, rng.normal(size=(obs.n_centres, 1)))
-    prediction = forward.predict(obs, state)
+    prediction = forward_model.predict(obs, state)
     both = columns(obs, prediction, term("both", [a, b]))
     np.testing.assert_allclose(both, columns(obs, prediction, term("a", [a])) + columns(obs, prediction, term("b", [b])))
 

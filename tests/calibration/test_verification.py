@@ -7,7 +7,7 @@ import pytest
 from cells import scanner_cell
 
 from mbcacq.calibration import calibrate, verify
-from mbcacq.calibration.guideline import Limits, judge, verdict
+from mbcacq.calibration.verification import Limits, judge, verdict
 from mbcacq.geometry import se3
 
 

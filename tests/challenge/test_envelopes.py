@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.challenge.envelopes import CATALOGUED, NONE, OUTSIDE, draw, kinds
+from mbcacq.challenge.scenarios import CATALOGUED, NONE, OUTSIDE, draw, kinds
 from mbcacq.errors import ConfigError
 
 
@@ -55,7 +55,7 @@ def test_an_unknown_effect_is_refused_by_name():
 
 
 def test_what_lies_outside_is_not_in_the_catalogue_of_the_diagnosis():
-    from mbcacq.physics.catalogue import effects
+    from mbcacq.effects.catalogue import effects
 
     assert not set(OUTSIDE) & set(effects())
     assert set(CATALOGUED) <= set(effects())

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mbcacq.challenge import made
-from mbcacq.challenge.envelopes import Envelope
+from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.run import Challenger
+from mbcacq.challenge.scenarios import Envelope
 from mbcacq.challenge.strength import Gauge
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load
-from mbcacq.twin import simulate
+from mbcacq.workflow.simulate import simulate
 
 PLANS = Path(__file__).parents[2] / "plans"
 
@@ -59,7 +59,7 @@ def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
 
 def test_the_recording_lacks_what_was_not_recorded(challenger):
     envelope = Envelope(0, "none", 1, (), 1, 0.0, missing=("time_s", "direction", "temperature"))
-    observations, truth = made.observe(challenger.loaded, challenger.poses, envelope, [])
+    observations, truth = simulated_cells.observe(challenger.loaded, challenger.poses, envelope, [])
     assert observations.time_s is None
     assert observations.direction is None
     assert observations.temperatures == {}
@@ -94,7 +94,7 @@ def test_noise_scatters_the_twin_by_what_the_plan_states(quick):
 
 def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
     loaded, poses = quick
-    observations, truth = made.observe(loaded, poses, Envelope(0, "none", 21, (), 1, 0.0), [])
+    observations, truth = simulated_cells.observe(loaded, poses, Envelope(0, "none", 21, (), 1, 0.0), [])
     from mbcacq.calibration import Options, calibrate
 
     cell = calibrate(observations, Options(kinematics=False))

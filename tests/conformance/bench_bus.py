@@ -11,9 +11,9 @@ from mbcacq_bus.options import parse
 from mbcacq_bus.registers import Register
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
-from mbcacq_fakes.modbus import FakeModbus, FakePositioner
-from mbcacq_fakes.serial_positioner import FakeSerialPositioner
-from mbcacq_fakes.serial_sensor import FakeSerialSensor
+from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
+from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
+from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
 
 from mbcacq.conformance import Channel, PtyProxy, Stand, TcpProxy, Trace, counted, ended
 

@@ -7,8 +7,8 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted

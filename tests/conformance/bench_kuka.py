@@ -10,8 +10,8 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from mbcacq_fakes.krc import FakeEkiController, FakeKrc
-from mbcacq_fakes.krc.eki import FakeEki
+from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
+from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 

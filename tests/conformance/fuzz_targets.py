@@ -15,9 +15,9 @@ import numpy as np
 from mbcacq_bus.modbus_link import Connection, ModbusLink
 from mbcacq_bus.registers import Register
 from mbcacq_bus.serial import SerialSensor
-from mbcacq_fakes.gocator import FakeGocator, channel, encode
-from mbcacq_fakes.gocator.discovery import Discovery
-from mbcacq_fakes.krc.wire import RobTemplate
+from mbcacq_fakes.protocols.gocator import FakeGocator, channel, encode
+from mbcacq_fakes.protocols.gocator.discovery import Discovery
+from mbcacq_fakes.protocols.krc.wire import RobTemplate
 from mbcacq_gocator import control, dataset, decode, health, information, points, wire
 from mbcacq_gocator.configuration import Configuration
 from mbcacq_gocator.discovery import parse_reply
@@ -27,11 +27,11 @@ from mbcacq_kuka.rsi.telegram import Malformed, Parser, finite
 from pymodbus.client import ModbusTcpClient
 
 from mbcacq.errors import MbcacqError
-from mbcacq.plan import yamlfile
-from mbcacq.recording.cell_yaml import parse_cell
-from mbcacq.recording.csvfile import read_table
-from mbcacq.recording.observation_set import _read_centres, _read_poses, read_observation_set
-from mbcacq.report.export.certificate import read_certificate
+from mbcacq.exports.certificate import read_certificate
+from mbcacq.plan import yaml_source
+from mbcacq.recording.datasets.cell_yaml import parse_cell
+from mbcacq.recording.datasets.csvfile import read_table
+from mbcacq.recording.datasets.observation_set import _read_centres, _read_poses, read_observation_set
 from mbcacq.spheres.ply import read_cloud
 
 OURS = (MbcacqError, Malformed, FramingError, telegrams.BadTelegram)    # the last three become ProtocolError one call above
@@ -289,7 +289,7 @@ def in_file(name: str, read: Callable[[Path], object], beside: dict[str, bytes] 
 
 
 def plan_text(data: bytes) -> object:
-    return yamlfile.parse(data.decode("utf-8", "replace"), Path("plan.yaml"))
+    return yaml_source.parse(data.decode("utf-8", "replace"), Path("plan.yaml"))
 
 
 @cache

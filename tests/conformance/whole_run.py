@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mbcacq import pipeline
 from mbcacq.conformance import Case, Channel, Proxy, TcpProxy, UdpProxy, Verdict, bounded, counted
 from mbcacq.conformance.bounded import Hang, eventually, sentence
 from mbcacq.conformance.injection import NAMED, RECOVERED, UNREACHED
 from mbcacq.devices import MbcacqError, load_driver
 from mbcacq.plan import expand, load
 from mbcacq.recording import load as load_recording
+from mbcacq.workflow import run as pipeline
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 LIMIT_S, NOISE_MM = 180.0, 0.15     # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away

@@ -7,15 +7,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from mbcacq.calibration import forward
-from mbcacq.calibration.forward import CellState, Displacements
-from mbcacq.calibration.terms import accumulate, term
-from mbcacq.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.effects import catalogue
+from mbcacq.effects.context import Situation
+from mbcacq.estimation import forward_model
+from mbcacq.estimation.forward_model import CellState, Displacements
+from mbcacq.estimation.terms import accumulate, term
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.observations import Observations
-from mbcacq.physics import catalogue
-from mbcacq.physics.situation import Situation
+from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.observations import Observations
 
 JOINT_NOISE = 5e-6
 POINT_NOISE = np.array([0.005, 0.005, 0.009])
@@ -112,16 +112,16 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
     effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the situation that
     return displacements. outliers: share of centres that are off by millimetres.
     """
-    from mbcacq.diagnosis import base_fit
+    from mbcacq.diagnosis.linearized import geometry_fit
 
     rng = np.random.default_rng(seed)
     obs = template
-    start = base_fit.start(obs)
+    start = geometry_fit.start(obs)
     state = CellState(obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)), obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),
                       start.T_base_station, obs.cell.ball_centres + rng.normal(0, 0.001, (len(obs.cell.ball_ids), 3)))
     if obs.cell.measurement == "artefact_in_scanner":
         state = replace(state, T_base_station=start.T_base_station)
-    situation = Situation(obs, state, forward.predict(obs, state))
+    situation = Situation(obs, state, forward_model.predict(obs, state))
     terms, values, moved = [], [], Displacements()
     for effect in effects:
         if callable(effect):
@@ -133,7 +133,7 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
         values.append(np.asarray(coefficients, dtype=float))
     moved = add(moved, accumulate(obs, terms, values))
     moved = add(moved, Displacements(joint=rng.normal(0, joint_noise, obs.q.shape)))
-    xyz = forward.predict(obs, state, moved).xyz + rng.normal(0, 1, obs.xyz.shape) * (POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm)
+    xyz = forward_model.predict(obs, state, moved).xyz + rng.normal(0, 1, obs.xyz.shape) * (POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm)
     wrong = rng.random(len(xyz)) < outliers
     xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
     return replace(obs, xyz=xyz)

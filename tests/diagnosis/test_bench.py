@@ -4,16 +4,16 @@ import made
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis import finding
-from mbcacq.diagnosis.blocks import solve_blocks, two
-from mbcacq.diagnosis.explain import Search
-from mbcacq.diagnosis.model import NOTHING
-from mbcacq.diagnosis.screen import Screen
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.search.beam_search import Search
+from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.projected_solve import solve_blocks, two
 
 
 @pytest.fixture(scope="module")
 def setup(plan):
-    return finding.prepare(made.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)]))
+    return model_fit.prepare(made.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)]))
 
 
 @pytest.mark.parametrize("members", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])

@@ -3,10 +3,10 @@
 import made
 import numpy as np
 
-from mbcacq.calibration import forward
-from mbcacq.diagnosis import base_fit
-from mbcacq.physics import catalogue
-from mbcacq.physics.situation import Situation
+from mbcacq.diagnosis.linearized import geometry_fit
+from mbcacq.effects import catalogue
+from mbcacq.effects.context import Situation
+from mbcacq.estimation import forward_model
 
 CONTRACT = {
     "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling", "joint_step",
@@ -21,8 +21,8 @@ def test_every_effect_of_the_contract_has_a_file():
 
 def test_scans_multiply_the_same_functions_as_built_columns(plan):
     obs = made.observe(plan, 31)
-    state = base_fit.start(obs)
-    situation = Situation(obs, state, forward.predict(obs, state))
+    state = geometry_fit.start(obs)
+    situation = Situation(obs, state, forward_model.predict(obs, state))
     scanned = [c for c in catalogue.candidates(situation)[0] if c.separable]
     assert scanned
     for candidate in scanned:
@@ -36,8 +36,8 @@ def test_scans_multiply_the_same_functions_as_built_columns(plan):
 
 
 def test_what_the_gravity_moment_says_about_a_joint_is_its_torque(plan):
-    state = base_fit.start(plan)
-    s = Situation(plan, state, forward.predict(plan, state))
+    state = geometry_fit.start(plan)
+    s = Situation(plan, state, forward_model.predict(plan, state))
     for i in range(s.n):
         about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]
         np.testing.assert_allclose(about_axis, s.gravity_torque[:, i], atol=1e-9)

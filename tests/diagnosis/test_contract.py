@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from mbcacq.cli.diagnose import command
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.text import words
+from mbcacq.diagnosis.output.text import words
 from mbcacq.recording import load
 
 DATA = Path(__file__).parents[3] / "shared" / "data"

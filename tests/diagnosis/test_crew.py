@@ -6,8 +6,9 @@ import signal
 import made
 import pytest
 
-from mbcacq.diagnosis import finding, prove
-from mbcacq.diagnosis.crew import Crew
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.diagnosis.validation.workers import Crew
 from mbcacq.errors import CalibrationError
 
 pytestmark = pytest.mark.filterwarnings("ignore:This process.*fork:DeprecationWarning")  # the runner of these tests has threads
@@ -66,10 +67,10 @@ def test_a_killed_process_is_told_and_none_stays_behind(alone):
 
 
 def test_a_proof_shared_by_two_processes_is_the_same_proof(plan, alone):
-    setup = finding.prepare(made.observe(plan, 160, [("joint_compliance", ("A2",), [2.5e-6], None)]))
-    full = finding.find(setup)
+    setup = model_fit.prepare(made.observe(plan, 160, [("joint_compliance", ("A2",), [2.5e-6], None)]))
+    full = model_fit.find(setup)
 
-    one, two = prove.prove(setup, full, 4), prove.prove(setup, full, 4, workers=2)
+    one, two = cross_validation.prove(setup, full, 4), cross_validation.prove(setup, full, 4, workers=2)
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one

@@ -4,8 +4,8 @@ import made
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis import finding
-from mbcacq.diagnosis.conclude import verdict_of
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.verdict import verdict_of
 
 CASES = [
     ("joint_compliance", ("A2",), [2.5e-6], None),
@@ -32,7 +32,7 @@ CASES = [
 def test_found_named_and_measured(plan, name, where, values, hyper):
     observed = made.observe(plan, 11, [(name, where, values, hyper)])
 
-    found = finding.find(finding.prepare(observed))
+    found = model_fit.find(model_fit.prepare(observed))
 
     assert {(c.name, c.where) for c, _ in found.model.members} == {(name, where)}
     assert verdict_of(found) == "explained"
@@ -43,7 +43,7 @@ def test_found_named_and_measured(plan, name, where, values, hyper):
 def test_two_effects_at_once(plan):
     observed = made.observe(plan, 12, [("joint_compliance", ("A2",), [2.5e-6], None), ("backlash", ("A1",), [5e-5], None)])
 
-    found = finding.find(finding.prepare(observed))
+    found = model_fit.find(model_fit.prepare(observed))
 
     assert {(c.name, c.where) for c, _ in found.model.members} == {("joint_compliance", ("A2",)), ("backlash", ("A1",))}
 
@@ -51,7 +51,7 @@ def test_two_effects_at_once(plan):
 def test_found_among_one_percent_of_gross_outliers(plan):
     observed = made.observe(plan, 13, [("joint_compliance", ("A2",), [2.5e-6], None)], outliers=0.01)
 
-    found = finding.find(finding.prepare(observed))
+    found = model_fit.find(model_fit.prepare(observed))
 
     assert [(c.name, c.where) for c, _ in found.model.members] == [("joint_compliance", ("A2",))]
     assert abs(found.model.coefficients[0] - 2.5e-6) < 4 * np.sqrt(found.model.covariance[0, 0])

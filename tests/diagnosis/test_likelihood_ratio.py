@@ -7,9 +7,9 @@ import numpy as np
 from scipy.stats import chi2, kstest
 
 from mbcacq.challenge.power import estimated, likelihood_ratio
-from mbcacq.diagnosis.model import Model
-from mbcacq.diagnosis.setup import prepare
-from mbcacq.diagnosis.whitening import Noise
+from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.diagnosis.search.effect_set import Model
 
 SOUGHT = ("joint_scale:A2:q2:", "joint_scale:A5:q5:", "base_compliance:base:gravity_torque_2:", "ball_shift:ball4:x:", "joint_compliance:A3:gravity_torque_3:")
 

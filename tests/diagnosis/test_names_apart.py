@@ -7,21 +7,23 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mbcacq.calibration.forward import Displacements
-from mbcacq.diagnosis import choice, conclude, diagnose, finding, prove, readmit, unnamed
-from mbcacq.diagnosis.compose import columns_of
-from mbcacq.diagnosis.explain import Search
-from mbcacq.diagnosis.model import NOTHING
-from mbcacq.diagnosis.noise import estimate
-from mbcacq.diagnosis.screen import Screen
-from mbcacq.physics import steps
+from mbcacq.diagnosis import diagnose, model_fit, noise_consistent_ranking, outlier_readmission, verdict
+from mbcacq.diagnosis.linearized.variance_components import estimate
+from mbcacq.diagnosis.nonparametric import model_comparison
+from mbcacq.diagnosis.nonparametric.joint_model import columns_of
+from mbcacq.diagnosis.search.beam_search import Search
+from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.effects.pose import steps
+from mbcacq.estimation.forward_model import Displacements
 
 
 @pytest.mark.parametrize("k", [1, 6])
 @pytest.mark.parametrize("level", [0.05, 0.005])
 def test_a_moment_is_sought_among_as_many_independent_ones_as_are_counted(plan, k, level):
     """White noise cut in two at every moment: the best cut passes the threshold as seldom as is said, and not much more seldom."""
-    setup = finding.prepare(plan)
+    setup = model_fit.prepare(plan)
     hyper = steps.moment(setup.situation)
     n, rng = plan.n_poses, np.random.default_rng(5)
     first = np.arange(n)[None] >= hyper.values[:, None]
@@ -38,13 +40,13 @@ def test_a_slipping_bracket_is_not_told_as_a_warming_scanner(plan):
     """Both change slowly with time; of six components, one step explains more than three that fade."""
     observed = made.observe(plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
 
-    assert finding.find(finding.prepare(observed)).model.names == ("mount_shift",)
+    assert model_fit.find(model_fit.prepare(observed)).model.names == ("mount_shift",)
 
 
 def test_what_a_ball_may_be_called_is_not_left_without_a_name(plan):
     observed = made.observe(plan, 132, [("ball_shift", ("ball3",), [0.004, -0.002, 0.003], None)])
 
-    found = finding.find(finding.prepare(observed))
+    found = model_fit.find(model_fit.prepare(observed))
 
     assert found.model.names == ("ball_shift",)
     assert found.smooth is None
@@ -53,11 +55,11 @@ def test_what_a_ball_may_be_called_is_not_left_without_a_name(plan):
 def test_an_effect_that_hides_in_the_noise_gets_a_second_look(plan):
     """Lost motion makes its joint look like one that repeats badly: under that noise it is not significant, under a noise half as wrong it is."""
     observed = made.observe(plan, 139, [("backlash", ("A1",), [6e-6], None)])
-    setup = finding.prepare(observed)
+    setup = model_fit.prepare(observed)
     sigma = estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
     search = Search(setup.candidates)
 
-    looked = choice.second_look(search, setup.linear, sigma, setup.first)
+    looked = noise_consistent_ranking.second_look(search, setup.linear, sigma, setup.first)
 
     candidate = next(c for c in setup.candidates if c.name == "backlash" and c.depends_on == "direction_1")
     plain = Screen(setup.linear, sigma).test(candidate)
@@ -67,14 +69,14 @@ def test_an_effect_that_hides_in_the_noise_gets_a_second_look(plan):
 
 def test_a_name_that_predicts_nothing_beside_a_true_one_is_taken_back(plan):
     observed = made.observe(plan, 133, [("joint_compliance", ("A2",), [2.5e-6], None)])
-    setup = finding.prepare(observed)
-    full = finding.find(setup)
+    setup = model_fit.prepare(observed)
+    full = model_fit.find(setup)
     false = next(c for c in setup.candidates if c.name == "joint_scale" and c.where == ("A6",))
     search = Search(setup.candidates)
     claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, None)), permit=True))
 
-    proof = prove.prove(setup, claimed)
-    told = conclude.conclude(setup, claimed, proof)
+    proof = cross_validation.prove(setup, claimed)
+    told = verdict.conclude(setup, claimed, proof)
 
     assert proof.empty == ("joint_scale",)
     assert [e.name for e in told.effects] == ["joint_compliance"]
@@ -83,14 +85,14 @@ def test_a_name_that_predicts_nothing_beside_a_true_one_is_taken_back(plan):
 def test_a_joint_that_predicts_nothing_beside_another_is_taken_back(plan):
     """One joint of a name may be true while a second, found beside it, is chance."""
     observed = made.observe(plan, 165, [("gear_transmission_error", ("A2",), [3e-5, 2e-5], 1.0)])
-    setup = finding.prepare(observed)
-    full = finding.find(setup)
+    setup = model_fit.prepare(observed)
+    full = model_fit.find(setup)
     false = next(c for c in setup.candidates if c.name == "gear_transmission_error" and c.where == ("A6",))
     search = Search(setup.candidates)
     claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, 3.0)), permit=True))
 
-    proof = prove.prove(setup, claimed)
-    told = conclude.conclude(setup, claimed, proof)
+    proof = cross_validation.prove(setup, claimed)
+    told = verdict.conclude(setup, claimed, proof)
 
     assert proof.empty == ("gear_transmission_error:A6",)
     assert [(e.name, e.where) for e in told.effects] == [("gear_transmission_error", ["A2"])]
@@ -114,13 +116,13 @@ def test_what_is_plain_but_predicts_nothing_is_not_passed_over(plan):
 
 def test_in_a_fold_it_is_asked_which_name_not_whether_there_is_one(plan):
     """What the whole recording shows weakly, half of it does not show by itself; which it is, it tells."""
-    setup = finding.prepare(made.observe(plan, 178, [("joint_scale", ("A5",), [3e-5], None)]))
-    full = finding.find(setup)
+    setup = model_fit.prepare(made.observe(plan, 178, [("joint_scale", ("A5",), [3e-5], None)]))
+    full = model_fit.find(setup)
     half = setup.linear.keep & (setup.linear.obs.pose % 2 == 1)
 
-    alone, known = finding.find(setup, half), finding.find(setup, half, name_expected=True)
+    alone, known = model_fit.find(setup, half), model_fit.find(setup, half, name_expected=True)
 
-    assert 0 < full.model.score < conclude.WEAK
+    assert 0 < full.model.score < verdict.WEAK
     assert full.model.names == known.model.names == ("joint_scale",)
     assert alone.model.names == ()
 
@@ -134,12 +136,12 @@ def test_one_thing_without_a_name_is_not_strung_together_of_many(plan):
 
     two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
     for effects, strung in (([twist], True), (two, False)):
-        setup = finding.prepare(made.observe(plan, 168, effects))
+        setup = model_fit.prepare(made.observe(plan, 168, effects))
         screen = Screen(setup.linear, estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first))
         names = Search(setup.candidates, situation=setup.situation).grow(screen)
 
         assert len(names.members) > 1
-        assert unnamed.overshadowed(screen, setup.chart, names) == strung
+        assert model_comparison.overshadowed(screen, setup.chart, names) == strung
 
 
 def test_a_creeping_tripod_is_judged_on_the_other_stations(plan):
@@ -169,13 +171,13 @@ def test_a_moment_that_falls_among_poses_left_out_is_not_held_against_the_step(p
 
 def test_centres_set_aside_come_back_where_an_effect_explains_them(plan):
     """A wrist encoder that jumps by a degree near the end: four centres far from its axis look like accidents."""
-    setup = finding.prepare(made.observe(plan, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
+    setup = model_fit.prepare(made.observe(plan, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
 
-    back = readmit.readmitted(setup)
+    back = outlier_readmission.readmitted(setup)
 
     assert np.sum(~setup.linear.keep) > 3
     assert np.all(back.linear.keep)
-    assert [c.key for c, _ in finding.find(back).model.members] == ["joint_step:A6:pose:"]
+    assert [c.key for c, _ in model_fit.find(back).model.members] == ["joint_step:A6:pose:"]
 
 
 def test_a_ball_far_off_keeps_its_name(plan):

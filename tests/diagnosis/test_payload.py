@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbcacq.challenge import made as concealed
-from mbcacq.challenge.envelopes import Envelope
-from mbcacq.diagnosis import base_fit, finding
-from mbcacq.diagnosis.conclude import verdict_of
+from mbcacq.challenge import simulated_cells as concealed
+from mbcacq.challenge.scenarios import Envelope
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.linearized import geometry_fit
+from mbcacq.diagnosis.verdict import verdict_of
+from mbcacq.effects.context import Situation
+from mbcacq.effects.pose import payload
 from mbcacq.geometry import gravity
-from mbcacq.physics import payload
-from mbcacq.physics.situation import Situation
 from mbcacq.plan import expand, load
 
 PLAN = Path(__file__).parents[2] / "plans" / "seeing.yaml"
@@ -31,7 +32,7 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
     mass, com, softness = 6.0, [0.0, 0.0, 100.0], 6e-6
     hidden = {"name": "payload", "mass_kg": mass, "com_mm": com, "compliance_rad_per_Nm": softness}
 
-    found = finding.find(finding.prepare(observed(seeing, 102, hidden)))
+    found = model_fit.find(model_fit.prepare(observed(seeing, 102, hidden)))
 
     assert verdict_of(found) == "explained"
     assert {(c.name, c.where) for c, _ in found.model.members} == {
@@ -49,7 +50,7 @@ def test_a_tool_far_too_heavy_on_soft_joints_is_measured_too(seeing):
     """Far from where both were begun: what is left of compliance times weight is no further effect."""
     hidden = {"name": "payload", "mass_kg": 12.0, "com_mm": [20.0, 0.0, 130.0], "compliance_rad_per_Nm": 2.5e-5}
 
-    found = finding.find(finding.prepare(observed(seeing, 104, hidden)))
+    found = model_fit.find(model_fit.prepare(observed(seeing, 104, hidden)))
 
     assert set(found.model.names) == {"payload", "joint_compliance"}
     candidate, hyper = found.model.members[-1]
@@ -62,16 +63,16 @@ def test_a_tool_far_too_heavy_on_soft_joints_is_measured_too(seeing):
 def test_elastic_joints_under_the_declared_tool_are_not_told_as_a_wrong_tool(seeing):
     hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
 
-    found = finding.find(finding.prepare(observed(seeing, 103, hidden)))
+    found = model_fit.find(model_fit.prepare(observed(seeing, 103, hidden)))
 
     assert {c.name for c, _ in found.model.members} == {"joint_compliance"}
 
 
 def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
-    from mbcacq.calibration import forward
+    from mbcacq.estimation import forward_model
 
-    state = base_fit.start(plan)
-    s = Situation(plan, state, forward.predict(plan, state))
+    state = geometry_fit.start(plan)
+    s = Situation(plan, state, forward_model.predict(plan, state))
     arm, mass, com = plan.cell.robot, 4.2, np.array([30.0, -20, 90])
     none = np.zeros(s.n)
 
@@ -81,9 +82,9 @@ def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
 
 
 def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
-    from mbcacq.calibration import forward
+    from mbcacq.estimation import forward_model
 
-    state = base_fit.start(plan)
-    s = Situation(plan, state, forward.predict(plan, state))
+    state = geometry_fit.start(plan)
+    s = Situation(plan, state, forward_model.predict(plan, state))
     assert payload.candidates(s) == []
     assert payload.beside(s, {}) == []

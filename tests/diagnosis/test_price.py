@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from mbcacq.diagnosis.price import FALSE_ALARM, FEWEST, Prices
-from mbcacq.diagnosis.strengths import Strengths
+from mbcacq.diagnosis.search.effect_prior import Strengths
+from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, FEWEST, Prices
 
 
 def elastic(joint, name="joint_compliance", positive=False, sight=1.0, k=1):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.setup import prepare
-from mbcacq.diagnosis.sight import LEAST, sighted
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.diagnosis.search.detectability import LEAST, sighted
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.strengths import Strengths
+from mbcacq.diagnosis.search.effect_prior import Strengths
 
 
 def candidate(*typical):

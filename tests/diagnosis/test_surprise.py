@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from mbcacq.diagnosis import finding, quality
-from mbcacq.diagnosis.compose import columns_of
-from mbcacq.diagnosis.known import Known
-from mbcacq.diagnosis.model import NOTHING, Model
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.nonparametric.joint_model import columns_of
+from mbcacq.diagnosis.search.effect_set import NOTHING, Model
+from mbcacq.diagnosis.validation import predictive_score
+from mbcacq.diagnosis.validation.posterior import Known
 
 
 def test_surprise_is_minus_twice_the_log_of_the_density_foretold():
@@ -33,14 +34,14 @@ def test_surprise_is_minus_twice_the_log_of_the_density_foretold():
 def test_it_does_not_matter_in_which_order_stations_come(plan):
     """The chain rule: each given those before it, the surprises add up to that of all, whichever comes first."""
     observed = made.observe(plan, 141, [("joint_compliance", ("A2",), [2e-6], None)])
-    setup = finding.prepare(observed)
+    setup = model_fit.prepare(observed)
     linear, station = setup.linear, observed.station[observed.pose]
     elastic = next(c for c in setup.candidates if c.key.startswith("joint_compliance:A2"))
 
     def summed(model, order):
         seen, total = np.isin(station, order[:2]), 0.0
         for k in order[2:]:
-            total += quality.judge(linear, seen, station == k, model, None, setup.first).surprise
+            total += predictive_score.judge(linear, seen, station == k, model, None, setup.first).surprise
             seen = seen | (station == k)
         return total
 
@@ -53,11 +54,11 @@ def test_it_does_not_matter_in_which_order_stations_come(plan):
 def test_what_is_hardly_seen_stays_near_zero(plan):
     """A slip along the view is seen, its turn about the middle of the view is not: the prediction uses what is known of it."""
     observed = made.observe(plan, 142, [("mount_shift", ("mount",), [0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 60.0)])
-    setup = finding.prepare(observed)
+    setup = model_fit.prepare(observed)
     candidate = next(c for c in setup.candidates if c.name == "mount_shift")
     model = Model(((candidate, 60.0),))
     columns, sigma = columns_of(setup.linear, model, None)
-    parts = quality.places_of(model, columns.shape[2])
+    parts = predictive_score.places_of(model, columns.shape[2])
 
     free = Known.of(setup.linear.whitener(setup.first), columns, sigma, setup.linear.residual)
     sized = free.sized(model, parts)
@@ -69,10 +70,10 @@ def test_what_is_hardly_seen_stays_near_zero(plan):
 
 
 def test_a_model_that_leaves_more_than_noise_is_judged_by_squares():
-    sure, close = quality.Quality(1.0, 100, 310.0, 300.0, surprise=50.0), quality.Quality(1.0, 100, 305.0, 300.0, surprise=60.0)
-    assert quality.better(sure, close)
-    assert not quality.better(close, sure)
+    sure, close = predictive_score.Quality(1.0, 100, 310.0, 300.0, surprise=50.0), predictive_score.Quality(1.0, 100, 305.0, 300.0, surprise=60.0)
+    assert predictive_score.better(sure, close)
+    assert not predictive_score.better(close, sure)
 
-    wrong, less_wrong = (quality.Quality(1.0, 100, chi2, 300.0, surprise=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0)))
-    assert quality.better(less_wrong, wrong)
-    assert not quality.better(wrong, less_wrong)
+    wrong, less_wrong = (predictive_score.Quality(1.0, 100, chi2, 300.0, surprise=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0)))
+    assert predictive_score.better(less_wrong, wrong)
+    assert not predictive_score.better(wrong, less_wrong)

@@ -5,16 +5,18 @@ from dataclasses import replace
 import made
 import numpy as np
 
-from mbcacq.calibration import forward
-from mbcacq.calibration.forward import Displacements
-from mbcacq.diagnosis import base_fit, finding, travel
-from mbcacq.diagnosis.conclude import verdict_of
-from mbcacq.physics.situation import Situation
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.linearized import geometry_fit
+from mbcacq.diagnosis.nonparametric import joint_travel
+from mbcacq.diagnosis.verdict import verdict_of
+from mbcacq.effects.context import Situation
+from mbcacq.estimation import forward_model
+from mbcacq.estimation.forward_model import Displacements
 
 
 def situation(obs):
-    state = base_fit.start(obs)
-    return Situation(obs, state, forward.predict(obs, state))
+    state = geometry_fit.start(obs)
+    return Situation(obs, state, forward_model.predict(obs, state))
 
 
 def test_travel_is_counted_in_the_order_of_time_and_a_standing_joint_remembers(plan):
@@ -25,7 +27,7 @@ def test_travel_is_counted_in_the_order_of_time_and_a_standing_joint_remembers(p
     four = plan.select(np.arange(plan.n_poses) < 4)
     s = situation(replace(four, q=q, direction=sense, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
 
-    travelled, told = travel.travelled(s)
+    travelled, told = joint_travel.travelled(s)
 
     np.testing.assert_allclose(travelled[:, 0], [0.4, np.inf, 0.4, 0.3])
     np.testing.assert_array_equal(told[:, 0], [1, 1, 1, 1])
@@ -33,14 +35,14 @@ def test_travel_is_counted_in_the_order_of_time_and_a_standing_joint_remembers(p
 
 
 def short_memory_of_joint_four(s):
-    travelled, sense = travel.travelled(s)
+    travelled, sense = joint_travel.travelled(s)
     joint = np.zeros(s.obs.q.shape)
     joint[:, 3] = -8e-4 * sense[:, 3] * np.exp(-travelled[:, 3] / 0.2)
     return Displacements(joint=joint)
 
 
 def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
-    found = finding.find(finding.prepare(made.observe(plan, 110, [short_memory_of_joint_four])))
+    found = model_fit.find(model_fit.prepare(made.observe(plan, 110, [short_memory_of_joint_four])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
     assert (found.cells[0].at, found.cells[0].depends_on) == ("A4", "direction_4")
@@ -50,7 +52,7 @@ def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(p
     observed = made.observe(plan, 111)
     true = 0.03 * np.sin(2 * np.pi * observed.xyz[:, 1] / 14.0 + 0.4)
 
-    found = finding.find(finding.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
+    found = model_fit.find(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
 
     first = found.cells[0]
     assert verdict_of(found) == "unexplained"

@@ -6,14 +6,14 @@ import made
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis import unnamed
-from mbcacq.diagnosis.atlas import Atlas
-from mbcacq.diagnosis.conclude import worth_telling
-from mbcacq.diagnosis.explain import Search
-from mbcacq.diagnosis.model import Model
+from mbcacq.diagnosis.nonparametric import model_comparison
+from mbcacq.diagnosis.nonparametric.evidence_atlas import Atlas
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import EffectFound
-from mbcacq.diagnosis.screen import Screen
-from mbcacq.diagnosis.setup import prepare
+from mbcacq.diagnosis.search.beam_search import Search
+from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.diagnosis.verdict import worth_telling
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +55,10 @@ def test_a_long_recording_counts_what_is_hardly_seen_like_the_rest(setup):
 def overshadowing(monkeypatch, at, depends_on, share):
     """A single group of the map, far more probable than an elastic joint 2 that removes this share of what the group removes."""
     group = SimpleNamespace(at=at, depends_on=depends_on, gain=1000.0, weighed=1000.0)
-    monkeypatch.setattr(unnamed, "Atlas", lambda *_: SimpleNamespace(judge=lambda _: SimpleNamespace(best=lambda: group)))
+    monkeypatch.setattr(model_comparison, "Atlas", lambda *_: SimpleNamespace(judge=lambda _: SimpleNamespace(best=lambda: group)))
     screen = SimpleNamespace(test=lambda *_: SimpleNamespace(gain=share * group.gain))
     elastic = SimpleNamespace(name="joint_compliance", where=("A2",), depends_on="gravity_torque_2", k=1)
-    return unnamed.overshadowed(screen, None, Model(((elastic, None),), worth=share * group.gain))
+    return model_comparison.overshadowed(screen, None, Model(((elastic, None),), worth=share * group.gain))
 
 
 def test_a_name_gives_way_to_a_group_that_is_plainly_more_probable(monkeypatch):

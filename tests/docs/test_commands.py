@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from doc_pages import ROOT, Page, pages
 
-from mbcacq.recording import rerun_program
+from mbcacq.recording.rrd import rerun_program
 
 WITH_COMMANDS = [page for page in pages() if page.script.strip()]
 # What a reader does once for the computer is done by the continuous integration itself.

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mbcacq.calibration import calibrate, verify
-from mbcacq.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.observations import Observations
+from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.observations import Observations
 
 sys.path.insert(0, str(Path(__file__).parent))
 

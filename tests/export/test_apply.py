@@ -9,11 +9,11 @@ from click.testing import CliRunner
 from mbcacq.cli.app import app
 from mbcacq.cli.apply import command
 from mbcacq.errors import ConfigError
+from mbcacq.exports.folder import chains
+from mbcacq.exports.scan_correction import place_scan
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.lazy import open3d
-from mbcacq.report.apply import place_scan
-from mbcacq.report.export.folder import chains
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])

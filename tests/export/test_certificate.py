@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from mbcacq.cellfile import ArtefactSpec
 from mbcacq.errors import ConfigError
-from mbcacq.report.export.certificate import artefact_yaml, certificate_csv, read_certificate
+from mbcacq.exports.certificate import artefact_yaml, certificate_csv, read_certificate
+from mbcacq.model.cell_schema import ArtefactSpec
 
 CSV = "label,x (mm),y (mm),z (mm),diameter,form,U (k=2),k,T\nKugel 1,-4.4902,24.8573,-10.4992,12.0003,0.0004,0.0021,2,20.1\nKugel 2,-37.3617,6.3120,-5.4404,11.9998,0.0003,0.0017,2,20.1\n"
 DMO = """$$ measured 2026-03-04

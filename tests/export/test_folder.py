@@ -9,9 +9,9 @@ from test_urdf import CHAIN, URDF, follow
 
 from mbcacq.cli.export import command
 from mbcacq.errors import ConfigError
-from mbcacq.report.export import kuka, ros
-from mbcacq.report.export.folder import chains
-from mbcacq.report.export.result_json import load_result
+from mbcacq.exports import kuka, ros
+from mbcacq.exports.folder import chains
+from mbcacq.exports.result_json import load_result
 
 
 def run(*arguments):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbcacq.errors import ConfigError
-from mbcacq.report.export import kuka
+from mbcacq.exports import kuka
 
 # turned about Z by 90 deg, then about the new Y by 30 deg: A = 90, B = 30, C = 0
 C30, S30 = np.cos(np.pi / 6), 0.5

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mbcacq.errors import ConfigError
-from mbcacq.report.export import tables
-from mbcacq.report.export.result_json import load_result, result_schema
+from mbcacq.exports import tables
+from mbcacq.exports.result_json import load_result, result_schema
 
 
 def read(text):

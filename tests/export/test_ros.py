@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.report.export import ros
+from mbcacq.exports import ros
 
 # half a turn about x and 265 mm out
 T = np.array([[1.0, 0, 0, 1.5], [0, -1, 0, -2.0], [0, 0, -1, 265.0], [0, 0, 0, 1]])

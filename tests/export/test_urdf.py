@@ -5,8 +5,8 @@ import pytest
 from lxml import etree
 
 from mbcacq.errors import ConfigError
+from mbcacq.exports import urdf
 from mbcacq.geometry.chain import Chain
-from mbcacq.report.export import urdf
 
 # a small arm of the KUKA kind, base to flange, with the senses of a KUKA controller
 CHAIN = Chain(np.array([-1, 1, 1, -1, 1, -1.0]), np.radians([0, 0, -90, 0, 0, 180]), np.array([400, 0, 0, 420, 0, 80.0]),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from gocator_bench import Line, options, read_frame, read_trace
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_gocator.driver import Gocator
 
 

@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
 
 TRACE = Path(__file__).parent / "data" / "gocator-trace.txt"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.driver import Gocator
 

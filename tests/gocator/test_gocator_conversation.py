@@ -8,8 +8,8 @@ import struct
 
 import pytest
 from gocator_bench import read_frame
-from mbcacq_fakes.gocator import FakeGocator
-from mbcacq_fakes.gocator.commands import HANDLERS
+from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator.commands import HANDLERS
 
 NAME = struct.Struct("<64s")
 

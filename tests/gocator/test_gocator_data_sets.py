@@ -8,9 +8,9 @@ import struct
 import numpy as np
 import pytest
 from gocator_bench import read_frame
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.gocator import FakeGocator, encode
-from mbcacq_fakes.gocator.quantise import Scaling, quantise
+from mbcacq_fakes.protocols.gocator import FakeGocator, encode
+from mbcacq_fakes.protocols.gocator.quantise import Scaling, quantise
+from mbcacq_fakes.world.frame import Frame
 
 SNAPSHOT = bytes.fromhex("06 00 00 00 28 45")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 
 import pytest
-from mbcacq_fakes.gocator import FakeGocator
-from mbcacq_fakes.gocator.discovery import Discovery
+from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator.discovery import Discovery
 from mbcacq_gocator.discovery import find_sensors, parse_reply
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.locate import elsewhere

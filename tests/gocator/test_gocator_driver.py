@@ -7,8 +7,8 @@ import threading
 import numpy as np
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq import devices

@@ -6,7 +6,7 @@ import socket
 import threading
 
 import pytest
-from mbcacq_fakes.gocator import FAULTS, Faults
+from mbcacq_fakes.protocols.gocator import FAULTS, Faults
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.devices import Aborted, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
@@ -168,7 +168,7 @@ def test_no_health_port_is_named(fake, driver):
 
 
 def test_security_is_named(fake, driver, monkeypatch):
-    from mbcacq_fakes.gocator import commands
+    from mbcacq_fakes.protocols.gocator import commands
     states = commands.HANDLERS[STATES]
     monkeypatch.setitem(commands.HANDLERS, STATES, lambda s, p: states(s, p)[:64] + b"\x01\0\0\0" + states(s, p)[68:])
     with pytest.raises(ConnectError, match="demands a log-in; switch its security off"):

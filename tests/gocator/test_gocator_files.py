@@ -6,13 +6,13 @@ from importlib.resources import files
 from xml.etree import ElementTree
 
 import pytest
-from mbcacq_fakes.gocator.files import Files
-from mbcacq_fakes.gocator.replies import Refused
+from mbcacq_fakes.protocols.gocator.files import Files
+from mbcacq_fakes.protocols.gocator.replies import Refused
 from mbcacq_gocator.configuration import Configuration
 
 from mbcacq.devices import ConfigError, ProtocolError
 
-TEMPLATE = files("mbcacq_fakes.gocator").joinpath("live.cfg").read_bytes()
+TEMPLATE = files("mbcacq_fakes.protocols.gocator").joinpath("live.cfg").read_bytes()
 # As a vendor's client writes: no limits, no options, no effective values, CRLF.
 UPLOAD = (b"<?xml version=\"1.0\" encoding=\"UTF-8\"?>\r\n<Configuration version=\"101\">\r\n  <Setup>\r\n"
           b"    <UniformSpacingEnabled>1</UniformSpacingEnabled>\r\n    <Devices>\r\n      <Device role=\"0\" index=\"0\">\r\n"

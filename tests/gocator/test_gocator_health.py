@@ -6,7 +6,7 @@ import time
 
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.guard import HealthGuard
 

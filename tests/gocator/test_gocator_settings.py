@@ -7,7 +7,7 @@ import re
 
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, ProtocolError

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
-from mbcacq_fakes.hidden import make
+from mbcacq_fakes.effects import make
 from mbcacq_fakes.world.arm import Arm, Masses
 from mbcacq_fakes.world.description import ArtefactFacts, CellFacts
 from mbcacq_fakes.world.hooks import Moments, Moved

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elastic_cell import ARM, BALLS, act, cell, looking, moments, pose, spread_q
-from mbcacq_fakes.build import make_camera, make_world
-from mbcacq_fakes.hidden import CATALOGUED, OUTSIDE, make
-from mbcacq_fakes.options import parse
-from mbcacq_fakes.recorded import cap, observe
+from mbcacq_fakes.cell.build_world import make_camera, make_world
+from mbcacq_fakes.cell.computed_run import cap, observe
+from mbcacq_fakes.effects import CATALOGUED, OUTSIDE, make
+from mbcacq_fakes.world.options import parse
 
 from mbcacq.devices import ConfigError
 
@@ -109,7 +109,7 @@ def test_every_effect_is_visible_at_strength_one_and_gone_at_zero(name, looking_
 
 
 def test_unknown_kinds_are_unknown_to_the_tool():
-    catalogue = {p.stem for p in (Path(__file__).parents[2] / "mbcacq" / "physics").glob("*.py")}
+    catalogue = {p.stem for p in (Path(__file__).parents[2] / "mbcacq" / "effects" / "pose").glob("*.py")}
     assert "joint_compliance" in catalogue
     assert not catalogue & set(OUTSIDE)
     assert len(OUTSIDE) >= 6
@@ -162,8 +162,8 @@ def test_only_the_balls_in_view_are_recorded(looking_q):
 
 
 def test_whoever_conceals_shares_nothing_with_whoever_finds():
-    code = ("import sys, mbcacq_fakes.recorded, mbcacq_fakes.hidden as h; [h.make(n) for n in h.CATALOGUED + h.OUTSIDE];"
-            "bad = [m for m in sys.modules if m.startswith(('mbcacq.geometry', 'mbcacq.physics', 'mbcacq.calibration', 'mbcacq.diagnosis'))];"
+    code = ("import sys, mbcacq_fakes.cell.computed_run, mbcacq_fakes.effects as h; [h.make(n) for n in h.CATALOGUED + h.OUTSIDE];"
+            "bad = [m for m in sys.modules if m.startswith(('mbcacq.geometry', 'mbcacq.effects', 'mbcacq.calibration', 'mbcacq.diagnosis'))];"
             "sys.exit(' '.join(bad) or 0)")
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S, START_DEG, settings
-from mbcacq_fakes.krc import FakeEkiController, FakeKrc
+from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 

@@ -8,8 +8,8 @@ import termios
 import time
 from importlib.resources import files
 
-from mbcacq_fakes.krc.eki_process import Controller
-from mbcacq_fakes.krc.eki_settings import EkiSettings
+from mbcacq_fakes.protocols.krc.eki_process import Controller
+from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 
 FOLDER = files("mbcacq_kuka") / "controller"
 HOME = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)

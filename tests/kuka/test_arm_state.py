@@ -3,11 +3,11 @@
 import subprocess
 import sys
 
-from mbcacq_fakes.arm_state import FAULTS, ArmState
+from mbcacq_fakes.protocols.krc.arm_state import FAULTS, ArmState
 
 WRITER = """
 import sys
-from mbcacq_fakes.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
 with ArmState.attach(sys.argv[1]) as state:
     for i in range(20000):
         v = float(i)

@@ -6,7 +6,7 @@ import threading
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mbcacq_fakes.krc.eki import FakeEki
+from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki import EkiClient
 from mbcacq_kuka.eki.framing import MAX_TELEGRAM, Cutter, FramingError
 

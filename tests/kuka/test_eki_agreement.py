@@ -5,7 +5,7 @@ from xml.etree.ElementTree import fromstring as parse_xml
 
 import pytest
 from eki_bench import FOLDER, SYSTEMS, sources, text
-from mbcacq_fakes.krc.eki_config import read_config
+from mbcacq_fakes.protocols.krc.eki_config import read_config
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.options import Options
 from mbcacq_kuka.eki.telegrams import REFUSALS, State

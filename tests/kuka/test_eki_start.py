@@ -5,8 +5,8 @@ import threading
 import numpy as np
 import pytest
 from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits
-from mbcacq_fakes.krc import FakeKrc
-from mbcacq_fakes.krc.eki import FakeEki
+from mbcacq_fakes.protocols.krc import FakeKrc
+from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.rsi.driver import KukaRsi
 

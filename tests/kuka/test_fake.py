@@ -6,7 +6,7 @@ import socket
 import numpy as np
 import pytest
 from conftest import HOME_DEG, LIMITS_DEG, wait
-from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.protocols.krc import FakeKrc
 
 IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 DELAY = re.compile(rb'<Delay D="(\d+)"')

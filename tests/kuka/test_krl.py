@@ -1,7 +1,7 @@
 """The programs are run as KRL is: its precedence, its types, its interrupts. What a controller would refuse is refused here."""
 
 import pytest
-from mbcacq_fakes.krc.krl import Interpreter, KrlError, Program, Struct
+from mbcacq_fakes.protocols.krc.krl import Interpreter, KrlError, Program, Struct
 
 
 class Motion:

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 from conftest import LIMITS_DEG, arrive, free_port, motion_limits, wait
-from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 needs_rsipi = pytest.mark.skipif(find_spec("RSIPI") is None, reason="RSIPI is not installed (pip install rsipi)")

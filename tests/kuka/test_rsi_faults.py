@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits, until_error, wait
-from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, MbcacqError, ProtocolError, SafetyStop

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import HOME_DEG, LIMITS_DEG, free_port
 from lossy import namespaces, relay, why_no_netem
-from mbcacq_fakes.krc import FakeKrc
+from mbcacq_fakes.protocols.krc import FakeKrc
 
 FAR = 30.0
 

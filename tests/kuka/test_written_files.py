@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from defusedxml.ElementTree import fromstring
-from mbcacq_fakes.krc.eki_config import read_config
+from mbcacq_fakes.protocols.krc.eki_config import read_config
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 

@@ -10,12 +10,12 @@ from conftest import PLANS
 from mbcacq.cli.plan import command
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load, path, refuse_errors
-from mbcacq.plan.checks import check
 from mbcacq.plan.clearance import Clearance
-from mbcacq.plan.duration import motion_time
 from mbcacq.plan.expansion import expand_reachable
-from mbcacq.plan.route import find_paths, way_home
-from mbcacq.plan.sight import occluded
+from mbcacq.plan.feasibility import check
+from mbcacq.plan.occlusion import occluded
+from mbcacq.plan.routing import find_paths, way_home
+from mbcacq.plan.timing import motion_time
 
 
 def findings(plan_path):

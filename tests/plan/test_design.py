@@ -10,19 +10,19 @@ from conftest import PLANS
 
 from mbcacq.calibration import calibrate, verify
 from mbcacq.cli.plan import command
+from mbcacq.design.candidate_views import candidates
+from mbcacq.design.effect_detectability import visibility
+from mbcacq.design.exchange_algorithm import Criterion, choose, updated
+from mbcacq.design.expected_accuracy import foreseen, prospect
+from mbcacq.design.optimal_design import Problem, design
+from mbcacq.design.plan_findings import insight
+from mbcacq.design.plan_rewriter import with_views
+from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state, trial
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load, path
-from mbcacq.plan.candidates import candidates
-from mbcacq.plan.checks import check
-from mbcacq.plan.design import Problem, design
-from mbcacq.plan.exchange import Criterion, choose, updated
-from mbcacq.plan.insight import insight
-from mbcacq.plan.observed import planned_noise, planned_observations, planned_state, trial
-from mbcacq.plan.prospect import foreseen, prospect
-from mbcacq.plan.rewrite import with_views
+from mbcacq.plan.feasibility import check
 from mbcacq.plan.schema import View
 from mbcacq.plan.summary import summary
-from mbcacq.plan.visibility import visibility
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load
+from mbcacq.plan.field_of_view import T_base_scanner, margin
 from mbcacq.plan.schema import FieldOfView, View
-from mbcacq.plan.view import T_base_scanner, margin
 
 ANGLE = st.floats(-180, 180)
 views = st.builds(View, tilt_deg=st.floats(0, 80), azimuth_deg=ANGLE, roll_deg=ANGLE, shift_mm=st.tuples(*[st.floats(-30, 30)] * 3))

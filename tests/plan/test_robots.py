@@ -10,10 +10,10 @@ from conftest import PLANS, ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbcacq.cellfile import RobotSpec
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.gravity import gravity_torque
+from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.plan.kinematics import InverseKinematics
 
 MODELS = ROOT.parent / "shared" / "facts" / "kuka_models.json"

@@ -8,7 +8,7 @@ import yaml
 
 from mbcacq.errors import SafetyStop
 from mbcacq.plan import load
-from mbcacq.plan.route import check_start
+from mbcacq.plan.routing import check_start
 
 PLANS = Path(__file__).parents[2] / "plans"
 

@@ -9,10 +9,10 @@ import yaml
 
 from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.plan import Transit, expand, load, path
-from mbcacq.plan.checks import check
 from mbcacq.plan.clearance import Clearance
-from mbcacq.plan.route import way_home
-from mbcacq.plan.sweep import legs, refuse_unsafe, swept
+from mbcacq.plan.feasibility import check
+from mbcacq.plan.motion_preview import legs, refuse_unsafe, swept
+from mbcacq.plan.routing import way_home
 
 PLANS = Path(__file__).parents[2] / "plans"
 

@@ -15,8 +15,9 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
-from mbcacq.recording import Recorder, Recording, layout, load, poses_done, recover
-from mbcacq.recording import sink as sink_module
+from mbcacq.recording import Recorder, Recording, load, poses_done, recover
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd import sink as sink_module
 
 WRITER = Path(__file__).with_name("writing_process.py")
 

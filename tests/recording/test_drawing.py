@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 import synthetic
 
-from mbcacq.cell import Artefact
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
-from mbcacq.recording import Recorder, Recording, eye, layout
-from mbcacq.recording.cell_yaml import parse_cell
-from mbcacq.recording.drawing import flange_strips
-from mbcacq.recording.result import round_scale
-from mbcacq.recording.urdf_arm import UrdfArm
+from mbcacq.model.cell import Artefact
+from mbcacq.recording import Recorder, Recording
+from mbcacq.recording.datasets.cell_yaml import parse_cell
+from mbcacq.recording.rrd import camera, layout
+from mbcacq.recording.rrd.drawing import flange_strips
+from mbcacq.recording.rrd.result_recording import round_scale
+from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 CELL = parse_cell(synthetic.CELL)
 
@@ -28,20 +29,20 @@ def test_points_are_coloured_by_their_distance_to_the_certified_sphere():
     artefact = Artefact("mbc", "", (4, 9), np.zeros((2, 3)), np.array([12.0, 20.0]))
     centres = np.array([[0.0, 0, 0], [40, 0, 0]])
     points = np.vstack([sphere(rng, centres[0], 6.030, 3000), sphere(rng, centres[1], 9.985, 3000, 0.004), rng.uniform(60, 90, (9000, 3))])
-    seen = eye.look(points.astype(np.float32), artefact, np.array([4, 9]), centres)
+    seen = camera.look(points.astype(np.float32), artefact, np.array([4, 9]), centres)
     np.testing.assert_allclose(seen.radius_um, [30.0, -15.0], atol=0.5)
     np.testing.assert_allclose(seen.form_um, [0.0, 2 * 1.96 * 4.0], atol=1.0)     # 95 % of a normal distribution
-    first = seen.colours[: eye.MOST_ON_BALL // 2].astype(int)
-    assert (first == eye.OUTSIDE).all()                                           # 30 um outside: the end of the scale
-    last = seen.colours[-eye.MOST_ON_BALL // 2:].astype(int)
+    first = seen.colours[: camera.MOST_ON_BALL // 2].astype(int)
+    assert (first == camera.OUTSIDE).all()                                           # 30 um outside: the end of the scale
+    last = seen.colours[-camera.MOST_ON_BALL // 2:].astype(int)
     assert (last[:, 2] > last[:, 0]).mean() > 0.95                                # inside: towards blue
-    assert len(seen.on_balls) <= 2 * eye.MOST_ON_BALL
-    assert 0 < len(seen.beside) <= eye.MOST_BESIDE
+    assert len(seen.on_balls) <= 2 * camera.MOST_ON_BALL
+    assert 0 < len(seen.beside) <= camera.MOST_BESIDE
     assert seen.beside.min() > 59
 
 
 def test_a_scan_without_balls_is_all_beside():
-    seen = eye.look(np.random.default_rng(0).uniform(0, 9, (50, 3)), CELL.artefacts[0], np.zeros(0, int), np.zeros((0, 3)))
+    seen = camera.look(np.random.default_rng(0).uniform(0, 9, (50, 3)), CELL.artefacts[0], np.zeros(0, int), np.zeros((0, 3)))
     assert len(seen.on_balls) == 0
     assert len(seen.beside) == 50
 

@@ -8,7 +8,7 @@ import pytest
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
 from mbcacq.recording import Journal, find_gaps
-from mbcacq.recording import journal as journal_module
+from mbcacq.recording.run_folder import journal as journal_module
 
 
 def started(n, at="2026-11-21T10:00:00+00:00"):

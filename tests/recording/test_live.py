@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import synthetic
 
-from mbcacq.recording import Recorder, Recording, load, rerun_program
+from mbcacq.recording import Recorder, Recording, load
+from mbcacq.recording.rrd import rerun_program
 
 
 def port_of(url):

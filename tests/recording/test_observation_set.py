@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mbcacq.observations import Observations
+from mbcacq.model.observations import Observations
 from mbcacq.recording import load, read_observation_set, write_observation_set
-from mbcacq.recording.cell_yaml import cell_to_yaml, parse_cell
+from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 

@@ -14,8 +14,16 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.recording import Journal, Recorder, Recording, layout, load, poses_done, write_observation_set
-from mbcacq.recording.journal import read_journal
+from mbcacq.recording import (
+    Journal,
+    Recorder,
+    Recording,
+    load,
+    poses_done,
+    write_observation_set,
+)
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.run_folder.journal import read_journal
 
 
 def of(kind, stream):
@@ -117,7 +125,7 @@ def test_entities_stand_where_the_layout_says(a_run):
 
 
 def test_rerun_itself_finds_no_fault(a_run):
-    from mbcacq.recording import rerun_program
+    from mbcacq.recording.rrd import rerun_program
 
     assert rerun_program.run(["rrd", "verify", str(a_run / "run.rrd")]).returncode == 0
 
@@ -252,7 +260,7 @@ def test_without_live_nothing_listens(tmp_path):
 
 
 def test_the_result_stands_beside_the_run(a_run):
-    from mbcacq.calibration.forward import CellState
+    from mbcacq.estimation.forward_model import CellState
     from mbcacq.recording import log_result
 
     obs = load(a_run)

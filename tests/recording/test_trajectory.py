@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import synthetic
 
-from mbcacq import library
 from mbcacq.errors import ConfigError
+from mbcacq.model import shipped
 from mbcacq.recording import load, read_trajectory_set
-from mbcacq.recording.trajectory import trajectory_of_run, write_trajectory_set
+from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
+from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
 ROBOT = """\
 format: mbcacq-trajectory-set/1
@@ -56,7 +57,7 @@ def test_measured_trajectories(shared_data):
     t = read_trajectory_set(shared_data / "kr300-trajectory-a")
     assert t.q.shape == t.q_set.shape == t.motor_torque.shape == (2501, 6)
     assert np.isfinite(t.q_joint).all(axis=0).tolist() == [True, True, True, False, False, False]
-    assert t.robot.name == "KUKA KR 300 with joint-side encoders on A1..A3"
+    assert t.robot.name == "KUKA KR 300 R2500 ultra SE with joint-side encoders on A1..A3"
     assert t.robot.chain.a[1] == 1150.0
     assert t.robot.gear_ratio[0] == 256.8571
 
@@ -79,7 +80,7 @@ def test_a_fault_is_named_with_its_place(a_trajectory, file, old, new, message):
 
 
 def test_a_robot_of_the_tool_by_name(tmp_path):
-    assert "kr300_r2700_2" in library.robots()
+    assert "kr300_r2700_2" in shipped.robots()
     (tmp_path / "cell.yaml").write_text("format: mbcacq-trajectory-set/1\nrobot: {model: kr6_r900_2, payload: {mass_kg: 2}}\n")
     (tmp_path / "trajectory.csv").write_text("time_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n0,0,0,0,0,0,0\n")
     robot = read_trajectory_set(tmp_path).robot

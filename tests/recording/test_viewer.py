@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.recording import layout, rerun_program, viewer
+from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.viewer import open_viewer
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +26,11 @@ def headless() -> set[str]:
 
 
 def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, vulkan, monkeypatch):
-    monkeypatch.setattr(viewer, "SETTLE_S", 0.5)
-    monkeypatch.setattr(viewer, "TAB_SETTLE_S", 0.5)
-    monkeypatch.setattr(viewer, "STILL_S", 0.3)
+    monkeypatch.setattr(open_viewer, "SETTLE_S", 0.5)
+    monkeypatch.setattr(open_viewer, "TAB_SETTLE_S", 0.5)
+    monkeypatch.setattr(open_viewer, "STILL_S", 0.3)
     before = headless()
-    pictures = viewer.screenshots(viewer.files(a_run), tmp_path / "pictures", (800, 600), pose=1)
+    pictures = open_viewer.screenshots(open_viewer.files(a_run), tmp_path / "pictures", (800, 600), pose=1)
     assert headless() <= before
     assert [p.name for p in pictures] == ["cell.png", "motion.png", "spheres.png", "calibration.png", "diagnosis.png"]
     seen = {p.read_bytes() for p in pictures}
@@ -42,18 +43,18 @@ def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, v
 
 
 def test_files_of_a_run(a_run, tmp_path):
-    assert viewer.files(a_run) == [a_run / "run.rrd"]
+    assert open_viewer.files(a_run) == [a_run / "run.rrd"]
     shutil.copy(a_run / "run.rrd", a_run / layout.RESULT_FILE)
-    assert viewer.files(a_run) == [a_run / "run.rrd", a_run / layout.RESULT_FILE]
+    assert open_viewer.files(a_run) == [a_run / "run.rrd", a_run / layout.RESULT_FILE]
     with pytest.raises(ConfigError, match="holds no recording"):
-        viewer.files(tmp_path)
+        open_viewer.files(tmp_path)
     with pytest.raises(ConfigError, match="does not exist"):
-        viewer.files(tmp_path / "absent.rrd")
+        open_viewer.files(tmp_path / "absent.rrd")
 
 
 def test_a_pose_that_was_not_taken(a_run, tmp_path):
     with pytest.raises(ConfigError, match="pose 99 is not in the recording"):
-        viewer.screenshots(viewer.files(a_run), tmp_path, pose=99)
+        open_viewer.screenshots(open_viewer.files(a_run), tmp_path, pose=99)
 
 
 def test_a_program_that_hangs_is_stopped(tmp_path, monkeypatch):

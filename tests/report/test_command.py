@@ -14,7 +14,7 @@ from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.recording import Journal
 from mbcacq.report import everything_about, report_from_result, write_diagnosis_page
-from mbcacq.report.told import split_unit, told
+from mbcacq.report.sources.diagnosis_content import split_unit, told
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +27,8 @@ def a_set(tmp_path_factory):
     obs = make_observations()
     rng = np.random.default_rng(2)
     P, state = 24, rng.uniform(-1.2, 1.2, (24, 6))
-    from mbcacq.cell import Artefact, Cell, Station
     from mbcacq.geometry import se3
+    from mbcacq.model.cell import Artefact, Cell, Station
 
     balls = np.array([[0.0, 0, 0], [40, 0, 5], [0, 40, -5], [35, 35, 12]])
     artefact = Artefact("mbc", "MBC", (1, 2, 3, 4), balls, np.full(4, 12.0))
@@ -136,7 +136,7 @@ def test_units_are_told_apart_from_names():
 
 def test_the_largest_recording_makes_a_small_page(tmp_path):
     """Fifteen thousand poses: what is drawn is thinned, the largest are all there."""
-    from mbcacq.report.charts import MOST, thinned
+    from mbcacq.report.charts.calibration_charts import MOST, thinned
 
     size = np.abs(np.random.default_rng(0).normal(size=15_000))
     keep = thinned(size)

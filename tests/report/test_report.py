@@ -9,11 +9,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from mbcacq.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.observations import Observations
+from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.observations import Observations
 from mbcacq.report import about_run, report_from_result
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
@@ -169,7 +169,7 @@ def test_residuals_need_the_recording(tmp_path):
 
 def test_residuals_are_measured_minus_predicted():
     from mbcacq.calibration import state_from_dict
-    from mbcacq.report.measured import calibrated_poses, residuals
+    from mbcacq.report.sources.measured import calibrated_poses, residuals
 
     obs = make_observations()
     shifted = replace(obs, xyz=obs.xyz + [0.0, 0.0, 0.1])

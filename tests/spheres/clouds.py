@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.cell import Artefact
+from mbcacq.model.cell import Artefact
 
 EYE = np.array([0.0, 0.0, 420.0])
 

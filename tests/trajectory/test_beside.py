@@ -1,6 +1,6 @@
 """Poses and motion of one run: what both told must agree in size, and it is said when it does not."""
 
-from mbcacq.diagnosis.trajectory.beside import agreement
+from mbcacq.diagnosis.motion.combine import agreement
 
 
 def told(value, std):

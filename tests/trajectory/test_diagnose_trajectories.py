@@ -7,10 +7,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from mbcacq.cell import RobotModel
-from mbcacq.diagnosis.trajectory import diagnose_trajectories
+from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import RobotModel
 
 CHAIN = Chain(np.array([1.0, 1.0]), np.zeros(2), np.array([300.0, 0]), np.array([0.0, 700]), np.radians([-90.0, 0]), np.zeros(2))
 ARM = RobotModel("two axes", CHAIN, np.radians([[-170.0, 170]] * 2), np.array([10.0, 20]), np.array([[0.0, 0, 0], [-300, 0, 0]]),

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mbcacq.diagnosis.trajectory.ledger import Ledger
-from mbcacq.diagnosis.trajectory.noise import covariance
-from mbcacq.physics.trajectory.effect import Group, Run
+from mbcacq.diagnosis.motion.noise import covariance
+from mbcacq.diagnosis.motion.normal_store import Ledger
+from mbcacq.effects.motion.effect import Group, Run
 
 STEP, LENGTH = 0.004, 3000
 TIME = STEP * np.arange(LENGTH)

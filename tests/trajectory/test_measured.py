@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mbcacq.diagnosis.trajectory import diagnose_trajectories
+from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.recording import read_trajectory_set
 
 pytestmark = pytest.mark.timeout(300)

@@ -6,21 +6,21 @@ import yaml
 
 pytest.importorskip("mujoco")
 
-from mbcacq_fakes.moving.bodies import Bodies
-from mbcacq_fakes.moving.recorded import recorded
+from mbcacq_fakes.dynamics.bodies import Bodies
+from mbcacq_fakes.dynamics.recorded import recorded
 
-from mbcacq import library
-from mbcacq.cellfile import RobotSpec
-from mbcacq.challenge.trajectory_score import judge
-from mbcacq.diagnosis.trajectory import diagnose_trajectories
+from mbcacq.challenge.motion_score import judge
+from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.gravity import gravity_torque
-from mbcacq.recording.trajectory import Trajectory, moves
+from mbcacq.model import shipped
+from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.model.trajectory import Trajectory, moves
 
 
 @pytest.fixture(scope="module")
 def kr10():
-    return RobotSpec.model_validate(yaml.safe_load(library.robot_file("kr10_r1100_2").read_text())).model()
+    return RobotSpec.model_validate(yaml.safe_load(shipped.robot_file("kr10_r1100_2").read_text())).model()
 
 
 def told(robot, faults, seed=7, seconds=10.0):

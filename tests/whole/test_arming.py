@@ -9,7 +9,7 @@ import time
 import pytest
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file
 
-from mbcacq.cell_address import on_loopback_only
+from mbcacq.devices.addresses import on_loopback_only
 
 
 class Terminal:

@@ -15,7 +15,8 @@ import pytest
 import yaml
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
-from mbcacq.recording import Recording, find_gaps, layout, load
+from mbcacq.recording import Recording, find_gaps, load
+from mbcacq.recording.rrd import layout
 
 
 def two_stations(plan):

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mbcacq_fakes.cell import FakeCell
+from mbcacq_fakes.cell.fake_cell import FakeCell
 from mbcacq_fakes.world.arm import Arm
 from mbcacq_fakes.world.rigid import carry, invert
 from small_cell import BALLS, HAND_EYE, POSE_STATION, facts, fit_sphere, poses_q
 
-from mbcacq import cell as cells
-from mbcacq.cellfile import RobotSpec
 from mbcacq.devices import ConfigError, ConnectError, MotionLimits, create
+from mbcacq.model import cell as cells
+from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.schema import Plan
 

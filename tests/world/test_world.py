@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mbcacq_fakes.build import make_camera, make_world
-from mbcacq_fakes.options import FakeOptions, Mishap, parse
+from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.world.hooks import Quiet
+from mbcacq_fakes.world.options import FakeOptions, Mishap, parse
 from mbcacq_fakes.world.rigid import carry, invert
 from mbcacq_fakes.world.world import World
 from small_cell import POSE_STATION, Arm, fit_sphere, poses_q

@@ -7,10 +7,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbcacq_fakes.frame import Frame
-from mbcacq_fakes.options import FakeOptions, Mishap
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_fakes.world.hooks import Moments
 from mbcacq_fakes.world.operator import NOBODY, Operator
+from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import Scanner
 from mbcacq_fakes.world.world import SCAN, World
 

@@ -68,7 +68,7 @@ class CellFacts:
 
 
 def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
-    """From an mbcacq.cell.Cell (duck-typed) and a plan's field_of_view. A station without a pose is put at the base origin."""
+    """From an mbcacq.model.cell.Cell (duck-typed) and a plan's field_of_view. A station without a pose is put at the base origin."""
     robot, chain = cell.robot, cell.robot.chain
     ids = [a.id for a in cell.artefacts]
     return CellFacts(

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbcacq_fakes.frame import Frame
 from mbcacq_fakes.world import rays
 from mbcacq_fakes.world.artefact import Carrier
+from mbcacq_fakes.world.frame import Frame
 from mbcacq_fakes.world.noise import Noise
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.rigid import carry

@@ -1,0 +1,1 @@
+"""The fake cell: its process, ports and faults, and the same cell computed without protocols."""

@@ -1,0 +1,110 @@
+"""The fake cell's controller: what a plan says of its robot becomes an RSI or an EKI controller."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq_fakes.cell.ports import LOOPBACK, ipv4, udp_port
+from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
+from mbcacq_fakes.protocols.krc.settings import KrcSettings
+
+CLOCK_START_MS = 1_000_000
+RSI, EKI = "kuka_rsi", "kuka_eki"
+MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
+
+
+def normal(driver: str) -> str:
+    """kuka-eki is kuka_eki."""
+    return driver.replace("-", "_")
+
+
+def start_controller(loaded: Any, state: ArmState, rows: tuple[tuple[float, ...], ...], given: Mapping[str, Any], *, realtime: bool,
+                     ports: str, seed: int) -> tuple[FakeKrc | FakeEkiController, dict[str, Any]]:
+    """A running controller and the options that lead the plan's driver to it. rows: its nominal kinematics; given: the plan's
+    ``fake.robot``. Raises ConfigError, ConnectError."""
+    robot, use = loaded.cell.robot, loaded.plan.robot
+    settings: dict[str, Any] = {
+        "realtime": realtime, "start_deg": tuple(map(float, use.home_deg)), "dh": rows,
+        "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())),
+    }
+    check_options(use.driver, given)
+    if "moving" in given:
+        from mbcacq_fakes.dynamics.online import description
+
+        given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
+    if robot.speed is not None:
+        settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
+    return (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+
+
+def check_options(driver: str, given: Mapping[str, Any]) -> None:
+    """Raises ConfigError where ``fake.robot`` names something that the controller of this driver does not have."""
+    known = [f.name for f in fields(EkiSettings if normal(driver) == EKI else KrcSettings)]
+    if "moving" in given and "moving" not in known:
+        raise ConfigError("fake.robot.moving is of an arm driven by kuka_rsi, whose telegrams carry torques: those of kuka_eki do not; "
+                          "correct the plan")
+    if unknown := sorted(set(given) - set(known)):
+        raise ConfigError(f"fake.robot: unknown option {', '.join(unknown)}; known are {', '.join(known)}; correct the plan")
+    if not isinstance(given.get("moving", []), list | tuple):
+        raise ConfigError("fake.robot.moving must be a list of faults (name, where, sizes), [] for none; correct the plan")
+
+
+def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[str, Any], ports: str, seed: int) -> Any:
+    options = dict(loaded.plan.robot.options)
+    if ports == "plan":
+        client = (ipv4(str(options.get("bind", LOOPBACK))), int(options.get("port", 49152)))
+    else:
+        client = (LOOPBACK, udp_port())
+    same = {k: options[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms") if k in options}
+    try:
+        krc = FakeKrc(state, **{**settings, "client": client, "ipoc": CLOCK_START_MS, "seed": seed, **same, **given})
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"fake.robot: {error}; correct the plan") from error
+    krc.start()
+    return krc, {"bind": client[0], "port": client[1], "controller_ip": "", "eki": ""}  # nor may a dry run speak to the real controller
+
+
+def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[str, Any], ports: str, seed: int) -> Any:
+    """Runs the very programs that would be copied onto the real controller, in the cell that the plan expects."""
+    from mbcacq.workflow import controller_files
+
+    files, facts, options = controller_files.make(loaded), controller_files.facts(loaded), dict(loaded.plan.robot.options)
+    host, port = (LOOPBACK, 0) if ports == "free" else (str(options.get("address", LOOPBACK)), int(options.get("port", 54610)))
+    tool, base = str(options.get("tool", 1)), str(options.get("base", 0))
+    mode = options.get("mode", "any")
+    mode = mode[0] if isinstance(mode, list | tuple) and mode else mode
+    name = loaded.cell.robot.name.upper().replace("KUKA", "").replace(" ", "").replace("-", "_")
+    ours = {
+        "sources": {n.rsplit("/", 1)[1]: text for n, text in files.items() if n.startswith("kss/Program/")},
+        "channel": files["kss/EthernetKRL/mbcacq_eki.xml"], "host": host, "port": port, "model": f"#{name} C4 FLR",
+        "tools": {tool: tuple(options.get("tool_frame") or facts["tool_frame"])}, "mode": MODES.get(str(mode), "#EX"),
+        "bases": {base: tuple(options.get("base_frame") or (0.0,) * 6)}, "override": options.get("override") or 100,
+        "loads": {tool: float(options.get("load_kg") or facts["load_kg"])}, "clock_ms": CLOCK_START_MS,
+    }
+    _can_listen(host, port)
+    try:
+        krc = FakeEkiController(state, **{**settings, **ours, **given})
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"fake.robot: {error}; correct the plan") from error
+    try:
+        krc.start()
+    except RuntimeError as error:
+        raise ConfigError(f"{error}") from error
+    return krc, {"address": host, "port": krc.port}
+
+
+def _can_listen(host: str, port: int) -> None:
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        raise ConfigError(f"the fake controller cannot listen at the plan's address {host}:{port} ({error.strerror}); "
+                          "set the robot's address to 127.0.0.1 to try the plan against fakes") from error

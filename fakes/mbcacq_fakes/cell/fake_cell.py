@@ -1,0 +1,184 @@
+"""The whole fake cell: controller, scanner, positioner and sensors at the wire, one world behind them."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from mbcacq.errors import ConfigError, ConnectError
+from mbcacq_fakes.cell.build_world import check, make_world
+from mbcacq_fakes.cell.controller import (
+    CLOCK_START_MS,
+    EKI,
+    RSI,
+    check_options,
+    normal,
+    start_controller,
+)
+from mbcacq_fakes.cell.faults import CellFaults
+from mbcacq_fakes.cell.ports import scanner_place
+from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.world import options as fake_options
+from mbcacq_fakes.world.description import CellFacts, from_cell
+
+PACE_S = 4.0  # robot time from one pose to the next, roughly
+
+
+class FakeCell:
+    """Context manager. loaded, poses: the plan and its expansion (mbcacq.plan.LoadedPlan, list of PlannedPose; read only by name).
+
+    realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
+    127.0.0.1, which ``overrides()`` tells to the drivers; 'plan' listens where the plan's drivers will look. Everything the
+    world draws follows from ``seed``. The plan's ``fake:`` section says what the world conceals (docs/fakes.md).
+    """
+
+    def __init__(self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0,
+                 ports: Literal["free", "plan"] = "free") -> None:
+        plan = loaded.plan
+        if normal(plan.robot.driver) not in (RSI, EKI) or plan.scanner.driver != "gocator":
+            raise ConfigError("the fake cell plays a KUKA controller and a Gocator; for other drivers use their makers' simulators")
+        self._loaded, self._plan, self._realtime, self._ports = loaded, plan, realtime, ports
+        self._options = fake_options.parse(plan.fake)
+        self._seed = seed if self._options.seed is None else self._options.seed
+        self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, loaded.cell.robot.n)
+        pace_s = PACE_S * self._options.climate.time_scale
+        self._facts: CellFacts = replace(from_cell(loaded.cell, plan.scanner.field_of_view), planned_q=self._planned_q, pace_s=pace_s)
+        check(self._options, self._facts)
+        check_options(plan.robot.driver, self._options.robot)
+        make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later
+        self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
+        self._state: ArmState | None = None
+        self._krc: FakeKrc | FakeEkiController | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lock = threading.Lock()
+        self._overrides: dict[str, dict[str, Any]] = {}
+        self.faults = CellFaults(self)
+
+    def start(self) -> Self:
+        """Returns when every server listens. Raises ConfigError, ConnectError (an address cannot be taken)."""
+        if self._process is not None:
+            return self
+        home = tuple(np.radians(self._plan.robot.home_deg))
+        try:
+            self._state = ArmState.create(home)
+            command = [sys.executable, "-m", "mbcacq_fakes.cell.process"]
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self._send(self._job())
+            robot = self._start_controller()
+            addresses = self._receive()
+            self._state.forget()
+        except BaseException:
+            self.stop()
+            raise
+        self._overrides = {"robot": robot, **addresses}
+        return self
+
+    def stop(self) -> None:
+        """Idempotent; no process and no shared memory stays behind."""
+        process, self._process = self._process, None
+        if process is not None:
+            try:
+                process.communicate(timeout=5.0)  # end of its input is its sign to go
+            except (subprocess.TimeoutExpired, ValueError, BrokenPipeError):
+                process.kill()
+                process.wait()
+            for pipe in (process.stdin, process.stdout):
+                with suppress(OSError):      # of what was still to be said to it
+                    pipe.close()
+        krc, self._krc = self._krc, None
+        if krc is not None:
+            krc.stop()
+        state, self._state = self._state, None
+        if state is not None:
+            state.close()
+
+    def overrides(self) -> dict[str, dict[str, Any]]:
+        """Options by role ('robot', 'scanner', 'positioner', 'sensor 1'...) that lead the plan's drivers here."""
+        return {role: dict(values) for role, values in self._overrides.items()}
+
+    def truth(self) -> dict[str, Any]:
+        """True errors (n, 5) rad and mm, T_flange_scanner, T_base_station by id, balls by id, effects; also before ``start``."""
+        if self._process is None:
+            return make_world(self._facts, self._options, self._seed).truth()
+        return self.ask("truth")
+
+    def alive(self) -> bool:
+        """The world's process still runs."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def process_id(self) -> int:
+        """Of the world's process."""
+        assert self._process is not None, "the fake cell is not started"
+        return self._process.pid
+
+    @property
+    def arm(self) -> ArmState:
+        """What the arm does right now."""
+        assert self._state is not None, "the fake cell is not started"
+        return self._state
+
+    @property
+    def krc(self) -> FakeKrc | FakeEkiController:
+        assert self._krc is not None, "the fake cell is not started"
+        return self._krc
+
+    def ask(self, command: str, **arguments: Any) -> Any:
+        """Ask the world's process; see cell_process.Servers."""
+        with self._lock:
+            self._send((command, arguments))
+            return self._receive()
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()
+
+    def _job(self) -> dict[str, Any]:
+        plan = self._plan
+        assert self._state is not None
+        return {
+            "facts": self._facts, "options": self._options.model_dump(), "seed": self._seed, "state": self._state.name,
+            "planned_q": self._planned_q, "planned_station": self._planned_station, "clock_start_s": CLOCK_START_MS * 1e-3,
+            "exposure_us": plan.scanner.exposure_us, "model": plan.scanner.model, "ports": self._ports, "realtime": self._realtime,
+            "scanner_options": dict(plan.scanner.options), "scanner": scanner_place(plan.scanner.options, self._ports),
+            "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
+            "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
+        }
+
+    def _start_controller(self) -> dict[str, Any]:
+        self._krc, options = start_controller(self._loaded, self._state, self._nominal_rows(), self._options.robot,
+                                              realtime=self._realtime, ports=self._ports, seed=self._seed)
+        return options
+
+    def _nominal_rows(self) -> tuple[tuple[float, ...], ...]:
+        """What the controller believes of its arm: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg."""
+        rows = self._facts.rows.copy()
+        rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
+        return tuple(map(tuple, np.column_stack([self._facts.sign, rows]).tolist()))
+
+    def _send(self, message: Any) -> None:
+        try:
+            pickle.dump(message, self._process.stdin)
+            self._process.stdin.flush()
+        except (BrokenPipeError, ValueError, AttributeError) as error:
+            raise ConnectError("the fake cell's process has ended; start the cell again") from error
+
+    def _receive(self) -> Any:
+        try:
+            kind, value = pickle.load(self._process.stdout)
+        except (EOFError, AttributeError, pickle.UnpicklingError) as error:
+            raise ConnectError("the fake cell's process has ended; its last words are above") from error
+        if kind == "error":
+            raise value
+        return value

@@ -1,0 +1,62 @@
+"""The moving arm behind the fake controller: each cycle the motor side goes its way, and torque and joint-side angles come out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbcacq_fakes.dynamics.arm import Links
+from mbcacq_fakes.dynamics.bodies import Bodies
+from mbcacq_fakes.dynamics.faults import Drives, Size, conceal
+from mbcacq_fakes.dynamics.ideal_arm import Arm
+from mbcacq_fakes.dynamics.recorded import lively_torque
+
+PERCENT_AT = 4.0   # a drive at 100 % of its current gives so many times the torque of a lively motion
+
+
+def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:
+    """What the controller's process needs to move a robot (an mbcacq RobotModel, duck-typed), as JSON."""
+    return {
+        "sign": robot.chain.sign.tolist(), "rows": robot.chain.rows.tolist(), "mass": robot.mass.tolist(), "com": robot.com.tolist(),
+        "payload": [float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float).tolist()], "gravity": robot.gravity.tolist(),
+        "typical": lively_torque(robot, np.radians(60.0) * np.ones(robot.n)).tolist(), "faults": [dict(f) for f in faults], "seed": seed,
+    }
+
+
+class MovingArm(Arm):
+    """An Arm with bodies, drives and gears. torque: (6,) Nm about the joints; joint_deg: (6,) what joint-side encoders read."""
+
+    def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float, told: Mapping[str, Any]) -> None:
+        super().__init__(start, cycle_s, lag_s)
+        rng = np.random.default_rng([int(told["seed"]), 23])
+        self._typical = np.array(told["typical"])
+        drives = Drives(len(start))
+        size = Size(self._typical, np.radians(60.0) * np.ones(len(start)), 1.0, rng)
+        for fault in told["faults"]:
+            conceal(drives, fault["name"], fault.get("where"), size, {k: v for k, v in fault.items() if k not in ("name", "where")})
+        payload = (told["payload"][0] + drives.payload[0], np.array(told["payload"][1]))
+        bodies = Bodies(np.array(told["sign"]), np.array(told["rows"]), np.array(told["mass"]), np.array(told["com"]), payload,
+                        np.array(told["gravity"]))
+        self._links = Links(bodies, drives, np.radians(start), at_rest_on_springs=True)
+        self._past = [np.radians(start)] * 4   # motor side, newest first
+        self._rng = rng
+        self._feel()
+
+    def step(self, set_point: tuple[float, ...]) -> bool:
+        moved = super().step(set_point)
+        self._feel()
+        return moved
+
+    def _feel(self) -> None:
+        motor, dt = np.radians(self.q), self._cycle_s
+        self._past = [motor, *self._past[:3]]
+        a, b, c, d = self._past
+        torque, _ = self._links.step(motor, (3 * a - 4 * b + c) / (2 * dt), (2 * a - 5 * b + 4 * c - d) / dt**2, dt)
+        self.torque = torque + 0.005 * self._typical * self._rng.standard_normal(len(motor))
+        self.joint_deg = np.degrees(self._links.encoder(motor) + 2e-6 * self._rng.standard_normal(len(motor)))
+
+    def currents(self) -> list[float]:
+        """Percent of the largest current, in proportion to the torque."""
+        return (100.0 * self.torque / (PERCENT_AT * self._typical)).tolist()

@@ -1,0 +1,31 @@
+"""Concealed physics. Each effect is one small file; ``make`` builds it by the name of its file.
+
+What is concealed here is made another way than it is found: equilibria, states and models in time, not regressors.
+Those in OUTSIDE are meant to be unknown to every catalogue of the tool.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from mbcacq.errors import ConfigError
+from mbcacq_fakes.effects.base import Hidden
+
+CATALOGUED = (
+    "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling",
+    "joint_step", "thermal_growth", "mount_shift", "scanner_scale", "scanner_distortion", "scanner_warmup", "ball_shift",
+    "artefact_expansion", "station_drift", "payload", "exposure_latency",
+)
+OUTSIDE = (
+    "axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias",
+)
+
+
+def make(name: str, strength: float = 1.0, seed: int | None = None, **options: Any) -> Hidden:
+    """strength 1 is plainly visible to a plan that can see it. Raises ConfigError for an unknown name or option."""
+    if name not in CATALOGUED + OUTSIDE:
+        raise ConfigError(f"fake.hidden: there is no effect '{name}' (known: {', '.join(CATALOGUED + OUTSIDE)}); correct the plan")
+    module = import_module(f"mbcacq_fakes.effects.{name}")
+    effect = next(v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Hidden) and v.__module__ == module.__name__)
+    return effect(name, strength, seed, options)

@@ -1,0 +1,36 @@
+"""Play in a gearbox: the output is dragged along inside its gap, so where it rests depends on where it came from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.world.hooks import Moments, Moved
+
+
+class Backlash(Hidden):
+    options = {"where": None, "width_deg": None}
+
+    def draw(self) -> None:
+        self._axes = self.axes(range(self.cell.n))
+        typical = 3e-4 * (1 if self._axes[0] < 3 else 2.5)
+        given = self.given["width_deg"]
+        self.width = abs(self.size(typical)) if given is None else float(np.radians(given))
+        self._output: np.ndarray | None = None
+
+    def displace(self, at: Moments, moved: Moved) -> None:
+        half = self.width / 2
+        for p in range(len(at)):
+            for i in self._axes:
+                motor = at.q[p, i]
+                if self._output is None:
+                    self._output = at.q[p].copy()
+                # The last stretch of the motor's way came from that side; the play follows it.
+                for place in (motor - at.direction[p, i] * 3 * self.width, motor):
+                    self._output[i] = np.clip(self._output[i], place - half, place + half)
+                moved.joint[p, i] += self._output[i] - motor
+
+    def truth(self) -> dict[str, Any]:
+        return {"where": names(self._axes), "width_deg": float(np.degrees(self.width))}

@@ -1,0 +1,26 @@
+"""A controller that believes in a wrong gear ratio."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.world.hooks import Moments, Moved
+
+
+class JointScale(Hidden):
+    options = {"where": None, "ratio": None}
+
+    def draw(self) -> None:
+        self._axes = self.axes(range(self.cell.n))
+        typical = 3e-4 if self._axes[0] < 3 else 4e-4
+        self.ratio = self.size(typical) if self.given["ratio"] is None else float(self.given["ratio"])
+
+    def displace(self, at: Moments, moved: Moved) -> None:
+        for i in self._axes:
+            teeth = self.cell.gear_ratio[i]
+            motor = at.q[:, i] * teeth
+            moved.joint[:, i] += motor / (teeth / (1 + self.ratio)) - at.q[:, i]
+
+    def truth(self) -> dict[str, Any]:
+        return {"where": names(self._axes), "ratio": self.ratio}

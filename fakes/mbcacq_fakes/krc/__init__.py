@@ -1,6 +1,0 @@
-"""Fake KUKA controllers: RSI over UDP, and EKI over TCP with the KRL programs of the controller, an arm behind each."""
-
-from mbcacq_fakes.krc.eki_server import FakeEkiController
-from mbcacq_fakes.krc.server import FakeKrc
-
-__all__ = ["FakeEkiController", "FakeKrc"]

@@ -1,0 +1,1 @@
+"""The servers of the fake devices, one folder a family of protocols."""

@@ -1,0 +1,1 @@
+"""Fake devices behind Modbus and serial lines."""

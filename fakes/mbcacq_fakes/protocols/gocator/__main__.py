@@ -1,0 +1,57 @@
+"""A fake Gocator on its own, looking at a ball on a plate: ``python -m mbcacq_fakes.protocols.gocator --help``.
+
+Any client of the protocol may connect, the vendor's library included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import threading
+
+import numpy as np
+
+from mbcacq_fakes.protocols.gocator.server import FakeGocator
+from mbcacq_fakes.world.frame import Frame
+
+BALL_MM, FIELD_MM, PLATE_Z_MM = 20.0, (100.0, 75.0), -40.0
+
+
+def ball_on_plate(rows: int, columns: int, noise_mm: float = 0.005) -> Frame:
+    """A ball of radius BALL_MM, centre (10, -5, 0), over a plate; the ball's shadow and steep flank are not seen."""
+    y, x = np.meshgrid(np.linspace(-0.5, 0.5, rows) * FIELD_MM[1], np.linspace(-0.5, 0.5, columns) * FIELD_MM[0], indexing="ij")
+    height_squared = BALL_MM**2 - (x - 10) ** 2 - (y + 5) ** 2
+    on_ball = height_squared > (0.35 * BALL_MM) ** 2
+    z = np.where(on_ball, np.sqrt(np.maximum(height_squared, 0)), PLATE_Z_MM)
+    z[(height_squared > -0.3 * BALL_MM**2) & ~on_ball] = np.nan
+    z += np.random.default_rng(0).normal(0, noise_mm, z.shape)
+    grey = np.where(on_ball, 200, 90).astype(np.uint8)
+    return Frame(np.stack([x, y, z], axis=2).astype(np.float32), grey)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="mbcacq_fakes.protocols.gocator", description=__doc__)
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    for name, port in (("control", 3190), ("health", 3194), ("data", 3196)):
+        parser.add_argument(f"--{name}-port", type=int, default=port, help=f"default {port}; 0 for any free one")
+    parser.add_argument("--discovery", action="store_true", help="answer discovery on udp 3220, on all interfaces")
+    parser.add_argument("--model", default="3210")
+    parser.add_argument("--generation", type=int, choices=(4, 5, 6), default=6, help="firmware generation")
+    parser.add_argument("--uniform", action="store_true", help="switch uniform spacing on in the jobs")
+    parser.add_argument("--pixels", type=int, nargs=2, default=(1200, 1600), metavar=("ROWS", "COLUMNS"))
+    parser.add_argument("--scan-time", type=float, default=0.1, metavar="S", help="duration of an exposure")
+    given = parser.parse_args()
+    frame = ball_on_plate(*given.pixels)
+    done = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: done.set())
+    with FakeGocator(lambda exposure_us: frame, host=given.host, control_port=given.control_port, health_port=given.health_port,
+                     data_port=given.data_port, discovery=given.discovery, model=given.model, generation=given.generation,
+                     uniform=given.uniform, scan_time_s=given.scan_time) as sensor:
+        print(json.dumps({"host": given.host, **sensor.ports._asdict(), "model": given.model, "serial": sensor.serial}), flush=True)
+        done.wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""One control connection of the fake: frames in, exactly one reply for each, in order."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import struct
+from typing import TYPE_CHECKING
+
+from mbcacq_fakes.protocols.gocator.commands import HANDLERS, STREAMED
+from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, INVALID_STATE, OK, UNKNOWN_COMMAND, Refused
+
+if TYPE_CHECKING:
+    from mbcacq_fakes.protocols.gocator.server import FakeGocator
+
+MAX_REQUEST = 64 * 2**20
+_CHUNK, _PIECE = 0x5000, 64 * 1024
+_PROBE_ID = 0
+_log = logging.getLogger("mbcacq.fakes.gocator")
+
+
+def serve(sensor: FakeGocator, sock: socket.socket) -> None:
+    """Answer requests until the client closes, sends nonsense, or the sensor stops. Never raises."""
+    try:
+        while (request := _receive(sock)) is not None:
+            identifier, payload = request
+            if sensor.faults.use("close_control", identifier):
+                return
+            if sensor.faults.use("silent", identifier):
+                continue
+            sock.sendall(reply_to(sensor, identifier, payload))
+    except OSError:
+        pass
+
+
+def reply_to(sensor: FakeGocator, identifier: int, payload: bytes) -> bytes:
+    """All bytes that answer one request."""
+    if identifier == _PROBE_ID and sensor.generation < 5:
+        return struct.pack("<IIQqQQ", 40, 0, 0x1100, OK, *(sensor.faults.get("protocol_version") or sensor.protocol))
+    answered = identifier ^ 1 if sensor.faults.use("wrong_reply", identifier) else identifier
+    status = sensor.faults.use("status", identifier)
+    if status is not None:
+        return _frame(answered, status)
+    try:
+        if identifier in STREAMED:
+            return _streamed(identifier, STREAMED[identifier](sensor, payload))
+        handler = HANDLERS.get(identifier)
+        return _frame(answered, UNKNOWN_COMMAND) if handler is None else _frame(answered, OK, handler(sensor, payload))
+    except Refused as refused:
+        return _frame(answered, refused.status)
+    except struct.error:
+        return _frame(answered, BAD_PARAMETER)
+    except Exception:
+        _log.exception("command 0x%04X", identifier)
+        return _frame(answered, INVALID_STATE)
+
+
+def _frame(identifier: int, status: int, payload: bytes = b"") -> bytes:
+    return struct.pack("<IHi", 10 + len(payload), identifier, status) + payload
+
+
+def _streamed(identifier: int, data: bytes) -> bytes:
+    frames = [_frame(identifier, OK, struct.pack("<II", len(data), 0))]
+    for start in range(0, len(data) + _PIECE, _PIECE):    # the last piece is empty and says so
+        piece = data[start:start + _PIECE]
+        frames.append(_frame(_CHUNK, OK, struct.pack("<III", len(data), min(start + _PIECE, len(data)), len(piece)) + piece))
+    return b"".join(frames)
+
+
+def _receive(sock: socket.socket) -> tuple[int, bytes] | None:
+    header = _exactly(sock, 6)
+    if header is None:
+        return None
+    length, identifier = struct.unpack("<IH", header)
+    if not 6 <= length <= MAX_REQUEST:
+        return None
+    payload = _exactly(sock, length - 6)
+    return None if payload is None else (identifier, payload)
+
+
+def _exactly(sock: socket.socket, size: int) -> bytes | None:
+    data = bytearray()
+    while len(data) < size:
+        part = sock.recv(min(size - len(data), 2**20))
+        if not part:
+            return None
+        data += part
+    return bytes(data)

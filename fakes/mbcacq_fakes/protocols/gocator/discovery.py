@@ -1,0 +1,107 @@
+"""Discovery on udp 3220: requests in, broadcast replies out of the same port to the port of the asker.
+
+A unicast reply is not seen by the vendor's client on Linux: it has two sockets on its port and the other one swallows it.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbcacq_fakes.protocols.gocator.server import FakeGocator
+
+PORT = 3220
+SIGNATURE = 0x0000504455494D4C
+GET_ADDRESS, SET_ADDRESS, GET_INFO, REPLY = 1, 2, 5, 0x1000
+_WEB_PORT, _UPGRADE_PORT = 80, 3192
+
+
+class Discovery:
+    """Runs in a thread. ``broadcast`` is where replies go; 127.255.255.255 stays on the loopback interface."""
+
+    def __init__(self, sensor: FakeGocator, port: int = PORT, broadcast: str = "255.255.255.255") -> None:
+        self._sensor, self._broadcast = sensor, broadcast
+        self._closing = threading.Event()
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            self._sock.settimeout(0.1)
+            self._sock.bind(("", port))
+        except OSError:
+            self._sock.close()
+            raise
+        self.port: int = self._sock.getsockname()[1]
+        self._thread = threading.Thread(target=self._run, name="fake-gocator-discovery", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        self._sock.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                request, asker = self._sock.recvfrom(2048)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            answer = self.answer(request)
+            if answer:
+                try:
+                    self._sock.sendto(answer, (self._broadcast, asker[1]))
+                except OSError:
+                    continue
+
+    def answer(self, request: bytes) -> bytes | None:
+        """The reply to one request, None if it is not for this sensor."""
+        if len(request) < 32:
+            return None
+        length, kind, signature, serial = struct.unpack_from("<QQQQ", request)
+        if length != len(request) or signature != SIGNATURE or serial not in (0, self._sensor.serial):
+            return None
+        if kind == GET_ADDRESS:
+            addresses = (self._ip, b"\xff\xff\xff\0", bytes(4), bytes(4))    # own, mask, gateway, spare
+            body = struct.pack("<QQ", self._sensor.serial, 0) + b"".join(bytes(4) + a for a in addresses)
+        elif kind == SET_ADDRESS:
+            body = struct.pack("<Q", self._sensor.serial)
+        elif kind == GET_INFO:
+            body = struct.pack("<H", 65) + self._info() + self._properties()
+        else:
+            return None
+        return struct.pack("<QQqQ", 32 + len(body), REPLY + kind, 1, SIGNATURE) + body
+
+    @property
+    def _ip(self) -> bytes:
+        return socket.inet_aton(self._sensor.address)
+
+    def _info(self) -> bytes:
+        major, minor, release, build = self._sensor.firmware
+        ports = self._sensor.ports
+        return struct.pack("<IIQBB4s12sIB4s12s5H", self._sensor.serial, major << 24 | minor << 16 | release << 8 | build,
+                           int(self._sensor.uptime_s * 1e6), 0, 4, self._ip, bytes(12), 24, 4, bytes(4), bytes(12),
+                           ports.control, _UPGRADE_PORT, ports.health, ports.data, _WEB_PORT)
+
+    def _properties(self) -> bytes:
+        family = f"G{self._sensor.model[:1]}x00"
+        pairs = {"PartNumber": self._sensor.part_number, "ModelNumber": self._sensor.model, "ModelDisplayName": self._sensor.model,
+                 "Family": family, "OpMode": "1", "AccelSensorIpVersion": "4", "AccelSensorIp": "0.0.0.0"}
+        return bytes([len(pairs)]) + b"".join(bytes([len(t)]) + t for pair in pairs.items() for t in (v.encode() for v in pair))
+
+
+def outward_address() -> str:
+    """The address other machines see; no packet is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+            return probe.getsockname()[0]
+        except OSError:
+            return "127.0.0.1"

@@ -1,0 +1,75 @@
+"""Shared memory between a fake controller's process and whoever runs it: faults in, counters and a log of the cycles out."""
+
+from __future__ import annotations
+
+import struct
+from multiprocessing import shared_memory
+
+from mbcacq_fakes.protocols.krc.arm_state import attach_shared_memory
+from mbcacq_fakes.protocols.krc.settings import FAULTS
+
+COUNTERS = ("cycles", "sessions", "answers", "late", "rejected", "active", "ended")
+LOG_COLUMNS = ("ipoc", "latency_s", "accepted", "q1", "q2", "q3", "q4", "q5", "q6", "c1", "c2", "c3", "c4", "c5", "c6")
+
+_FAULTS_AT, _COUNTERS_AT, _HEAD_AT, _LOG_AT = 8, 256, 384, 512
+_ROW = struct.Struct(f"<{len(LOG_COLUMNS)}d")
+_LOG_ROWS = 1 << 17
+
+
+class Control:
+    """``log``: keep the last 131072 cycles (15 MB)."""
+
+    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
+        self._memory, self._owner, self.name = memory, owner, memory.name
+        self._double = memory.buf.cast("d")
+        self._int = memory.buf.cast("q")
+        self.log_rows = (memory.size - _LOG_AT) // _ROW.size
+
+    @classmethod
+    def create(cls, log: bool) -> Control:
+        return cls(shared_memory.SharedMemory(create=True, size=4096 + (_LOG_ROWS * _ROW.size if log else 0)), True)
+
+    @classmethod
+    def attach(cls, name: str) -> Control:
+        return cls(attach_shared_memory(name), False)
+
+    def forget(self) -> None:
+        """Take the block's name away once both sides hold it: it then ends with them, whatever kills them."""
+        if self._owner:
+            self._owner = False
+            self._memory.unlink()
+
+    def close(self) -> None:
+        self._double.release()
+        self._int.release()
+        self._memory.close()
+        self.forget()
+
+    def set_faults(self, values: dict[str, float]) -> None:
+        for name, value in values.items():
+            self._double[_FAULTS_AT // 8 + FAULTS.index(name)] = float(value)
+        self._int[0] += 1
+
+    @property
+    def fault_seq(self) -> int:
+        return self._int[0]
+
+    def faults(self) -> dict[str, float]:
+        first = _FAULTS_AT // 8
+        return dict(zip(FAULTS, self._double[first:first + len(FAULTS)], strict=True))
+
+    def count(self, name: str, value: int) -> None:
+        self._int[_COUNTERS_AT // 8 + COUNTERS.index(name)] = value
+
+    def counters(self) -> dict[str, int]:
+        first = _COUNTERS_AT // 8
+        return dict(zip(COUNTERS, self._int[first:first + len(COUNTERS)], strict=True))
+
+    def log(self, *row: float) -> None:
+        head = self._int[_HEAD_AT // 8]
+        _ROW.pack_into(self._memory.buf, _LOG_AT + head % self.log_rows * _ROW.size, *row)
+        self._int[_HEAD_AT // 8] = head + 1
+
+    def read_log(self) -> list[tuple[float, ...]]:
+        head, rows = self._int[_HEAD_AT // 8], self.log_rows
+        return [_ROW.unpack_from(self._memory.buf, _LOG_AT + i % rows * _ROW.size) for i in range(max(0, head - rows), head)]

@@ -1,0 +1,80 @@
+"""The fake EKI controller, for tests and for the fake cell: starts its process, hurts it, asks it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.eki_settings import FAULTS, EkiSettings
+
+
+class FakeEkiController:
+    """A KUKA controller that runs KRL programs given as text, behind an EKI channel given as XML, in a process of its own.
+
+    ``state``: an ArmState to publish the arm in, or None for one of its own. Everything else: see EkiSettings.
+    """
+
+    def __init__(self, state: ArmState | None = None, **settings: Any) -> None:
+        self.settings = EkiSettings(**settings)
+        self._given = self.state = state
+        self._process: subprocess.Popen[str] | None = None
+        self._lock = threading.Lock()
+        self.port = self.settings.port
+
+    def start(self) -> Self:
+        """Returns when the controller listens. Raises RuntimeError with the controller's words if it does not start."""
+        if self._process is not None:
+            return self
+        if self.state is None:
+            self.state = ArmState.create(tuple(np.radians(self.settings.start_deg)))
+        self._process = subprocess.Popen([sys.executable, "-m", "mbcacq_fakes.protocols.krc.eki_process"], stdin=subprocess.PIPE,
+                                         stdout=subprocess.PIPE, text=True)
+        answer = self._exchange({"settings": self.settings.to_json(), "state": self.state.name})
+        if "error" in answer:
+            self.stop()
+            raise RuntimeError(f"the fake controller did not start: {answer['error']}")
+        self.port = answer["port"]
+        return self
+
+    def stop(self) -> None:
+        """End the process. Idempotent."""
+        process, self._process = self._process, None
+        if process is not None:
+            try:
+                process.communicate(timeout=5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+        if self.state is not None and self._given is None:
+            self.state.close()
+            self.state = None
+
+    def inject(self, **faults: float) -> None:
+        """Set faults while running, by name; 0 or False takes one back. See eki_settings.FAULTS."""
+        if unknown := set(faults) - set(FAULTS):
+            raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
+        self._exchange({"faults": {name: float(value) for name, value in faults.items()}})
+
+    def report(self) -> dict[str, Any]:
+        """The program's variables, the channel's counts, the last message."""
+        return self._exchange({"ask": True})
+
+    def _exchange(self, message: dict[str, Any]) -> dict[str, Any]:
+        with self._lock:
+            self._process.stdin.write(json.dumps(message) + "\n")
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        return json.loads(line) if line else {"error": "its process has ended"}
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()

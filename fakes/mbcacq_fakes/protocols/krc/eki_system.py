@@ -1,0 +1,213 @@
+"""The $ variables of the fake controller, and the arm that its robot interpreter drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import radians
+from typing import Any
+
+from mbcacq_fakes.dynamics.ideal_arm import Arm, Kinematics
+from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
+from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, Struct
+from mbcacq_fakes.protocols.krc.motion import (
+    Path,
+    Unreachable,
+    angles,
+    flange_for,
+    frame,
+    lin,
+    ptp,
+    tool_in_base,
+)
+
+TICK_S = 0.004
+_MODES = ("", "#T1", "#T2", "#AUT", "#EX")
+_AXES, _POSE = ("a1", "a2", "a3", "a4", "a5", "a6"), ("x", "y", "z", "a", "b", "c")
+_T1_MM_S = 250.0
+
+
+class _Timers(Cells):
+    """$TIMER: counts ms while its $TIMER_STOP is FALSE."""
+
+    def __init__(self, system: System) -> None:
+        super().__init__(64, 0)
+        self._system, self.running = system, set()
+
+    def __getitem__(self, index: Any) -> int:
+        value = super().__getitem__(index)
+        return value + self._system.rob_timer if index in self.running else value
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        super().__setitem__(index, round(value) - (self._system.rob_timer if index in self.running else 0))
+
+    def hold(self, index: int, stop: bool) -> None:
+        value = self[index]
+        (self.running.discard if stop else self.running.add)(index)
+        self[index] = value
+
+
+class _Holds(Cells):
+    def __init__(self, timers: _Timers) -> None:
+        super().__init__(64, True)
+        self._timers = timers
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        super().__setitem__(index, value)
+        self._timers.hold(index, value)
+
+
+class System:
+    """Attributes are system variables in lower case, without the $: what KRL asks for and is not here does not exist."""
+
+    num_ax = 6
+
+    def __init__(self, settings: EkiSettings) -> None:
+        self.rob_timer = settings.clock_ms
+        self.flag = Cells(1024, False)
+        self.timer = _Timers(self)
+        self.timer_stop = _Holds(self.timer)
+        self.robtrafo, self.v_r1mada = settings.model, settings.machine_data
+        self.ov_pro, self.mode_op = settings.override, settings.mode
+        self.peri_rdy = self.alarm_stop = self.user_saf = True
+        self.stopmess = self.pro_act = False
+        self.vel_axis, self.acc_axis = Cells(6, 100), Cells(6, 100)
+        self.vel, self.acc = Struct(cp=0.2), Struct(cp=1.0)
+        self.advance, self.act_tool, self.act_base = 3, -1, -1
+        self.robroot = _struct(settings.robroot)
+        self.tool = self.base = _struct((0.0,) * 6)
+        self.load = Struct(m=-1.0, cm=_struct((0.0,) * 6))
+        self.machine = Machine(self, settings)
+
+    @property
+    def axis_act_meas(self) -> Struct:
+        return Struct(**dict(zip(_AXES, self.machine.arm.q, strict=True)))
+
+    @property
+    def pos_act(self) -> Struct:
+        flange = frame(self.machine.kinematics.pose(self.machine.arm.q))
+        return _struct(angles(tool_in_base(flange, frame(_row(self.tool)), frame(_row(self.base)), frame(_row(self.robroot)))))
+
+    @property
+    def curr_act(self) -> Cells:
+        cells = Cells(6)
+        for k, value in enumerate(self.machine.arm.currents()):
+            cells[k + 1] = value
+        return cells
+
+    @property
+    def rob_stopped(self) -> bool:
+        return self.machine.arm.standstill and not self.machine.driving
+
+    def set_mode(self, number: int) -> None:
+        self.mode_op = _MODES[number]
+
+
+class Machine:
+    """The arm with one path at a time. Implements krl.interpreter.Motion."""
+
+    def __init__(self, system: System, settings: EkiSettings) -> None:
+        self._system, self._settings = system, settings
+        self.arm = Arm(settings.start_deg, TICK_S, settings.lag_s)
+        self.kinematics = Kinematics(settings.dh)
+        self._set_point: tuple[float, ...] = tuple(settings.start_deg)
+        self._path: Path | None = None
+        self.ignore, self.short_deg = False, 0.0
+        self.message = ""
+        self._stuck = False
+
+    @property
+    def driving(self) -> bool:
+        return self._path is not None
+
+    @property
+    def moving(self) -> bool:
+        """A motion instruction is not finished."""
+        return self._path is not None or self._stuck
+
+    def begin(self, kind: str, target: Any) -> None:
+        if self._system.advance != 0 and not _here(target, self.arm.q):
+            raise KrlError("this controller drives only with $ADVANCE=0")
+        self._stuck = self.ignore
+        if self.ignore:
+            return
+        system = self._system
+        try:
+            if kind == "ptp":
+                goal = [getattr(target, a) for a in _AXES]
+                if any(not low <= v <= high for v, (low, high) in zip(goal, self._settings.limits_deg, strict=True)):
+                    raise Unreachable("software limit switch")
+                goal[0] -= self.short_deg
+                percent = ([system.vel_axis[k] for k in range(1, 7)], [system.acc_axis[k] for k in range(1, 7)])
+                self._path = ptp(self._set_point, goal, self._settings.speed_deg_s, percent)
+            else:
+                goal = flange_for(frame(_row(target)), frame(_row(system.tool)), frame(_row(system.base)), frame(_row(system.robroot)))
+                fast = min(system.vel.cp * 1000.0, _T1_MM_S if system.mode_op == "#T1" else 2000.0)
+                self._path = lin(self._set_point, goal, self.kinematics, self._settings.limits_deg, fast, system.acc.cp * 1000.0)
+        except Unreachable as error:
+            self.fail(str(error))
+
+    def brake(self) -> None:
+        self._stuck = False
+        if self._path is not None:
+            self._path.brake()
+
+    def abandon(self) -> None:
+        self._path, self._stuck = None, False
+
+    def fail(self, message: str) -> None:
+        """A message that stops the program."""
+        self.message, self._system.pro_act, self._system.stopmess = message, False, True
+        self.brake()
+
+    def tick(self) -> bool:
+        """One cycle of 4 ms. True if the arm moved."""
+        if self._path is not None:
+            try:
+                self._set_point = self._path.step(TICK_S, self._system.ov_pro / 100.0)
+            except Unreachable as error:
+                self._path = None
+                self.fail(str(error))
+            if self._path is not None and self._path.done:
+                self._path = None
+        return self.arm.step(self._set_point)
+
+    def radians(self) -> tuple[list[float], list[float]]:
+        """Joints and their speeds, rad and rad/s."""
+        return [radians(v) for v in self.arm.q], [radians(v) for v in self.arm.qd]
+
+
+def _struct(values: Sequence[float]) -> Struct:
+    return Struct(**dict(zip(_POSE, map(float, values), strict=True)))
+
+
+def _row(value: Struct) -> list[float]:
+    return [getattr(value, a) for a in _POSE]
+
+
+def _here(target: Any, q: Sequence[float]) -> bool:
+    return all(abs(getattr(target, a, 1e9) - v) < 1e-6 for a, v in zip(_AXES, q, strict=True))
+
+
+def built_in(system: System, settings: EkiSettings) -> dict[str, Any]:
+    """BAS and the message interrupt of the base program."""
+
+    def bas(_: Any, command: str, number: Any) -> Any:
+        if command == "#INITMOV":
+            system.advance = 3
+            for k in range(1, 7):
+                system.vel_axis[k] = system.acc_axis[k] = 100
+        elif command == "#TOOL":
+            system.tool, system.act_tool = _struct(settings.tools.get(str(number), (0.0,) * 6)), number
+            system.load = Struct(m=float(settings.loads.get(str(number), 0.0)), cm=_struct((0.0,) * 6))
+        elif command == "#BASE":
+            system.base, system.act_base = _struct(settings.bases.get(str(number), (0.0,) * 6)), number
+        else:
+            raise KrlError(f"BAS({command}) is not played here")
+        return
+        yield
+
+    def ir_stopm(_: Any) -> Any:
+        return
+        yield
+
+    return {"bas": bas, "ir_stopm": ir_stopm}

@@ -1,0 +1,135 @@
+"""PTP and LIN of the fake controller: all axes together along one path, trapezoidal, braking on the path. deg, mm, s."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import sqrt
+
+import numpy as np
+
+from mbcacq_fakes.dynamics.ideal_arm import Kinematics
+from mbcacq_fakes.world.rigid import invert, rigid, turn
+
+_RAMP_S = 0.3          # to an axis' largest speed at 100 % acceleration
+_ORIENTATION_DEG_S = 100.0
+
+
+class Unreachable(Exception):
+    """A pose that the arm cannot take."""
+
+
+def frame(values: Sequence[float]) -> np.ndarray:
+    """X, Y, Z, A, B, C (mm, deg) -> (4, 4); R = Rz(A) Ry(B) Rx(C)."""
+    a, b, c = np.radians(values[3:6])
+    axes = np.eye(3)
+    return rigid(turn(axes[2], a) @ turn(axes[1], b) @ turn(axes[0], c), np.asarray(values[:3], dtype=float))
+
+
+def angles(T: np.ndarray) -> tuple[float, ...]:
+    """(4, 4) -> X, Y, Z, A, B, C."""
+    R = T[:3, :3]
+    turned = np.degrees([np.arctan2(R[1, 0], R[0, 0]), np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0])), np.arctan2(R[2, 1], R[2, 2])])
+    return (*T[:3, 3].tolist(), *turned.tolist())
+
+
+class Path:
+    """A way of unit length: ``at(s)`` gives the joints (6,) deg, speed and acceleration count in ways per second."""
+
+    def __init__(self, at: Callable[[float], tuple[float, ...]], speed: float, acceleration: float) -> None:
+        self._at, self._speed, self._acceleration = at, speed, acceleration
+        self._s = self._v = 0.0
+        self._braking = self.done = False
+
+    def brake(self) -> None:
+        self._braking = True
+
+    def step(self, dt: float, override: float) -> tuple[float, ...]:
+        """The next set point."""
+        left, most = 1.0 - self._s, self._acceleration * dt
+        if self._braking:
+            wanted = 0.0
+        else:
+            wanted = min(self._speed * override, sqrt(2.0 * self._acceleration * left + 0.25 * most * most) - 0.5 * most)
+        self._v = max(min(wanted, self._v + most), self._v - most, 0.0)
+        self._s += self._v * dt
+        if self._s >= 1.0 - 1e-9 or (not self._braking and left < 2.0 * most * dt):
+            self._s, self.done = 1.0, True
+        elif self._braking and self._v <= 0.0:
+            self.done = True
+        return self._at(self._s)
+
+
+def ptp(start: Sequence[float], target: Sequence[float], speed: Sequence[float],
+        percent: tuple[Sequence[float], Sequence[float]]) -> Path | None:
+    """All axes start and stop together. speed: (6,) deg/s at 100 %. percent: of speed and of acceleration, per axis. None: no way to go."""
+    a = np.asarray(start, dtype=float)
+    way = np.asarray(target, dtype=float) - a
+    far = np.abs(way)
+    if far.max() < 1e-9:
+        return None
+    moving, most = far > 1e-9, np.asarray(speed) / 100.0
+    fast, steep = most * np.asarray(percent[0]) / np.maximum(far, 1e-9), most / _RAMP_S * np.asarray(percent[1]) / np.maximum(far, 1e-9)
+    return Path(lambda s: tuple((a + s * way).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
+
+
+def lin(start: Sequence[float], target: np.ndarray, kinematics: Kinematics, limits: Sequence[tuple[float, float]], speed: float,
+        acceleration: float) -> Path | None:
+    """The flange straight to ``target`` (4, 4) mm in the robot's root, turning evenly. speed mm/s, acceleration mm/s^2."""
+    T0 = frame(kinematics.pose(start))
+    shift, axis, angle = target[:3, 3] - T0[:3, 3], *_rotation(T0[:3, :3].T @ target[:3, :3])
+    length, turning = float(np.linalg.norm(shift)), float(np.degrees(angle))
+    if length < 1e-9 and turning < 1e-9:
+        return None
+    v = min(speed / length if length > 1e-9 else np.inf, _ORIENTATION_DEG_S / turning if turning > 1e-9 else np.inf)
+    a = min(acceleration / length if length > 1e-9 else np.inf, 2.0 * _ORIENTATION_DEG_S / turning if turning > 1e-9 else np.inf)
+    last = [tuple(start)]
+
+    def at(s: float) -> tuple[float, ...]:
+        pose = rigid(T0[:3, :3] @ turn(axis, s * angle), T0[:3, 3] + s * shift)
+        last[0] = joints_at(pose, last[0], kinematics, limits)
+        return last[0]
+
+    return Path(at, float(v), float(a))
+
+
+def joints_at(pose: np.ndarray, near: Sequence[float], kinematics: Kinematics, limits: Sequence[tuple[float, float]]) -> tuple[float, ...]:
+    """Joints (6,) deg that put the flange at ``pose``, next to ``near``, by Newton's method. Raises Unreachable."""
+    q = np.array(near, dtype=float)
+    for _ in range(20):
+        away = _difference(frame(kinematics.pose(q)), pose)
+        if np.abs(away[:3]).max() < 1e-6 and np.abs(away[3:]).max() < 1e-9:
+            break
+        slope = np.empty((6, 6))
+        for k in range(6):
+            moved = q.copy()
+            moved[k] += 1e-4
+            slope[:, k] = (away - _difference(frame(kinematics.pose(moved)), pose)) / 1e-4
+        q += np.clip(np.linalg.lstsq(slope, away, rcond=1e-9)[0], -5.0, 5.0)
+    else:
+        raise Unreachable("the arm does not reach this pose")
+    if any(not low <= v <= high for v, (low, high) in zip(q, limits, strict=True)):
+        raise Unreachable("a software limit lies on the way")
+    return tuple(q.tolist())
+
+
+def _difference(T: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    axis, angle = _rotation(T[:3, :3].T @ wanted[:3, :3])
+    return np.concatenate([wanted[:3, 3] - T[:3, 3], T[:3, :3] @ axis * angle])
+
+
+def _rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
+    """Axis and angle (rad, 0..pi)."""
+    vector = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = float(np.linalg.norm(vector))
+    angle = float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))
+    return (vector / sine, angle) if sine > 1e-12 else (np.array([0.0, 0.0, 1.0]), 0.0)
+
+
+def tool_in_base(flange: np.ndarray, tool: np.ndarray, base: np.ndarray, robroot: np.ndarray) -> np.ndarray:
+    """$POS_ACT: the tool in the active base, both in the world in which $ROBROOT stands."""
+    return invert(base) @ robroot @ flange @ tool
+
+
+def flange_for(target: np.ndarray, tool: np.ndarray, base: np.ndarray, robroot: np.ndarray) -> np.ndarray:
+    """The inverse of tool_in_base."""
+    return invert(robroot) @ base @ target @ invert(tool)

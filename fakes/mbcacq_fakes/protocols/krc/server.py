@@ -1,0 +1,88 @@
+"""FakeKrc: start, hurt and stop a fake controller."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.control import LOG_COLUMNS, Control
+from mbcacq_fakes.protocols.krc.settings import FAULTS, KrcSettings
+
+
+class FakeKrc:
+    """A KUKA controller with its RSI program running, in a process of its own, sending to ``client``.
+
+    ``state``: an ArmState to publish the arm in, its name, or None for one of its own (``krc.state``). Everything else: see
+    KrcSettings. ``FakeKrc(client=("127.0.0.1", port), realtime=False)`` runs as fast as its client answers.
+    """
+
+    def __init__(self, state: ArmState | str | None = None, *, bind: str = "127.0.0.1", **settings: Any) -> None:
+        self.settings = KrcSettings(**settings)
+        self._given, self._bind = state, bind
+        self._process: subprocess.Popen[str] | None = None
+        self._control: Control | None = None
+        self.state: ArmState | None = state if isinstance(state, ArmState) else None
+
+    def start(self) -> Self:
+        """Returns when the controller is running (telegrams are on their way)."""
+        if self._process is not None:
+            return self
+        if self.state is None:
+            self.state = ArmState.attach(self._given) if self._given else ArmState.create(tuple(np.radians(self.settings.start_deg)))
+        self._control = Control.create(self.settings.log)
+        self._control.set_faults(self.settings.faults)
+        command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        start = {"settings": self.settings.to_json(), "state": self.state.name, "control": self._control.name, "bind": self._bind}
+        self._process.stdin.write(json.dumps(start) + "\n")
+        self._process.stdin.flush()
+        if not self._process.stdout.readline():
+            self.stop()
+            raise RuntimeError("the fake controller did not start")
+        self._control.forget()
+        return self
+
+    def stop(self) -> None:
+        """End the process. Idempotent."""
+        process, self._process = self._process, None
+        if process is not None:
+            try:
+                process.communicate(timeout=5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        if self.state is not None and not isinstance(self._given, ArmState):
+            self.state.close()
+            self.state = None
+
+    def inject(self, **faults: float) -> None:
+        """Set faults while running, by name; 0 or False takes one back. See settings.FAULTS."""
+        unknown = set(faults) - set(FAULTS)
+        if unknown:
+            raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
+        self._control.set_faults(faults)
+
+    def counters(self) -> dict[str, int]:
+        """cycles, sessions, answers, late, rejected, active, ended (index into arm_state.FAULTS)."""
+        return self._control.counters()
+
+    def log(self) -> dict[str, np.ndarray]:
+        """What came and went, a row a cycle (needs ``log=True``): ipoc, latency_s, accepted, q (k, 6) deg, correction (k, 6) deg."""
+        rows = np.array(self._control.read_log()).reshape(-1, len(LOG_COLUMNS))
+        return {"ipoc": rows[:, 0].astype(np.int64), "latency_s": rows[:, 1], "accepted": rows[:, 2] != 0.0, "q": rows[:, 3:9],
+                "correction": rows[:, 9:15]}
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()

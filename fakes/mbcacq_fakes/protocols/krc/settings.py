@@ -1,0 +1,92 @@
+"""What a fake controller is told when it starts, and what can be done to it while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+PROFILES = {
+    "mbcacq": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "Delay"),
+    "sdk": ("RIst", "AIPos", "EIPos", "Delay"),
+    "ros": ("RIst", "RSol", "AIPos", "ASPos", "Delay"),
+    "minimal": ("AIPos", "Delay"),
+    "motion": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "GearTorque", "AJPos", "Delay"),
+}
+
+ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
+COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign")
+FAULTS = (
+    "silence",       # no telegram leaves the controller
+    "drop",          # probability that a telegram is lost on its way
+    "drop_answers",  # probability that an answer is lost on its way
+    "delay_ms",      # a telegram leaves so much later in its cycle
+    "malformed",     # that many telegrams are broken XML
+    "wrong_ipoc",    # that many telegrams carry an IPOC out of step
+    "no_aipos",      # that many telegrams lack AIPos
+    "foreign",       # that many telegrams come from another port
+    "clamp_deg",     # AXISCORR limits the correction to this, silently
+    "ignore",        # corrections are accepted and not carried out
+    "stop",          # the operator stops the program
+    "swap",          # the elements come in reverse order
+    "spaced",        # 1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them
+    "upper_type",    # TYPE instead of Type
+)
+
+
+@dataclass(frozen=True)
+class KrcSettings:
+    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come.
+
+    Angles deg, speeds deg/s, accelerations deg/s^2. limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None
+    for the full range. empty_first: so many nearly empty telegrams begin a session, as with RSI 2. timeout: late packets that end the
+    session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg) from which RIst is computed,
+    or none. layout: a name of PROFILES or the elements themselves.
+    moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
+    lag_s: first-order lag of the arm behind a dead time of two cycles. rearm_s: pause before telegrams are offered again after a fault.
+    """
+
+    client: tuple[str, int] = ("127.0.0.1", 49152)
+    realtime: bool = True
+    start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
+    limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
+    speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
+    overspeed: float = 1.05
+    cycle_ms: int = 4
+    ipoc: int = 1_000_000
+    sen_type: str = "ImFree"
+    correction: str = "AK"
+    stop_element: str = "Stop"
+    hold_on: bool = True
+    timeout: int = 100
+    counting: str = "total"
+    clamp_deg: float | None = None
+    monitor_deg: float | None = None
+    precision: int = 6
+    empty_first: int = 0
+    layout: str | tuple[str, ...] = "mbcacq"
+    dh: tuple[tuple[float, ...], ...] = ()
+    moving: dict[str, Any] | None = None
+    lag_s: float = 0.012
+    rearm_s: float = 2.0
+    log: bool = False
+    seed: int = 0
+    faults: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.layout, str) and self.layout not in PROFILES:
+            raise ValueError(f"layout must be one of {', '.join(PROFILES)}, or a list of elements")
+        if unknown := sorted(set(self.elements) - set(ELEMENTS)):
+            raise ValueError(f"layout: unknown element {', '.join(unknown)}; known are {', '.join(ELEMENTS)}")
+        if self.counting not in ("total", "consecutive"):
+            raise ValueError("counting must be total or consecutive")
+        if self.cycle_ms not in (4, 12) or not 1 <= self.precision <= 32 or self.timeout < 1:
+            raise ValueError("cycle_ms must be 4 or 12, precision 1 to 32, timeout at least 1")
+        if unknown := sorted(set(self.faults) - set(FAULTS)):
+            raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(FAULTS)}")
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        return PROFILES[self.layout] if isinstance(self.layout, str) else tuple(self.layout)

@@ -1,0 +1,44 @@
+"""One checked joint motion, from command to standstill."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from mbcacq.acquisition.cycle_collector import CyclePump
+from mbcacq.devices import MotionLimits, Robot, RobotState, SafetyStop
+from mbcacq.model.cell import Cell
+from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration
+
+POLL_S = 0.003
+MOVED = 1e-4                      # rad; less is no motion that could change the sense of a gear
+
+
+class Mover:
+    """Moves the arm and remembers from which side each axis arrived."""
+
+    def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, pump: CyclePump) -> None:
+        self._robot, self._joint_limits, self._limits, self._pump = robot, cell.robot.limits, limits, pump
+        self._arms = arms_beyond(cell)
+        self.direction = np.zeros(cell.robot.n, dtype=int)
+
+    def go(self, target: np.ndarray) -> RobotState:
+        """Move to ``target`` (n,) rad, wait until the measured joints stand there. Raises what stopped the arm."""
+        check_target(target, self._joint_limits)
+        start = self._robot.state()
+        travel = target - start.q
+        self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)
+        self._robot.move_to(target, self._limits)
+        deadline = start.time_s + longest_duration(travel, self._limits, self._arms)
+        while True:
+            self._pump.check()
+            state = self._robot.state()
+            if state.arrived:
+                return state
+            if state.time_s > deadline:
+                self._robot.stop()
+                away = np.degrees(np.max(np.abs(target - state.q)))
+                raise SafetyStop(
+                    f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the override 100 %?")
+            time.sleep(POLL_S)

@@ -1,0 +1,97 @@
+"""Rivals on the same data, judged the same way: fit, sphere spacing error, held-out error, time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from mbcacq.calibration.cross_validation import about_best_station, prediction_error
+from mbcacq.calibration.methods import RIVALS
+from mbcacq.calibration.verification import verify
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import Options
+from mbcacq.estimation.phases import select_phases
+from mbcacq.model.observations import Observations
+
+FOLDS = 5
+SAME_POSTURE = np.radians(0.1)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method. fit_mm: 3D rms about the best station poses, on the poses fitted; bar_mean_mm, bar_max_mm: sphere spacing error at the
+    verification poses; held_out_mm: 3D rms on stations (or, with one or two stations, poses) left out; why: why there is no result;
+    why_not_held_out: why there is no held-out figure, where one was asked for."""
+
+    method: str
+    fit_mm: float | None = None
+    bar_mean_mm: float | None = None
+    bar_max_mm: float | None = None
+    held_out_mm: float | None = None
+    time_s: float | None = None
+    why: str = ""
+    why_not_held_out: str = ""
+
+    def to_dict(self) -> dict:
+        return asdict(self)
+
+
+def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> list[Row]:
+    """One row a method of :data:`mbcacq.calibration.methods.RIVALS`, in that order; a method that these data do not determine has no
+    figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
+    obs = select_phases(observations, Options())
+    if posture_range(obs) < SAME_POSTURE:
+        raise CalibrationError("every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
+                               "undetermined; nothing can be compared. Take several different poses at each station")
+    names = list(RIVALS) if methods is None else list(methods)
+    return [_row(name, RIVALS[name], obs, observations, held_out, seed) for name in names]
+
+
+def _row(name: str, fit: Callable[[Observations], CellState], obs: Observations, whole: Observations, held_out: bool, seed: int) -> Row:
+    begin = time.perf_counter()
+    try:
+        state = fit(obs)
+    except CalibrationError as error:
+        return Row(name, why=str(error))
+    seconds = time.perf_counter() - begin
+    d, _ = about_best_station(obs, state)
+    bar = verify(whole, state)
+    errors = np.abs(bar.errors("after")) if bar.places else None
+    left, why = None, ""
+    try:
+        left = _held_out(fit, obs, seed) if held_out else None
+    except CalibrationError as error:
+        why = str(error)
+    bars = (None, None) if errors is None else (float(errors.mean()), float(errors.max()))
+    return Row(name, _rms(d), *bars, left, seconds, why_not_held_out=why)
+
+
+def posture_range(obs: Observations) -> float:
+    """Largest change (rad) of a joint angle between the poses of any one station."""
+    return max(float(np.ptp(obs.q[obs.station == s], axis=0).max()) for s in np.unique(obs.station))
+
+
+def _held_out(fit: Callable[[Observations], CellState], obs: Observations, seed: int) -> float:
+    """Stations in FOLDS groups, each left out once; with fewer than three stations, random poses. Raises CalibrationError where the rest
+    does not determine the method's unknowns."""
+    rng = np.random.default_rng(seed)
+    stations = np.unique(obs.station)
+    by_station = len(stations) >= 3
+    unit = obs.station if by_station else np.arange(obs.n_poses)
+    square, freedom, count = 0.0, 0, 0
+    for part in np.array_split(rng.permutation(np.unique(unit)), min(FOLDS, len(np.unique(unit)))):
+        test = np.isin(unit, part)
+        state = fit(obs.select(~test))
+        d, used = about_best_station(obs.select(test), state) if by_station else (prediction_error(obs.select(test), state), 0)
+        square, freedom, count = square + float(np.sum(d**2)), freedom + used, count + len(d)
+    if 3 * count <= freedom:
+        raise CalibrationError("the centres left out are too few to judge anything by; measure more poses")
+    return float(np.sqrt(square / count / (1 - freedom / (3 * count))))
+
+
+def _rms(d: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(d**2)))

@@ -1,0 +1,164 @@
+"""Accuracy on poses that took no part: the only figure that shows what a model is worth.
+
+'random' and 'block': stations keep their pose from the training poses; the figure is the 3D distance of measured and predicted centres.
+'station': a whole placement is left out. Its own pose is unknown and fitted to the held-out poses alone, the geometry fixed, so
+the figure is their spread about it, with the six (or fewer) degrees of freedom that this fit takes accounted for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation import parameters
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.initial_guess import place_stations
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import Noise, Options
+from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solver import Weights, solve
+from mbcacq.geometry import se3
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+SPLITS = ("station", "random", "block")
+GROSS = 10.0   # times the median: such distances are counted apart
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """split: how; fits: number of fits; poses, centres: held out in total.
+
+    rms_mm: 3D rms of all held-out centres, freedom of refitted stations accounted for. spread_mm ('station' only): 3D rms distance of
+    each ball, brought into the base, from its own mean place; no certificate enters and no freedom is accounted for. median_mm,
+    max_mm: of the distances behind rms_mm; gross: centres beyond 10 medians; rms_without_gross_mm: without those; per_fit_mm: of each fit.
+    """
+
+    split: str
+    fits: int
+    poses: int
+    centres: int
+    rms_mm: float
+    spread_mm: float | None
+    median_mm: float
+    max_mm: float
+    gross: int
+    rms_without_gross_mm: float
+    per_fit_mm: tuple[float, ...]
+    seed: int
+
+    def to_dict(self) -> dict:
+        return asdict(self) | {"per_fit_mm": list(self.per_fit_mm)}
+
+
+def held_out(observations: Observations, options: Options | None = None, split: str = "random", *, size: int | None = None,
+             fits: int | None = None, seed: int = 0) -> HeldOut:
+    """Fit again and again without some poses, and predict those.
+
+    size: poses held out of each random fit (default 30 %, at most 300). fits: 3 random ones, 5 blocks, or every station once.
+    Raises ConfigError for an unknown split, CalibrationError where too little is left to fit.
+    """
+    options = options or Options()
+    if split not in SPLITS:
+        raise ConfigError(f"there is no held-out split '{split}'; give one of {', '.join(SPLITS)}")
+    obs = select_phases(observations, options)
+    masks = _masks(obs, split, size, fits, seed)
+    distances, freedom, rms, scatter = [], 0, [], []
+    for test in masks:
+        state = calibrate(obs.select(~test), options).state
+        left = obs.select(test)
+        if split == "station":
+            d, used = about_best_station(left, state)
+            scatter.append(ball_spread(left, state))
+        else:
+            d, used = prediction_error(left, state), 0
+        distances.append(d)
+        freedom += used
+        rms.append(_rms(d, used))
+    d = np.concatenate(distances)
+    gross = d > GROSS * np.median(d)
+    return HeldOut(split, len(masks), int(sum(m.sum() for m in masks)), len(d), _rms(d, freedom),
+                   _rms(np.concatenate(scatter), 0) if scatter else None, float(np.median(d)),
+                   float(d.max()), int(gross.sum()), _rms(d[~gross], freedom), tuple(rms), seed)
+
+
+def prediction_error(obs: Observations, state: CellState) -> np.ndarray:
+    """(M,) mm distance of measured and predicted centres."""
+    layout = parameters.build(obs, Options(kinematics=False, balls=False))
+    _, residual = Lineariser(obs, layout, Options()).residual(parameters.Estimate(state))
+    return np.linalg.norm(residual[:, :3], axis=1)
+
+
+def about_best_station(obs: Observations, state: CellState) -> tuple[np.ndarray, int]:
+    """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
+    placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
+    start = CellState(state.chain, state.T_flange_scanner, placed, state.balls)
+    options = Options(kinematics=False, balls=False, hold=tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE))
+    lineariser = Lineariser(obs, parameters.build(obs, options), options)
+    noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
+    solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
+
+
+def ball_spread(obs: Observations, state: CellState) -> np.ndarray:
+    """(M,) mm distance of each ball, brought into the base, from the mean place of that ball at that station."""
+    T = state.chain.flange(obs.q) @ state.T_flange_scanner
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return about_best_station(obs, state)[0]
+    base = se3.apply(T[obs.pose], obs.xyz)
+    _, group = np.unique(obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball, return_inverse=True)
+    mean = np.stack([np.bincount(group, base[:, j]) for j in range(3)], axis=1) / np.bincount(group)[:, None]
+    return np.linalg.norm(base - mean[group], axis=1)
+
+
+def _masks(obs: Observations, split: str, size: int | None, fits: int | None, seed: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    if split == "station":
+        stations = np.unique(obs.station)
+        if len(stations) < 2:
+            raise CalibrationError("there is one station only; none can be left out. Use --held-out random or block")
+        return [obs.station == s for s in stations]
+    masks = []
+    if split == "random":
+        size = size or min(300, max(1, int(round(0.3 * obs.n_poses))))
+        if size >= obs.n_poses:
+            raise ConfigError(f"{size} poses cannot be held out of {obs.n_poses}; give a smaller number")
+        for _ in range(fits or 3):
+            mask = np.zeros(obs.n_poses, bool)
+            mask[rng.choice(obs.n_poses, size, replace=False)] = True
+            masks.append(mask)
+    else:
+        order = np.argsort(obs.time_s if obs.time_s is not None else obs.pose_id, kind="stable")
+        for part in np.array_split(order, fits or 5):
+            mask = np.zeros(obs.n_poses, bool)
+            mask[part] = True
+            masks.append(mask)
+    known = [_known_places(obs, m) for m in masks]
+    if not any(m.any() for m in known):
+        raise CalibrationError("every pose left out shows a ball where the rest does not know its place; use --held-out station or random")
+    return [m for m in known if m.any()]
+
+
+def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
+    """Only poses whose balls have a place that training knows: the same ball at the same station was seen there, or three other balls.
+
+    One socket of two does not tell where the other is, and of a station that was not seen nobody knows anything.
+    """
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return test & np.isin(obs.station, np.unique(obs.station[~test]))
+    seen = np.zeros((len(obs.cell.stations), len(obs.cell.ball_ids)), bool)
+    train = ~test[obs.pose]
+    station = obs.station[obs.pose]
+    seen[station[train], obs.ball[train]] = True
+    known = seen[station, obs.ball] | (seen.sum(axis=1) >= 3)[station]
+    unknown = np.bincount(obs.pose, ~known, minlength=obs.n_poses) > 0
+    return test & ~unknown
+
+
+def _rms(d: np.ndarray, freedom: int) -> float:
+    """3D rms where ``freedom`` of the 3 M coordinates were spent on a fit."""
+    share = 1 - freedom / (3 * len(d)) if len(d) else 0.0
+    return float(np.sqrt(np.mean(d**2) / share)) if share > 0 else float("nan")

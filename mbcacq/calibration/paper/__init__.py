@@ -1,5 +1,0 @@
-"""The published method (Zhou et al. 2025), stage by stage; every stage can be called alone."""
-
-from mbcacq.calibration.paper.method import calibrate_paper
-
-__all__ = ["calibrate_paper"]

@@ -1,0 +1,99 @@
+"""result.json, format 'mbcacq-result/1': written from a calibration, and enough of it read back to use the calibrated cell.
+
+Lengths mm, angles rad; transforms are 4 x 4 row lists T_outer_inner; the covariance is of the free parameters in the order of 'names', the
+hand-eye entries being a local twist (scanner frame) behind T_flange_scanner.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.calibration.observability import of_calibration
+from mbcacq.calibration.uncertainty import expected_accuracy
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.scan_scale import scan_scale
+from mbcacq.estimation.variance_components import first_noise
+from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.model.cell import Cell
+
+FORMAT = "mbcacq-result/1"
+
+
+def to_dict(c: CalibrationFit) -> dict[str, Any]:
+    """JSON content of a calibration."""
+    cell, state, nominal = c.cell, c.state, c.cell.robot.chain
+    used_poses = np.unique(c.observations.pose[c.used])
+    return {
+        "format": FORMAT,
+        "method": c.options.method,
+        "measurement": cell.measurement,
+        "robot": {
+            "name": cell.robot.name,
+            "sign": nominal.sign.tolist(),
+            "limits": cell.robot.limits.tolist(),
+            "nominal": {p: getattr(nominal, p).tolist() for p in PARAMETERS},
+            "calibrated": {p: getattr(state.chain, p).tolist() for p in PARAMETERS},
+            "errors": {p: c.errors[:, i].tolist() for i, p in enumerate(PARAMETERS)},
+        },
+        "T_flange_scanner": state.T_flange_scanner.tolist(),
+        "stations": [{"id": s.id, "artefact": s.artefact, "T_base_station": state.T_base_station[i].tolist(),
+                      "std": np.sqrt(np.diag(c.station_covariance[i])).tolist()}
+                     for i, s in enumerate(cell.stations) if np.any(c.observations.station[used_poses] == i)],
+        "balls": [{"id": b, "centre_mm": state.balls[i].tolist()} for i, b in enumerate(cell.ball_ids)],
+        "preliminary": {"T_flange_scanner": c.preliminary.T_flange_scanner.tolist()},
+        "parameters": [{"name": p.name, "value": p.value, "error": p.error, "unit": p.unit, "std": p.std, "status": p.status,
+                        **({"reason": p.reason} if p.reason else {})} for p in c.parameters],
+        "names": list(c.names),
+        "covariance": c.covariance.tolist(),
+        "noise": {"scanner_mm": c.noise.point.tolist(), "joint_rad": c.noise.joint.tolist(),
+                  **({"turn_rad": c.noise.turn} if c.residual.shape[1] == 6 else {}),
+                  **({"check_factor": (c.noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {})},
+        "fit": {"poses": len(used_poses), "centres": int(c.used.sum()), "rms_mm": c.rms_mm, "chi2": c.chi2, "dof": c.dof,
+                "chi2_dof": c.chi2 / c.dof if c.dof > 0 else None, "rank": c.rank, "iterations": c.iterations,
+                "expected_accuracy_mm": expected_accuracy(c)},
+        "observability": of_calibration(c),
+        "scan_scale": _scan_scale(c),
+        "held": c.held,
+        "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in c.correlated],
+        "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in c.rejected],
+        **c.extra,
+    }
+
+
+def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellState:
+    """The calibrated cell of a result. With ``cell``, its stations and balls are filled in that cell's order (identity where unknown);
+    without, in the result's. Raises ConfigError if this is no such result."""
+    if not isinstance(result, dict) or result.get("format") != FORMAT:
+        raise ConfigError(f"this is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
+    try:
+        rows = result["robot"]["calibrated"]
+        chain = Chain(np.array(result["robot"]["sign"], dtype=float), *(np.array(rows[p], dtype=float) for p in PARAMETERS))
+        T = _transform(result["T_flange_scanner"])
+        placed = {s["id"]: _transform(s["T_base_station"]) for s in result["stations"]}
+        balls = {b["id"]: np.array(b["centre_mm"], dtype=float) for b in result["balls"]}
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"the calibration result is damaged ({type(error).__name__}: {error}); "
+                          "write it anew with mbcacq calibrate") from error
+    if cell is None:
+        return CellState(chain, T, np.array(list(placed.values())).reshape(-1, 4, 4), np.array(list(balls.values())).reshape(-1, 3))
+    if cell.robot.n != chain.n:
+        raise ConfigError(f"the calibration result is of an arm with {chain.n} axes, the cell has {cell.robot.n}; give the matching result")
+    stations = np.array([placed.get(s.id, np.eye(4)) for s in cell.stations])
+    centres = np.array([balls.get(b, c) for b, c in zip(cell.ball_ids, cell.ball_centres, strict=True)])
+    return CellState(chain, T, stations, centres)
+
+
+def _transform(rows: Any) -> np.ndarray:
+    T = np.array(rows, dtype=float)
+    if T.shape != (4, 4) or not np.all(np.isfinite(T)):
+        raise ValueError("a transform is not 4 x 4")
+    return T
+
+
+def _scan_scale(c: CalibrationFit) -> dict[str, Any] | None:
+    found = scan_scale(c.observations, c.used, c.noise.point)
+    return None if found is None else found.to_dict()

@@ -1,0 +1,92 @@
+"""Joint identification of hand-eye and MD-H errors from certified distances (Eq. 13-24), by Levenberg-Marquardt.
+
+Two balls seen from two poses of one station, brought into the base, are as far apart as the certificate says:
+|l_true| - |l_measured| = u' (dp_a - dp_b), with dp = true - measured (Eq. 23 prints the opposite sign). Two balls of one scan say
+nothing: any rigid motion keeps their distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.calibration.staged.ball_pairs import Distances, pairs
+from mbcacq.calibration.staged.error_propagation import Measured, propagate
+from mbcacq.estimation.options import Noise
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+
+UNSEEN = 1e-10   # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unseen
+__all__ = ["Distances", "Identified", "identify", "pairs"]
+
+
+@dataclass(frozen=True)
+class Identified:
+    """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters, with
+    the noise of ``propagation``, zero in the directions unseen (g, u), unit vectors of the free parameters; free: (5 n + 6,) bool."""
+
+    chain: Chain
+    T_flange_scanner: np.ndarray
+    rms_before: float
+    rms_after: float
+    covariance: np.ndarray
+    noise: Noise
+    unseen: np.ndarray
+    free: np.ndarray
+    iterations: int
+
+
+def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, distances: Distances,
+             free: np.ndarray, measured: Measured | None = None, *, limit: int = 50, tolerance: float = 1e-9) -> Identified:
+    """q: (P, n) rad; pose: (M,); xyz: (M, 3) mm in the scanner frame; free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
+
+    Redundant parameters may be free: the damping keeps them near their start, as the paper's does. measured: noise of the centres, for
+    the covariance (default: 0.02 mm, centres not adjusted).
+    """
+    damping, scale = 1e-3, np.concatenate([np.tile([1e-3, 1.0, 1.0, 1e-3, 1e-3], chain.n), [1, 1, 1, 5e-3, 5e-3, 5e-3]])[free]
+    residual, J = _linearise(chain, hand_eye, q, pose, xyz, distances, free)
+    before = cost = float(residual @ residual)
+    iterations = 0
+    while iterations < limit:
+        iterations += 1
+        A = scale[:, None] * (J.T @ J) * scale
+        b = scale * (J.T @ residual)
+        A[np.diag_indices_from(A)] += damping * np.diag(A).max()
+        step = scale * np.linalg.solve(A, b)
+        full = np.zeros(len(free))
+        full[free] = step
+        moved = chain.with_errors(full[:-6].reshape(-1, 5)), hand_eye @ se3.exp(full[-6:])
+        trial, J_trial = _linearise(*moved, q, pose, xyz, distances, free)
+        new = float(trial @ trial)
+        if new > cost:
+            damping *= 10
+            if damping > 1e6:
+                break
+            continue
+        gained = cost - new
+        (chain, hand_eye), residual, J, cost, damping = moved, trial, J_trial, new, max(damping / 10, 1e-12)
+        if gained < tolerance * cost:
+            break
+    value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
+    seen = value > UNSEEN * value[-1]
+    inverse = scale[:, None] * (vector[:, seen] / value[seen]) @ vector[:, seen].T * scale
+    found = propagate(chain, hand_eye, q, pose, xyz, distances, J, residual, inverse, measured or Measured(np.full(3, 0.02)))
+    unseen = scale[:, None] * vector[:, ~seen]
+    count = max(len(residual), 1)
+    return Identified(chain, hand_eye, np.sqrt(before / count), np.sqrt(cost / count), found.covariance, found.noise,
+                      unseen / np.linalg.norm(unseen, axis=0), free, iterations)
+
+
+def _linearise(chain, hand_eye, q, pose, xyz, distances, free):
+    """Residual (K,) true minus measured distance, and its columns (K, g): the derivative of the measured distance."""
+    frames = chain.frames(q)
+    T = frames[:, -1] @ hand_eye
+    point = se3.apply(T[pose], xyz)
+    twists = np.concatenate([chain.parameter_twists(frames, q).reshape(len(q), -1, 6), np.swapaxes(se3.adjoint(T), 1, 2)], axis=1)[:, free]
+    moved = twists[pose][..., :3] + np.cross(twists[pose][..., 3:], point[:, None])
+    apart = point[distances.a] - point[distances.b]
+    length = np.linalg.norm(apart, axis=1)
+    u = apart / length[:, None]
+    J = np.einsum("kc,kgc->kg", u, moved[distances.a]) - np.einsum("kc,kgc->kg", u, moved[distances.b])
+    return distances.certified - length, J

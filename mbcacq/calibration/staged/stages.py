@@ -1,0 +1,111 @@
+"""The stages before the distance constraint, on a recording: angle adjustment, virtual point, hand-eye rotation and translation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.calibration.staged import angle_adjustment, hand_eye
+from mbcacq.calibration.staged.ball_pairs import VIRTUAL_BALLS
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.initial_guess import hand_eye_from_fixed_points
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+
+
+def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.ndarray]]:
+    """The recording with its centres corrected by the angle adjustment, all visible balls of each pose together; poses with fewer than
+    three balls stay as they are. Poses that show the same balls share a ridge parameter. Last, per pose, (3 B, 3 B) what the
+    adjustment leaves of small errors of its B centres, in their order."""
+    certified, xyz = obs.cell.ball_centres, obs.xyz.copy()
+    seen = np.zeros((obs.n_poses, len(certified)), bool)
+    seen[obs.pose, obs.ball] = True
+    curves = []
+    left = [np.eye(3 * k) for k in np.bincount(obs.pose, minlength=obs.n_poses)]
+    for mask in np.unique(seen, axis=0):
+        poses = np.flatnonzero((seen == mask).all(axis=1))
+        balls = np.flatnonzero(mask)
+        rows = np.flatnonzero(np.isin(obs.pose, poses))
+        if len(balls) < 3 or len(rows) != len(poses) * len(balls):
+            continue
+        rows = rows[np.lexsort((obs.ball[rows], obs.pose[rows]))].reshape(len(poses), len(balls))
+        xyz[rows], curve, smoother = angle_adjustment.adjust(obs.xyz[rows], certified[balls])
+        for k, p in enumerate(poses):
+            order = (3 * np.argsort(rows[k])[:, None] + np.arange(3)).ravel()
+            left[p] = smoother[k][np.ix_(order, order)]
+        curves.append((len(poses), curve))
+    adjusted = replace(obs, xyz=xyz)
+    moved = np.sqrt(np.mean(np.sum((xyz - obs.xyz) ** 2, axis=1)))
+    largest = max(curves, key=lambda c: c[0])[1] if curves else None
+    stage = {"stage": "angle adjustment (Eq. 8-12)", "rms_correction_mm": float(moved), "rms_shape_before_mm": shape_error(obs),
+             "rms_shape_after_mm": shape_error(adjusted)}
+    if largest is not None:
+        stage["l_curve"] = {"ridge": largest.ridge.tolist(), "misfit_rad": largest.misfit.tolist(), "size_mm": largest.size.tolist(),
+                            "corner": largest.corner}
+    return adjusted, [stage], left
+
+
+def shape_error(obs: Observations) -> float:
+    """rms (mm) of measured minus certified distances between the balls of each scan."""
+    same = []
+    for p in range(obs.n_poses):
+        rows = np.flatnonzero(obs.pose == p)
+        i, j = np.triu_indices(len(rows), 1)
+        same.append(np.linalg.norm(obs.xyz[rows[i]] - obs.xyz[rows[j]], axis=1)
+                    - np.linalg.norm(obs.cell.ball_centres[obs.ball[rows[i]]] - obs.cell.ball_centres[obs.ball[rows[j]]], axis=1))
+    errors = np.concatenate(same)
+    return float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
+
+
+def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
+    """T_flange_scanner (4, 4) from the phases 'translation' and 'orientation' by a virtual point; without them, from points that
+    stand still."""
+    phases = set() if obs.phase is None else set(obs.phase.tolist())
+    if not {"translation", "orientation"} <= phases:
+        found = hand_eye_from_fixed_points(obs, obs.cell.robot.chain.flange(obs.q), obs.cell.T_flange_scanner)
+        if found is None:
+            raise CalibrationError("the poses do not determine a first hand-eye transform for the paper's method; record its translations "
+                                   "and orientations, or turn the scanner about two axes by 20 deg and more at a position")
+        return found, [{"stage": "hand-eye from fixed points (no translation and orientation phases recorded)",
+                    "rms_virtual_point_mm": point_spread(obs, found)}]
+    T, virtual = virtual_point(obs, obs.phase == "translation")
+    R = hand_eye.rotation_from_translations(T, virtual)
+    T_turned, virtual_turned = virtual_point(obs, obs.phase == "orientation")
+    t = hand_eye.translation_from_orientations(T_turned, virtual_turned, R)
+    X = se3.transform(R, t)
+    guess = obs.cell.T_flange_scanner
+    turned = se3.rotation_log(guess[:3, :3].T @ R)
+    return X, [{"stage": "hand-eye rotation from translations (Eq. 7)", "poses": len(T),
+                "change_deg": float(np.degrees(np.linalg.norm(turned)))},
+               {"stage": "hand-eye translation from orientations", "poses": len(T_turned),
+                "change_mm": float(np.linalg.norm(t - guess[:3, 3])),
+                "rms_virtual_point_before_mm": _spread(T_turned @ guess, virtual_turned),
+                "rms_virtual_point_after_mm": _spread(T_turned @ X, virtual_turned)}]
+
+
+def virtual_point(obs: Observations, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T_base_flange (P, 4, 4) and the barycentre (P, 3) of the same four balls, of the poses chosen that show all four."""
+    chosen = obs.select(which)
+    count = np.bincount(chosen.ball, minlength=len(obs.cell.ball_ids))
+    four = np.sort(np.argsort(-count, kind="stable")[:VIRTUAL_BALLS])
+    rows = np.flatnonzero(np.isin(chosen.ball, four))
+    whole = np.flatnonzero(np.bincount(chosen.pose[rows], minlength=chosen.n_poses) == VIRTUAL_BALLS)
+    if len(whole) < 3:
+        raise CalibrationError("fewer than three poses show the same four balls; the virtual point of the paper's method needs them")
+    rows = rows[np.isin(chosen.pose[rows], whole)]
+    points = chosen.xyz[rows].reshape(len(whole), VIRTUAL_BALLS, 3)
+    return obs.cell.robot.chain.flange(chosen.q[whole]), hand_eye.virtual_points(points)
+
+
+def point_spread(obs: Observations, X: np.ndarray) -> float:
+    """rms (mm) of the balls about their mean places in the base, with the nominal arm."""
+    base = se3.apply((obs.cell.robot.chain.flange(obs.q) @ X)[obs.pose], obs.xyz)
+    _, group = np.unique(obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball, return_inverse=True)
+    mean = np.stack([np.bincount(group, base[:, j]) for j in range(3)], axis=1) / np.bincount(group)[:, None]
+    return float(np.sqrt(np.mean(np.sum((base - mean[group]) ** 2, axis=1))))
+
+
+def _spread(T: np.ndarray, virtual: np.ndarray) -> float:
+    base = se3.apply(T, virtual)
+    return float(np.sqrt(np.mean(np.sum((base - base.mean(axis=0)) ** 2, axis=1))))

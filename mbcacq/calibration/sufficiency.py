@@ -1,0 +1,110 @@
+"""Refusals: recordings that cannot determine a cell, with a sentence that says what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.identifiability import Undetermined
+from mbcacq.estimation.options import Options
+from mbcacq.estimation.parameters import Layout
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+POOR_MM, POOR_ALONE_MM = 1.0, 0.1   # of a point in the workspace; an arm of this class is as good as the first without calibration
+RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)   # ten times the errors of an arm as it is delivered
+LEAST_TURN = np.radians(4.0)
+
+
+def refuse_degenerate(obs: Observations, options: Options) -> None:
+    """Raise CalibrationError where it can be said before solving: too few balls, poses or orientations."""
+    per_station = obs.cell.measurement != TARGET_IN_BASE
+    if per_station:
+        _refuse_few_balls(obs)
+    turn = orientation_range(obs)
+    if turn < LEAST_TURN:
+        raise CalibrationError(f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
+                               "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more")
+    unknowns = 6 + 6 * len(np.unique(obs.station)) + (4 * obs.cell.robot.n - 6 if options.kinematics else 0)
+    rows = obs.n_centres * (3 if obs.rotation is None else 6)
+    if rows < unknowns:
+        raise CalibrationError(f"{obs.n_centres} measured centres give {rows} coordinates for {unknowns} unknowns; measure more poses")
+
+
+def refuse_one_station(obs: Observations) -> None:
+    """Raise CalibrationError where all poses are at one station: its own pose absorbs what the arm does wrong there, and the fit looks
+    better than it is anywhere else. A station whose place in the base is given counts as two."""
+    seen = np.unique(obs.station)
+    if obs.cell.measurement != TARGET_IN_BASE and len(seen) == 1 and obs.cell.stations[seen[0]].T_base_station is None:
+        raise CalibrationError("all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
+                               "more places, at different heights and distances, or identify the hand-eye transform alone")
+
+
+def _refuse_few_balls(obs: Observations) -> None:
+    """At least one station must have shown three balls of its artefact, or all where it has fewer."""
+    for s in np.unique(obs.station):
+        artefact = obs.cell.artefact(obs.cell.stations[s].artefact)
+        seen = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
+        if seen >= min(3, len(artefact.ball_ids)):
+            return
+    raise CalibrationError("fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "
+                           "stations undetermined; show at least three balls that are not on one line")
+
+
+def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: Options) -> None:
+    """Raise CalibrationError if something is undetermined that would matter elsewhere in the workspace."""
+    harmful = [u for u in found if not u.harmless]
+    if not harmful or not options.refuse:
+        return
+    names = [u.name for u in harmful]
+    named = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    hand_eye = any(name.startswith("hand_eye") for name in names)
+    n_stations = len(np.unique(obs.station))
+    if hand_eye:
+        advice = "add poses that turn the scanner about two different axes by 20 deg and more"
+    elif n_stations == 1 and obs.cell.measurement != TARGET_IN_BASE:
+        advice = "all poses are at one station: put the artefact at more places, at different heights and distances"
+    else:
+        advice = "add stations at other places and poses with a larger range of joint angles"
+    raise CalibrationError(f"the poses do not determine {named}; {advice}, or hold what is not needed")
+
+
+def refuse_poor(layout: Layout, C: np.ndarray, expected_mm: float, obs: Observations, options: Options) -> None:
+    """Raise CalibrationError where everything is determined in principle, but so badly that the result would be worth nothing.
+
+    C: (g, g) covariance of the free parameters; expected_mm: rms uncertainty of a point over the workspace.
+    """
+    alone = len(np.unique(obs.station)) == 1 and obs.cell.measurement != TARGET_IN_BASE
+    limit = POOR_ALONE_MM if alone else POOR_MM
+    if expected_mm < limit or not (options.refuse and options.kinematics):
+        return
+    size = np.where(np.isfinite(layout.gather("sigma")), 0.0, np.sqrt(np.diag(C)) / layout.gather("scale"))
+    named = ", ".join(layout.names[i] for i in np.argsort(-size)[:4])
+    advice = ("all poses are at one station: put the artefact at more places, at different heights and distances" if alone
+              else "add stations at other places and poses with larger tilt")
+    raise CalibrationError(f"these poses would leave a point in the workspace uncertain by {expected_mm:.2f} mm (1 sigma), worst "
+                           f"determined are {named}; {advice}, or identify the hand-eye transform alone")
+
+
+def orientation_range(obs: Observations) -> float:
+    """Largest angle (rad) between the flange orientation of a pose and that of the first pose of the same station."""
+    R = obs.cell.robot.chain.flange(obs.q)[:, :3, :3]
+    first = np.zeros(len(obs.cell.stations), int)
+    first[obs.station[::-1]] = np.arange(obs.n_poses)[::-1]
+    turn = np.swapaxes(R[first[obs.station]], 1, 2) @ R
+    return float(np.linalg.norm(se3.rotation_log(turn), axis=1).max())
+
+
+def refuse_runaway(chain: Chain, nominal: Chain, options: Options) -> None:
+    """Raise CalibrationError where MD-H parameters went where no arm is built: a method without a noise model cannot tell that itself."""
+    errors = np.abs(chain.rows - nominal.rows)
+    far = errors > np.array([RUNAWAY_RAD, RUNAWAY_MM, RUNAWAY_MM, RUNAWAY_RAD, RUNAWAY_RAD])
+    if not far.any() or not options.refuse:
+        return
+    link, parameter = np.argwhere(far)[0]
+    raise CalibrationError(f"the poses do not hold the arm's size: {PARAMETERS[parameter]}_{link + 1} ran away from its nominal value; "
+                           "let the artefact appear in different corners of the view, and add poses with larger translations")

@@ -1,0 +1,55 @@
+"""Recordings of the fake cell: the fast way without protocols and pictures, or by running the plan against its servers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.challenge.scenarios import Envelope
+from mbcacq.devices import load_driver
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+Concealed = list[dict[str, Any]]
+
+
+def observe(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope,
+            concealed: Concealed) -> tuple[Observations, dict[str, Any]]:
+    """What the run would record, as observations, and the truth. concealed: as in a plan's ``fake: hidden``."""
+    from mbcacq.workflow.run import solver_cell
+
+    recorded = load_driver("fakes", "recorded")(loaded.cell, poses, concealed, envelope.seed, outliers=envelope.outliers)
+    observations = Observations(
+        cell=solver_cell(loaded), pose_id=np.array([p.number for p in poses]), station=recorded.station, q=recorded.q, pose=recorded.pose,
+        ball=recorded.ball, xyz=recorded.xyz, phase=np.array([p.phase for p in poses]), time_s=recorded.time_s,
+        direction=recorded.direction.astype(int), temperatures={"air_C": recorded.air_C, "robot_C": recorded.robot_C},
+    )
+    return without(observations, envelope.missing), recorded.truth
+
+
+def run(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope, concealed: Concealed,
+        folder: Path) -> tuple[Observations, dict[str, Any]]:
+    """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
+    from mbcacq.plan import path
+    from mbcacq.plan.routing import way_home
+    from mbcacq.recording import load
+    from mbcacq.workflow.run import Acquisition
+
+    secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": concealed}}))
+    folder.mkdir(parents=True, exist_ok=True)
+    with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=envelope.seed) as cell:
+        Acquisition(loaded, poses, path(loaded, poses), way_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        truth = cell.truth()
+    return without(load(folder), envelope.missing), truth
+
+
+def without(observations: Observations, missing: Sequence[str]) -> Observations:
+    """The same recording, had it lacked some columns."""
+    gone: dict[str, Any] = {"time_s": {"time_s": None}, "temperature": {"temperatures": {}}, "direction": {"direction": None}}
+    for name in missing:
+        observations = replace(observations, **gone[name])
+    return observations

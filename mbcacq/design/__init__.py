@@ -1,0 +1,1 @@
+"""Optimal experiment design: which poses to measure, what accuracy to expect, which effects would be detectable."""

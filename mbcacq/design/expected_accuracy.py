@@ -1,0 +1,113 @@
+"""What a plan will determine, and how well: rank, observability, expected accuracy, before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import Calibration, Noise, Options
+from mbcacq.calibration.observability import of_calibration
+from mbcacq.calibration.sufficiency import refuse_degenerate
+from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
+from mbcacq.calibration.verification import ball_positions, verification_poses, verify
+from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
+from mbcacq.estimation import identifiability
+from mbcacq.estimation import parameters as blocks
+from mbcacq.estimation.identifiability import Undetermined
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solver import Weights, system
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))      # mean of |error| over its standard deviation
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
+    over the whole reach of the arm. bar_mm: expected mean error of a certified distance at the verification poses (None: there are
+    none); bar_cell_mm: the share of it that is the calibration's, without the noise of measuring the distance. places: (station, mm)
+    of each. All these are None, or none, where something that matters stays undetermined: then nothing can be promised. correlated:
+    pairs of parameters that cannot be told apart. weakest: (name, its standard deviation, unit)."""
+
+    parameters: int
+    determined: int
+    undetermined: tuple[Undetermined, ...]
+    indices: dict[str, float]
+    workspace_mm: float | None
+    bar_mm: float | None
+    bar_cell_mm: float | None
+    places: tuple[tuple[str, float], ...]
+    correlated: tuple[tuple[str, str, float], ...]
+    weakest: tuple[tuple[str, float, str], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "parameters": self.parameters, "determined": self.determined,
+            "undetermined": [{"name": u.name, "together": list(u.together), "effect_mm": u.effect_mm, "harmless": u.harmless}
+                             for u in self.undetermined],
+            "observability": self.indices, "expected_workspace_mm": self.workspace_mm, "expected_bar_mean_mm": self.bar_mm,
+            "expected_bar_mean_of_calibration_mm": self.bar_cell_mm,
+            "places": [{"station": s, "expected_mm": e} for s, e in self.places],
+            "correlated": [{"a": a, "b": b, "correlation": c} for a, b, c in self.correlated],
+            "weakest": [{"name": n, "std": s, "unit": u} for n, s, u in self.weakest],
+        }
+
+
+def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
+    """Linearised at the planned cell. Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where
+    the poses can determine nothing."""
+    observations = planned_observations(loaded, poses)
+    refuse_degenerate(select_phases(observations, Options()), Options())
+    calibration = foreseen(loaded, observations, planned_noise(loaded, poses))
+    sound = all(u.harmless for u in calibration.undetermined)
+    places = verify(observations, calibration).places if sound else ()
+    used = _arm_parameters(calibration)
+    lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
+    return Prospect(
+        parameters=len(used) + len(lost), determined=len(used), undetermined=calibration.undetermined,
+        indices=of_calibration(calibration), workspace_mm=expected_accuracy(calibration) if sound else None,
+        bar_mm=MEAN_OF_NORMAL * float(np.mean([p.expected_mm for p in places])) if places else None,
+        bar_cell_mm=MEAN_OF_NORMAL * float(np.mean(_cell_share(calibration, observations))) if places else None,
+        places=tuple((p.station, p.expected_mm) for p in places),
+        correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used), weakest=_weakest(calibration),
+    )
+
+
+def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Calibration:
+    """The calibration that a recording of the planned cell would give: no residual, but the true covariance."""
+    options = Options(refuse=False)
+    obs = select_phases(observations, options)
+    state = planned_state(loaded)
+    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    layout, estimate = blocks.build(obs, options), Estimate(state)
+    first = system(Lineariser(obs, layout, options), estimate, noise, weights)
+    layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
+    lineariser = Lineariser(obs, layout, options)
+    solution = system(lineariser, estimate, noise, weights)
+    return Calibration.of(obs, options, lineariser, solution, noise, weights, state, found)
+
+
+def _cell_share(calibration: Calibration, observations: Observations) -> list[float]:
+    """Standard uncertainty (mm) of each certified distance that the calibration alone leaves."""
+    _, ends = ball_positions(verification_poses(observations), calibration.state)
+    pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1:] if k[0] == m[0]]
+    return [float(distance_uncertainty(calibration, a[0], a[1], b[0], b[1])[0]) for a, b in pairs]
+
+
+def _arm_parameters(calibration: Calibration) -> list[str]:
+    return [name for name in calibration.names if not name.startswith("ball_")]
+
+
+def _weakest(calibration: Calibration, count: int = 3) -> tuple[tuple[str, float, str], ...]:
+    """By standard deviation in plausible sizes."""
+    std = np.sqrt(np.diag(calibration.covariance))
+    share = std / calibration.layout.gather("scale")
+    unit = [u for b in calibration.layout.blocks for u, free in zip(b.units, b.free, strict=True) if free]
+    order = [i for i in np.argsort(-share) if not calibration.names[i].startswith("ball_")]
+    return tuple((calibration.names[i], float(std[i]), unit[i]) for i in order[:count])

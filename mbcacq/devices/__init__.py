@@ -1,0 +1,43 @@
+"""What the tool asks of a device, and how a driver is found.
+
+A driver is any class with these few methods, registered under one of the entry-point groups ``mbcacq.robots``,
+``mbcacq.scanners``, ``mbcacq.positioners``, ``mbcacq.sensors``. It is constructed as ``Driver(name, model, options)``
+(see :func:`create`) and must not open anything before ``connect``. All calls are synchronous; ``stop`` may come from
+another thread at any time, any number of times.
+
+Units: mm, rad, s unless a field says otherwise. A driver imports this package and nothing else of mbcacq.
+"""
+
+from __future__ import annotations
+
+from mbcacq.devices.protocols import (
+    Cycles,
+    Description,
+    Device,
+    Field,
+    MotionLimits,
+    Positioner,
+    Robot,
+    RobotState,
+    Scan,
+    Scanner,
+    Sensor,
+)
+from mbcacq.devices.registry import available, create, load_driver
+from mbcacq.errors import (
+    Aborted,
+    ConfigError,
+    ConnectError,
+    DeviceFault,
+    DeviceTimeout,
+    IdentityError,
+    MbcacqError,
+    ProtocolError,
+    SafetyStop,
+)
+
+__all__ = [
+    "Aborted", "ConfigError", "ConnectError", "Cycles", "Description", "Device", "DeviceFault", "DeviceTimeout",
+    "Field", "IdentityError", "MbcacqError", "MotionLimits", "Positioner", "ProtocolError", "Robot", "RobotState",
+    "SafetyStop", "Scan", "Scanner", "Sensor", "available", "create", "load_driver",
+]

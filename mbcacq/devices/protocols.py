@@ -1,0 +1,148 @@
+"""The interfaces of devices, as small Protocols, and the data they exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity a device delivers."""
+
+    name: str
+    unit: str
+    shape: tuple[int, ...] = ()
+    rate_hz: float | None = None
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a device is and delivers. Known before connecting, except what only the device can tell (serial, firmware)."""
+
+    kind: str
+    model: str
+    fields: tuple[Field, ...]
+    serial: str = ""
+    firmware: str = ""
+    verified_on_hardware: bool = False
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of one joint motion, and when it counts as finished.
+
+    speed, acceleration, jerk: (n,) rad/s, rad/s^2, rad/s^3. ``tolerance`` (rad) is the largest distance of a measured
+    joint to its target that counts as arrived; ``settle_s`` is how long, on the robot's own clock, it must stay there.
+    """
+
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    tolerance: float = 2e-4
+    settle_s: float = 0.2
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """The latest measured state. ``q`` (n,) rad as the controller reports it; ``arrived`` refers to the last ``move_to``."""
+
+    time_s: float
+    q: np.ndarray
+    moving: bool
+    arrived: bool
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """Raw controller cycles, one row a received telegram, oldest first. ``columns`` maps a name to an array (k,) or (k, n).
+
+    Always present: ``time_s`` (robot clock), ``host_time_s`` (monotonic clock of this computer), ``q`` (measured, rad),
+    ``q_set`` (the set point the controller reports, rad), ``q_command`` (what we asked for in the reply, rad).
+    A driver adds what else it receives: ``current_percent``, ``delay``, ``ipoc``...
+    """
+
+    columns: Mapping[str, np.ndarray]
+
+    def __len__(self) -> int:
+        return len(self.columns["time_s"]) if self.columns else 0
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One exposure of a 3D scanner.
+
+    points: (N, 3) float32, mm, scanner frame, valid points only. intensity: (N,) uint8 or None.
+    shape: (rows, columns) of the sensor grid, (0, 0) if unorganised. pixel: (N,) int32 index row * columns + column of each
+    point in that grid, or None. time_s: the device's clock at the exposure. frame: the device's frame counter.
+    measurements and health: numbers the device sent along, by name. warnings: what an operator should know, one sentence each.
+    """
+
+    points: np.ndarray
+    intensity: np.ndarray | None = None
+    shape: tuple[int, int] = (0, 0)
+    pixel: np.ndarray | None = None
+    time_s: float = 0.0
+    frame: int = 0
+    exposure_us: float = 0.0
+    measurements: Mapping[str, float] = field(default_factory=dict)
+    health: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class Device(Protocol):
+    """Common to every device: a context manager that connects on entry and closes on exit."""
+
+    def connect(self) -> None:
+        """Open the connection and identify the device. Raises ConnectError, IdentityError."""
+
+    def describe(self) -> Description: ...
+
+    def stop(self) -> None:
+        """Bring the device to rest. Idempotent, allowed in any state and from any thread; never raises."""
+
+    def close(self) -> None:
+        """Stop, then release everything. Idempotent."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+
+
+@runtime_checkable
+class Robot(Device, Protocol):
+    def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
+        """Start a joint motion to ``q`` (n,) rad and return at once; ``state().arrived`` tells when it is done.
+
+        Raises SafetyStop if the target may not be approached, and any error the connection met since the last call.
+        """
+
+    def state(self) -> RobotState:
+        """The latest state, from any thread. Raises the error that stopped the robot, if one did."""
+
+    def cycles(self) -> Cycles:
+        """Every cycle received since the last call (possibly none); nothing is dropped silently. Never raises."""
+
+
+@runtime_checkable
+class Scanner(Device, Protocol):
+    def capture(self, exposure_us: float | None = None) -> Scan:
+        """Expose once and return the scan. Raises DeviceTimeout, ProtocolError, DeviceFault."""
+
+
+@runtime_checkable
+class Positioner(Device, Protocol):
+    def go_to(self, station: str, prompt: str) -> None:
+        """Bring the artefact to a station and return when it stands still. ``prompt`` is what an operator would be asked."""
+
+
+@runtime_checkable
+class Sensor(Device, Protocol):
+    def read(self) -> dict[str, float]:
+        """Current values by field name, in the units of ``describe()``."""

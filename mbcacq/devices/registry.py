@@ -1,0 +1,35 @@
+"""Finds drivers by their entry points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any
+
+from mbcacq.errors import ConfigError
+
+
+def available(kind: str) -> dict[str, str]:
+    """Names and targets of the registered drivers of a kind: 'robots', 'scanners', 'positioners', 'sensors' or 'fakes'."""
+    return {point.name: point.value for point in entry_points(group=f"mbcacq.{kind}")}
+
+
+def load_driver(kind: str, name: str) -> type:
+    """The class registered under ``name`` (kuka-eki is kuka_eki), imported only now. Raises ConfigError naming the choices."""
+    plain = name.replace("-", "_")
+    points = {point.value: point for point in entry_points(group=f"mbcacq.{kind}") if point.name.replace("-", "_") == plain}
+    if len(points) > 1:
+        raise ConfigError(f"driver '{name}' is registered {len(points)} times among the {kind} ({', '.join(sorted(points))}); uninstall "
+                          "all packages but one of them")
+    for point in points.values():
+        try:
+            return point.load()
+        except ImportError as error:
+            raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; install what it needs") from error
+    choices = ", ".join(sorted(available(kind))) or "none"
+    raise ConfigError(f"there is no driver '{name}' among the {kind} (installed: {choices}); correct the name or install its package")
+
+
+def create(kind: str, name: str, model: str, options: Mapping[str, Any]) -> Any:
+    """Construct a driver: ``model`` is what the device must identify as ('' for any), ``options`` the plan's own for it."""
+    return load_driver(kind, name)(name, model, dict(options))

@@ -1,0 +1,1 @@
+"""The recording linearised at its geometric fit: whitening, variance components, geometry."""

@@ -1,0 +1,147 @@
+"""Start and fit of the free geometry alone: Gauss-Newton on whitened rows, with gross outliers set aside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation import forward_model
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.geometry import se3
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+STRANGE_MM = 5.0  # no arm errs by that much once its geometry is free
+MOST, FEWEST = 0.4, 8  # share of a station's centres, and their number, from which it goes wrong as a whole
+STEP = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # mm, rad: sizes of a station's displacement
+
+
+def start(obs: Observations) -> CellState:
+    """Nominal arm, given hand-eye; each station's pose from its points brought into the base frame."""
+    cell = obs.cell
+    T_base_scanner = cell.robot.chain.frames(obs.q)[:, -1] @ cell.T_flange_scanner
+    T = np.tile(np.eye(4), (len(cell.stations), 1, 1))
+    for s, station in enumerate(cell.stations):
+        rows = obs.station[obs.pose] == s
+        if station.T_base_station is not None:
+            T[s] = station.T_base_station
+        elif rows.any() and cell.measurement == TARGET_IN_BASE:
+            T[s] = match(obs.xyz[rows], se3.apply(T_base_scanner[obs.pose[rows]], cell.ball_centres[obs.ball[rows]]))
+        elif rows.any():
+            T[s] = match(cell.ball_centres[obs.ball[rows]], se3.apply(T_base_scanner[obs.pose[rows]], obs.xyz[rows]))
+    return CellState(cell.robot.chain, cell.T_flange_scanner, T, cell.ball_centres.copy())
+
+
+def match(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Rigid transform (4, 4) that brings points a (N, 3) onto b, least squares over robust centre (Kabsch)."""
+    ca, cb = np.median(a, axis=0), np.median(b, axis=0)
+    R = se3.nearest_rotation((b - cb).T @ (a - ca)) if len(a) > 1 else np.eye(3)
+    return se3.transform(R, np.median(b - a @ R.T, axis=0))
+
+
+def first_noise(obs: Observations) -> Noise:
+    """Stated noise where there is one, and the repeatability turned into angles at the arm's reach."""
+    robot = obs.cell.robot
+    reach = max(float(np.sum(np.hypot(robot.chain.a, robot.chain.d))), 1.0)
+    point = np.full(3, 0.02) if obs.cell.noise_mm is None else np.maximum(obs.cell.noise_mm, 1e-4)
+    repeatability = robot.repeatability_mm or 0.06
+    return Noise(point, np.full(robot.n, repeatability / 4 / reach), 1e-4)
+
+
+def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds: int = 20) -> tuple[CellState, np.ndarray]:
+    """Fitted state and (M,) bool of the centres kept."""
+    keep = np.ones(obs.n_centres, bool)
+    state = start(obs) if state is None else state
+    before = np.inf
+    for _ in range(rounds):
+        linear = Linear(obs, state, keep)
+        whiten = linear.whitener(noise)
+        columns, sigma, layout = linear.nuisance()
+        J, r = whiten(columns), whiten(linear.residual)
+        step = ridge_solve(J, r, sigma)
+        state = linear.moved(step, layout)
+        prediction = forward_model.predict(obs, state)
+        left = forward_model.residual(obs, prediction)
+        new = judge_stations(obs, keep_after(obs, left), left, prediction)
+        now = float(np.sum(whiten(left) ** 2))
+        settled = abs(before - now) < 1e-4 * now + 0.1 and np.array_equal(new, keep)
+        keep, before = new, now
+        if settled:
+            break
+    refuse_strangers(obs, left, keep)
+    return state, keep
+
+
+def refuse_strangers(obs: Observations, left: np.ndarray, keep: np.ndarray) -> None:
+    """Raise CalibrationError where the residual (M, R) after the fit is beyond any arm's errors."""
+    apart = float(np.median(np.linalg.norm(left[keep, :3], axis=1))) if keep.any() else 0.0
+    if not apart < STRANGE_MM:
+        raise CalibrationError(
+            f"after the geometry was fitted the centres are still {apart:.0f} mm off: the recording does not belong to this robot; "
+            f"check unit (deg), order and signs of the joint angles, the links of '{obs.cell.robot.name}' and the certificate"
+        )
+
+
+def ridge_solve(J: np.ndarray, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Least squares with a zero-mean prior of the given sigma on each parameter."""
+    scaled = J * sigma
+    normal = scaled.T @ scaled
+    normal[np.diag_indices_from(normal)] += 1.0
+    return sigma * np.linalg.solve(normal, scaled.T @ r)
+
+
+def keep_after(obs: Observations, residual: np.ndarray) -> np.ndarray:
+    """Centres not grossly off: within ten robust scales of their robot-wide median distance, and of their pose's own common offset."""
+    distance = np.linalg.norm(residual[:, :3], axis=1)
+    keep = distance < limit(distance)
+    if residual.shape[1] == 6:
+        turn = np.linalg.norm(residual[:, 3:], axis=1)
+        keep &= turn < limit(turn)
+    count = np.bincount(obs.pose, minlength=obs.n_poses)
+    if np.median(count) >= 3:
+        centre = np.stack([_pose_median(obs, residual[:, c]) for c in range(3)], axis=1)
+        apart = np.linalg.norm(residual[:, :3] - centre[obs.pose], axis=1)
+        several = count[obs.pose] >= 3
+        keep &= (apart < limit(apart[several])) | ~several
+    return keep
+
+
+def judge_stations(obs: Observations, keep: np.ndarray, residual: np.ndarray, prediction: forward_model.Prediction) -> np.ndarray:
+    """Correct ``keep`` (M,) at stations of which most would be dropped.
+
+    One outlier drags a small station with it; placed by the majority of its centres, the others fit again. Where the majority does not
+    fit any placement, the station goes wrong as a whole: that is structure, not outliers, and is kept.
+    """
+    station, n = obs.station[obs.pose], len(obs.cell.stations)
+    count = np.bincount(station, minlength=n)
+    share = np.bincount(station, ~keep, n) / np.maximum(count, 1)
+    wrong = np.flatnonzero((share > MOST) & (count >= FEWEST))
+    if not len(wrong):
+        return keep
+    keep, far = keep.copy(), limit(np.linalg.norm(residual[:, :3], axis=1))
+    J = forward_model.station_jacobian(obs, prediction)[:, :3]
+    for s in wrong:
+        rows = station == s
+        A, r, x = J[rows] * STEP, residual[rows, :3], np.zeros(6)
+        for _ in range(30):  # least absolute distances, by reweighting
+            weight = 1.0 / np.maximum(np.linalg.norm(r - A @ x, axis=1), 1e-4)
+            normal = np.einsum("mij,m,mik->jk", A, weight, A) + 1e-9 * np.eye(6)
+            x = np.linalg.solve(normal, np.einsum("mij,m,mi->j", A, weight, r))
+        fits = np.linalg.norm(r - A @ x, axis=1) < far
+        keep[rows] = fits if fits.mean() > MOST else True
+    return keep
+
+
+def limit(sizes: np.ndarray) -> float:
+    """Beyond this a residual is grossly off: far from the median, and not so common (3 %) that it must be the model that is wrong."""
+    return max(8 * float(np.median(sizes)), 1e-9, 1.5 * float(np.quantile(sizes, 0.97)))
+
+
+def _pose_median(obs: Observations, values: np.ndarray) -> np.ndarray:
+    order = np.lexsort((values, obs.pose))
+    count = np.bincount(obs.pose, minlength=obs.n_poses)
+    first = np.cumsum(count) - count
+    middle = np.minimum(first + count // 2, len(values) - 1)
+    return values[order][middle]

@@ -1,0 +1,1 @@
+"""Mismatch without a parametric effect: basis functions at every location, evidence, random effects."""

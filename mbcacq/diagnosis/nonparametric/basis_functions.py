@@ -1,0 +1,215 @@
+"""Functions that a mismatch without a name may follow: few coefficients before many, each a shape of one covariate.
+
+All functions of all covariates stand in one table; a shape is a choice of its columns, with prior weights that fall where a
+function is finer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbcacq.diagnosis.nonparametric import joint_travel
+from mbcacq.diagnosis.nonparametric.covariates import artefact_tilt
+from mbcacq.effects.context import Situation
+
+TURNS, OWN_TURNS = 4, 9  # periodic functions of a joint up to so many times a turn, of any and of the place's own
+COSINES = 5  # smooth functions over the range of a covariate
+FINE = 16  # of a joint's own angle
+
+
+@dataclass(frozen=True)
+class Shape:
+    """depends_on: name of the contract. index: columns of the table; weight: relative prior sigma of each."""
+
+    depends_on: str
+    index: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass
+class Table:
+    """columns: functions of the pose (P,) or of the centre (M,); shapes: choices among them."""
+
+    columns: list[np.ndarray] = field(default_factory=list)
+    shapes: list[Shape] = field(default_factory=list)
+
+    def add(self, functions) -> np.ndarray:
+        """Indices of new columns (P, f), centred and of unit size; those that do not vary are left out."""
+        out = []
+        for f in np.atleast_2d(np.asarray(functions, dtype=float).T):
+            spread = float(f.std())
+            if spread > 1e-9 * max(float(np.abs(f).max()), 1e-30) and np.isfinite(spread):
+                self.columns.append((f - f.mean()) / spread)
+                out.append(len(self.columns) - 1)
+        return np.array(out, dtype=int)
+
+    def shape(self, name: str, index: np.ndarray, falling: bool = False) -> None:
+        if len(index):
+            weight = 1.0 / (1.0 + 0.5 * np.arange(len(index))) if falling else np.ones(len(index))
+            self.shapes.append(Shape(name, np.asarray(index), weight))
+
+    @property
+    def values(self) -> np.ndarray:
+        return np.stack(self.columns, axis=1)
+
+
+def cosines(x: np.ndarray, count: int) -> np.ndarray:
+    """Cosines over the range of x: smooth, and harmless where there are no data."""
+    low, span = float(np.min(x)), max(float(np.ptp(x)), 1e-12)
+    return np.cos(np.pi * ((np.asarray(x, dtype=float) - low) / span)[:, None] * np.arange(1, count + 1))
+
+
+def of_poses(s: Situation) -> Table:
+    """Joint angles, gravity, senses of motion, time, temperatures, velocities, torques: the same for every place."""
+    table, obs = Table(), s.obs
+    for i in range(s.n):
+        if np.ptp(obs.q[:, i]) > 0.02:
+            angle(table, f"q{i + 1}", obs.q[:, i])
+    table.shape(f"gravity_torque_{s.n}", table.add(s.flange_gravity))
+    if obs.direction is not None:
+        for i in range(s.n):
+            if np.ptp(obs.direction[:, i]) > 0:
+                sense(table, s, i)
+    for name, index in in_time(table, s):
+        table.shape(name, index[:1])
+        table.shape(name, index, falling=True)
+    for name, values in (("qd", obs.velocity), ("tau", obs.torque)):
+        for i in range(s.n if values is not None else 0):
+            table.shape(f"{name}{i + 1}", table.add(np.nan_to_num(values[:, i])))
+    if obs.payload_kg is not None:
+        table.shape("payload_kg", table.add(obs.payload_kg))
+    return table
+
+
+def angle(table: Table, name: str, q: np.ndarray) -> None:
+    turns = [table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)) for h in range(1, TURNS + 1)]
+    for index in turns:
+        table.shape(name, index)
+    table.shape(name, np.concatenate(turns[:2]))
+    smooth = table.add(cosines(q, COSINES))
+    table.shape(name, smooth[:2])
+    table.shape(name, smooth, falling=True)
+
+
+def sense(table: Table, s: Situation, i: int) -> None:
+    """The sense of the last motion: alone, fading with the distance travelled, growing with the load."""
+    fading = table.add(joint_travel.functions(s, i))
+    for j in range(len(fading)):
+        table.shape(f"direction_{i + 1}", fading[j:j + 1])
+    table.shape(f"direction_{i + 1}", fading)
+    loaded = table.add(s.obs.direction[:, i] * np.abs(s.gravity_torque[:, i]))
+    table.shape(f"direction_{i + 1}", loaded)
+
+
+def in_time(table: Table, s: Situation) -> list[tuple[str, np.ndarray]]:
+    """(name, columns: straight line first) of time, or the order of the poses, and every temperature."""
+    timed = s.obs.time_s is not None and np.ptp(s.obs.time_s) > 0
+    clock = np.asarray(s.time if timed else s.order, dtype=float)
+    out = [("time" if timed else "pose", np.concatenate([table.add(clock), table.add(cosines(clock, COSINES))]))]
+    for name, T in s.obs.temperatures.items():
+        if np.ptp(T) > 0.2:
+            x = (T - T.mean()) / T.std()
+            out.append((name, table.add(np.stack([x, x * x], axis=1))))
+    return out
+
+
+def moments(s: Situation, frame: int) -> Table:
+    """Components of the gravity moment of all that hangs behind a frame, about its origin: straight, and bent."""
+    table, moment = Table(), s.gravity_moment(frame)
+    size, straight = np.abs(moment).max(), []
+    name = f"gravity_torque_{min(max(frame + 1, 2), s.n)}"  # a vertical first axis feels none: the second does what tilts the base
+    for x in moment.T:
+        if np.ptp(x) > 0.005 * size:
+            first = table.add(x)
+            straight.append(first)
+            bent = np.concatenate([first, table.add(cosines(x, 4))])
+            table.shape(name, first)
+            table.shape(name, bent[:3])
+            table.shape(name, bent, falling=True)
+    if len(straight) > 1:
+        table.shape(name, np.concatenate(straight))
+    return table
+
+
+def turns(q: np.ndarray, name: str) -> Table:
+    """More periodic functions of an angle: of the joint at, or before, the place."""
+    table = Table()
+    for h in range(TURNS + 1, OWN_TURNS + 1):
+        table.shape(name, table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)))
+    return table
+
+
+def fine(q: np.ndarray, name: str) -> Table:
+    """Functions of a joint's own angle narrow enough for a bump."""
+    table = Table()
+    table.shape(name, table.add(cosines(q, FINE)))
+    return table
+
+
+def bends(x: np.ndarray, name: str) -> Table:
+    """One coefficient each: what sets in at a value (a sigmoid), or pulls away from it to both sides, for ever or until it is taut."""
+    table, span = Table(), float(np.ptp(x))
+    for middle in np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9]):
+        for width in (0.06 * span, 0.15 * span):
+            step = np.tanh((x - middle) / width)
+            table.shape(name, table.add(step))
+            table.shape(name, table.add(step**2))
+        table.shape(name, table.add(np.abs(x - middle)))
+    return table
+
+
+def of_field(s: Situation) -> Table:
+    """Functions of the centre: polynomials and waves over the field of view, the artefact's tilt, time and temperatures."""
+    table, obs = Table(), s.obs
+    x, y, z = ((v - v.mean()) / max(float(v.std()), 1e-12) for v in obs.xyz.T)
+    straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
+    for name, v in zip("xyz", (x, y, z), strict=True):
+        table.shape(name, np.concatenate([straight[name], table.add(np.stack([v**2, v**3], axis=1))]), falling=True)
+    round_ = table.add(x * x + y * y)
+    table.shape("x", round_)
+    table.shape("x", np.concatenate([round_, table.add(np.stack([x * y, x * x - y * y], axis=1))]))
+    table.shape("x", table.add(np.stack([x**3, x * x * y, x * y * y, y**3], axis=1)))
+    table.shape("z", table.add(np.stack([x * z, y * z], axis=1)))
+    if np.ptp(artefact_tilt(s)) > 0.02:
+        tilt(table, s)
+    for name, index in in_time(_per_centre := Table(), s):
+        values = [_per_centre.columns[j][obs.pose] for j in index]
+        here = table.add(np.stack(values, axis=1))
+        table.shape(name, here[:1])
+        table.shape(name, here, falling=True)
+        table.shape(name, table.add(np.stack([values[0] * v for v in (x, y, z)], axis=1)))
+    gravity = s.prediction.T_base_scanner[:, :3, :3].transpose(0, 2, 1) @ s.obs.cell.robot.gravity
+    table.shape(f"gravity_torque_{s.n}", table.add(gravity[obs.pose]))
+    return table
+
+
+def of_volume(s: Situation) -> Table:
+    """Functions of a place far from the instrument: its direction (errors along the line of sight), and polynomials (scale, refraction)."""
+    table, xyz = Table(), s.obs.xyz
+    table.shape("x", table.add(xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9)))
+    x, y, z = ((v - v.mean()) / float(v.std()) for v in xyz.T)
+    straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
+    for name, v in zip("xyz", (x, y, z), strict=True):
+        table.shape(name, straight[name])
+        table.shape(name, np.concatenate([straight[name], table.add(v * v)]))
+    linear = np.concatenate(list(straight.values()))
+    table.shape("x", linear)
+    table.shape("x", np.concatenate([linear, table.add(np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1))]))
+    return table
+
+
+def tilt(table: Table, s: Situation) -> None:
+    """The artefact's upward direction in the scanner's axes, its products, and how far it leans."""
+    up = np.einsum("pji,pj->pi", s.prediction.T_base_scanner[:, :3, :3], s.prediction.T_base_station[:, :3, 2])[s.obs.pose]
+    lean = np.abs(up[:, 2])
+    bent = table.add(np.stack([1 - lean**2, lean], axis=1))
+    table.shape("tilt", bent[:1])
+    table.shape("tilt", bent)
+    across = table.add(np.sign(up[:, 2:]) * up[:, :2])
+    table.shape("tilt", across)
+    strong = table.add((1 - lean**2)[:, None] * up[:, :2])
+    table.shape("tilt", np.concatenate([bent[:1], strong]))
+    products = table.add(np.stack([up[:, 0] * up[:, 1], up[:, 0] ** 2 - up[:, 1] ** 2], axis=1))
+    table.shape("tilt", np.concatenate([bent[:1], across, products, strong]))

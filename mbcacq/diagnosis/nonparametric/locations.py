@@ -1,0 +1,67 @@
+"""Places of the cell that may move in ways no name describes: their components, in axes in which neighbours can be told apart.
+
+A link's components stand in the frame of its own joint, so that turning about that joint (which is the joint's) is left out, and a
+single component that is a turn about the next joint as well is left to that joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+
+PARALLEL = 0.99  # cosine from which two axes count as one
+
+
+@dataclass(frozen=True)
+class Place:
+    """at: name of the contract. keys: (place, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
+    them. variants: which components may move together, each a tuple of rows of mix. frame: whose gravity moment acts here. joint: index of
+    the joint there, or before it.
+    """
+
+    at: str
+    keys: tuple[tuple[str, int, int], ...]
+    mix: np.ndarray
+    variants: tuple[tuple[int, ...], ...]
+    frame: int = 0
+    joint: int = 0
+
+
+def of_arm(s: Situation) -> list[Place]:
+    """Joints, links, base and mount."""
+    n = s.n
+    out = [Place(f"A{i + 1}", (("joint", i, 0),), np.eye(1), ((0,),), i, i) for i in range(n)]
+    chain = s.state.chain
+    free = np.linalg.inv(chain.link_transforms(-chain.theta[None] * chain.sign)[:, :, :3, :3])[0]
+    for i in range(1, n):
+        across = free[i - 1]  # columns: axes of the frame of joint i, turned with it, in the frame behind link i
+        mix = np.zeros((5, 6))
+        mix[:3, :3] = across.T
+        mix[3:, 3:] = across.T[:2]
+        singles = [(c,) for c in range(5) if c < 3 or abs(mix[c, 5]) < PARALLEL]
+        out.append(Place(f"link{i}", frame(i), mix, (*singles, (3, 4), (0, 1, 2), (0, 1, 2, 3, 4)), i, i - 1))
+    whole = ((0,), (1,), (2,), (3,), (4,), (3, 4), (0, 1, 2), (3, 4, 5), tuple(range(6)))
+    out.append(Place("base", frame(0), np.eye(6), whole, 0, 0))
+    if s.scanner_on_flange or s.obs.rotation is not None:
+        out.append(Place("mount", frame(n), np.eye(6), whole, n, n - 1))
+    else:
+        out.append(Place("mount", frame(n)[:3], np.eye(3), ((0,), (1,), (2,), (0, 1, 2)), n, n - 1))
+    return out
+
+
+def frame(index: int) -> tuple[tuple[str, int, int], ...]:
+    return tuple(("frame", index, c) for c in range(6))
+
+
+def stations(s: Situation) -> list[tuple[int, Place]]:
+    """(index of the station, its place) where enough was measured to see it move."""
+    seen = np.unique(s.obs.station)
+    keys = tuple(("station", 0, c) for c in range(6))
+    variants = ((0, 1, 2), tuple(range(6)))
+    if len(seen) < 2:
+        return []
+    enough = [int(k) for k in seen if np.sum(s.obs.station == k) > 6]
+    return [(k, Place(f"station{s.obs.cell.stations[k].id}", keys, np.eye(6), variants)) for k in enough]

@@ -1,0 +1,90 @@
+"""What else could stand in an effect's place, and what these poses could not have shown."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis import noise_consistent_ranking
+from mbcacq.diagnosis.model_fit import Finding
+from mbcacq.diagnosis.problem import Setup
+from mbcacq.diagnosis.search.beam_search import Search
+from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.effects.effect import Candidate
+
+VISIBLE = 2.0  # chi2 that an effect of typical size must make at least, or it would not be seen even several times as large
+STRONG = 10.0  # times the typical size
+UNDECIDED = 2 * float(np.log(20.0))  # an alternative that is more than a twentieth as probable is not excluded
+
+
+def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
+    """Elastic main joints that would not show at their typical size, with the share of their effect that geometry leaves, and whether
+    even a strong one would not show.
+    """
+    out = []
+    if not setup.situation.masses_known:
+        return out
+    elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
+    strongest = sorted(elastic, key=lambda c: -np.ptp(setup.situation.gravity_torque[:, int(c.where[0][1:]) - 1]))[:1]
+    for candidate in strongest:
+        information = 1 / max(full.before.test(candidate).covariance[0, 0], 1e-300)
+        seen = candidate.typical[0] ** 2 * information
+        if seen < VISIBLE:
+            X = full.before.block(candidate, None)
+            out.append((candidate, float(np.clip(information / np.sum(X * X), 0, 1)), bool(STRONG**2 * seen < VISIBLE)))
+    return out
+
+
+def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict], list]:
+    """For each named effect: what else, or the same elsewhere, could stand in its place; the pairs that cannot be told apart, in words and
+    as found.
+    """
+    alternatives: dict[str, list[dict]] = {}
+    inseparable: list[dict] = []
+    pairs: list = []
+    model = full.model
+    if not model.members or len(model.members) > 6:
+        return alternatives, inseparable, pairs
+    search = Search(setup.candidates)
+    excess = max(full.before.chi2 - full.before.dof, 1e-9)
+    for name in model.names:
+        mine = [j for j, (c, _) in enumerate(model.members) if c.name == name]
+        rest = search.solve(full.before, tuple(m for j, m in enumerate(model.members) if j not in mine))
+        if rest is None:
+            continue
+        lost = model.gain - rest.gain
+        places = {w for j in mine for w in model.members[j][0].where}
+        seen = set()
+        for scored in search.expand(full.before, rest):
+            candidate = scored.candidate
+            itself = candidate.name == name and places.intersection(candidate.where)
+            if itself or candidate.name in seen or len(seen) == 3:
+                continue
+            seen.add(candidate.name)
+            alternatives.setdefault(name, []).append(
+                {"name": candidate.name, "where": list(candidate.where), "held_out_gain": float(np.clip(scored.gain / excess, 0, 1))}
+            )
+            swapped = search.solve(full.before, (*rest.members, (candidate, scored.hyper)))
+            if swapped is not None and not excluded(setup, full, search, swapped):
+                inseparable.append(
+                    {
+                        "effects": [f"{name}:{'+'.join(model.members[mine[0]][0].where)}", f"{candidate.name}:{'+'.join(candidate.where)}"],
+                        "correlation": float(np.clip(scored.gain / max(lost, 1e-9), 0, 1)),
+                    }
+                )
+                first, hyper = model.members[mine[0]]
+                pairs.append(((first, hyper, model.coefficients[model.parts()[mine[0]]]), (candidate, scored.hyper, scored.coefficients)))
+    return alternatives, inseparable, pairs
+
+
+def excluded(setup: Setup, full: Finding, search: Search, other: Model) -> bool:
+    """Whether another set of names is less than a twentieth as probable as the one told, each under the noise that it leaves."""
+    if other.worth < full.model.worth - noise_consistent_ranking.CLOSE:
+        return True
+    if full.smooth is not None:  # the noise is that of what has no name
+        return other.worth < full.model.worth - UNDECIDED
+    linear = full.before.linear
+    there, solved = noise_consistent_ranking.under_own_noise(search, linear, other, full.noise, setup.first)
+    if solved is None:
+        return True
+    told = noise_consistent_ranking.probability(full.before, full.model, setup.first)
+    return noise_consistent_ranking.probability(there, solved, setup.first) < told - UNDECIDED

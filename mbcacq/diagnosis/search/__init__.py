@@ -1,0 +1,1 @@
+"""The search for named effects: candidate scoring, beam search over sets of effects, selection criteria."""

@@ -1,0 +1,78 @@
+"""Many fixed candidates weighed at once: their columns side by side, the blocks of those of one size in one array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.whitening import Whitener
+from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_blocks
+from mbcacq.effects.effect import Candidate
+
+
+class Fixed:
+    """The candidates whose columns need no scan, each at every value of its hyper-parameter; kept with the linearisation.
+
+    entries: (candidate, value); columns (M, R, K): all of theirs. sizes: of those with k coefficients, which entries (n,), which columns
+    (n, k), their prior weights (n, k).
+    """
+
+    def __init__(self, candidates: list[Candidate], linear: Linear):
+        self.candidates = candidates
+        self.entries = [(c, h) for c in candidates if not c.separable for h in (c.hyper.values if c.hyper else (None,))]
+        each = [linear.columns(c.build(h)) for c, h in self.entries]
+        self.columns = np.concatenate(each, axis=2) if each else np.zeros((*linear.residual.shape, 0))
+        widths = np.array([e.shape[2] for e in each], dtype=int)
+        starts = np.cumsum(widths) - widths
+        self.sizes = []
+        for k in np.unique(widths):
+            chosen = np.flatnonzero(widths == k)
+            weight = np.array([prior_weight(self.entries[e][0]) for e in chosen])
+            self.sizes.append((chosen, starts[chosen][:, None] + np.arange(k), weight))
+
+    @staticmethod
+    def of(candidates: list[Candidate], linear: Linear) -> Fixed:
+        found = linear.kept.get(id(candidates))
+        if found is None:
+            found = linear.kept[id(candidates)] = Fixed(candidates, linear)
+        return found
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Under one screen: whitened columns X (rows, K), and of each size S (n, k, k), b, raw (n, k), geometry projected out."""
+
+    fixed: Fixed
+    X: np.ndarray
+    blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+    @classmethod
+    def of(cls, candidates: list[Candidate], linear: Linear, whiten: Whitener, Q: np.ndarray, r: np.ndarray) -> Bench:
+        """Q (rows, z): what geometry takes; r (rows,): what it leaves of the residual."""
+        fixed = Fixed.of(candidates, linear)
+        X = whiten(fixed.columns)
+        taken, raw, b = Q.T @ X, np.sum(X * X, axis=0), X.T @ r
+        blocks = []
+        for _, columns, _ in fixed.sizes:
+            own, gone = X.T[columns], taken.T[columns]
+            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns], raw[columns]))
+        return cls(fixed, X, blocks)
+
+    def best(self, adopted: np.ndarray, along: np.ndarray) -> dict[str, tuple[float | None, float]]:
+        """Candidate's key -> its best value of the hyper-parameter and the gain there; adopted (rows, a): what else is projected out,
+        along (a,): the residual along it.
+        """
+        gains = np.zeros(len(self.fixed.entries))
+        taken = adopted.T @ self.X if adopted.shape[1] else None
+        for (entries, columns, weight), (S, b, raw) in zip(self.fixed.sizes, self.blocks, strict=True):
+            if taken is not None:
+                T = taken.T[columns]
+                S, b = S - T @ np.swapaxes(T, 1, 2), b - T @ along
+            gains[entries] = solve_blocks(S, b, raw, weight)
+        out: dict[str, tuple[float | None, float]] = {}
+        for (candidate, hyper), gain in zip(self.fixed.entries, gains, strict=True):
+            if candidate.key not in out or gain > out[candidate.key][1]:
+                out[candidate.key] = hyper, float(gain)
+        return out

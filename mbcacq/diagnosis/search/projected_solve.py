@@ -1,0 +1,52 @@
+"""Gains and coefficients of blocks of a projected normal matrix, one or many at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.effects.effect import Candidate
+
+LARGEST = 30.0
+SMALLEST_SHARE = 1e-6  # of a column's square that must survive the projection
+
+
+def prior_weight(candidate: Candidate) -> np.ndarray:
+    """(k,) inverse variance of the coefficients: an effect thirty times its typical size is not believed."""
+    return 1.0 / (LARGEST * candidate.typical) ** 2
+
+
+def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> tuple[float, np.ndarray, np.ndarray]:
+    """Gain, coefficients, covariance of a projected normal matrix; directions that the projection destroyed are held at zero."""
+    S = S + np.diag(np.broadcast_to(weight, len(b)))
+    size = np.sqrt(np.maximum(raw, 1e-300))
+    w, V = np.linalg.eigh(S / np.outer(size, size))
+    inverse = np.where(w > SMALLEST_SHARE, 1.0 / np.maximum(w, SMALLEST_SHARE), 0.0)
+    pseudo = (V * inverse) @ V.T / np.outer(size, size)
+    coefficients = pseudo @ b
+    return float(b @ coefficients), coefficients, pseudo
+
+
+def solve_blocks(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
+    """Gains (H,) of many blocks (H, k, k), (H, k); weight: (k,) or (H, k)."""
+    k = b.shape[1]
+    S = S + np.broadcast_to(weight, b.shape)[:, :, None] * np.eye(k)
+    size = np.sqrt(np.maximum(raw, 1e-300))
+    scaled, target = S / (size[:, :, None] * size[:, None, :]), b / size
+    if S.shape[1] == 1:
+        good = scaled[:, 0, 0] > SMALLEST_SHARE
+        return np.where(good, target[:, 0] ** 2 / np.maximum(scaled[:, 0, 0], SMALLEST_SHARE), 0.0)
+    if k == 2:  # the usual case, a wave's sine and cosine
+        w, along = two(scaled, target)
+    else:
+        w, V = np.linalg.eigh(scaled)
+        along = np.einsum("hij,hi->hj", V, target)
+    return np.sum(np.where(w > SMALLEST_SHARE, along**2 / np.maximum(w, SMALLEST_SHARE), 0.0), axis=1)
+
+
+def two(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (H, 2) of symmetric S (H, 2, 2) and b (H, 2) along their directions."""
+    middle, half = 0.5 * (S[:, 0, 0] + S[:, 1, 1]), 0.5 * (S[:, 0, 0] - S[:, 1, 1])
+    radius, turn = np.hypot(half, S[:, 0, 1]), 0.5 * np.arctan2(S[:, 0, 1], half)
+    c, s = np.cos(turn), np.sin(turn)
+    along = np.stack([c * b[:, 1] - s * b[:, 0], c * b[:, 0] + s * b[:, 1]], axis=1)
+    return np.stack([middle - radius, middle + radius], axis=1), along

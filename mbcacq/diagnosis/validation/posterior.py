@@ -1,0 +1,58 @@
+"""What some centres say of the coefficients of everything, and how probable that makes other centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.diagnosis.linearized.whitening import Whitener
+from mbcacq.diagnosis.search.effect_prior import Strengths
+from mbcacq.diagnosis.search.effect_set import Model
+
+
+@dataclass(frozen=True)
+class Known:
+    """sigma: prior of the coefficients (z,). information (z, z), right (z,): of the centres, without the prior."""
+
+    sigma: np.ndarray
+    information: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, whiten: Whitener, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Known:
+        """columns (M, R, z), residual (M, R); the whitener says which centres."""
+        X = whiten(columns)
+        return cls(sigma, X.T @ X, X.T @ whiten(residual))
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """(z, z) in units of sigma, prior included."""
+        return self.sigma[:, None] * self.information * self.sigma + np.eye(len(self.sigma))
+
+    @cached_property
+    def solution(self) -> np.ndarray:
+        return self.sigma * np.linalg.solve(self.normal, self.sigma * self.right)
+
+    def sized(self, model: Model, parts: list[slice]) -> Known:
+        """With the members' coefficients, at these parts, believed to be of the size that is most probable by these centres: what is hardly
+        seen stays near zero.
+        """
+        if not parts:
+            return self
+        covariance = self.sigma[:, None] * np.linalg.inv(self.normal) * self.sigma
+        sigma = self.sigma.copy()
+        for (candidate, _), p in zip(model.members, parts, strict=True):
+            own = Strengths.of(candidate, self.solution[p], covariance[p, p])
+            sigma[p] = np.minimum(sigma[p], own.scale * candidate.typical)
+        return replace(self, sigma=sigma)
+
+    def surprise(self, whiten: Whitener, columns: np.ndarray, residual: np.ndarray) -> float:
+        """Of other centres, minus twice the log of their probability density up to a constant: by the chain rule, what all of them are less
+        probable than these alone.
+        """
+        Z, r = whiten(columns) * self.sigma, whiten(residual)
+        normal, right = self.normal + Z.T @ Z, self.sigma * self.right + Z.T @ r
+        chi2 = r @ r - right @ np.linalg.solve(normal, right) + self.right @ self.solution
+        return float(chi2 + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])

@@ -1,0 +1,125 @@
+"""From what was found and proven to what is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis.model_fit import Finding
+from mbcacq.diagnosis.output import next_measurements
+from mbcacq.diagnosis.output.alternatives import rivals, unseen
+from mbcacq.diagnosis.output.contributions import Worth
+from mbcacq.diagnosis.output.effects_table import mismatch_list, named_effects, unknown_effects, where_it_is
+from mbcacq.diagnosis.output.plot_data import evidence_of
+from mbcacq.diagnosis.problem import Setup
+from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.search.beam_search import Search
+from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.validation.cross_validation import Proof
+from mbcacq.diagnosis.validation.predictive_score import NOISE_LIKE, Quality, better, on_train
+
+# Share of the held-out excess that a name must remove to be told beside a mismatch without one: a larger, and a smaller one.
+LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
+WEAK = 20.0  # score up to which a name may be chance, and is proven with more of the data: it might not be found in three quarters of them
+
+
+def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
+    if proof.empty:
+        kept = full.model.without(proof.empty)
+        full = replace(full, model=Search(setup.candidates).solve(full.before, kept.members, permit=True))
+    before, left_before = on_train(full.before, NOTHING, None)
+    after, left_after = on_train(full.before, full.model, full.smooth)
+    worth = Worth(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
+    effects = named_effects(full, worth, proof)
+    verdict, places = verdict_of(full), mismatch_list(full, worth, before)
+    first, last = proof.decides
+    useless = not better(last, first)
+    if useless:  # what predicts nothing better on data that took no part is not told; that there is something may be, where it was plain
+        effects, after, proof = [], before, replace(proof, after=proof.before)
+        weak = verdict == "explained" and full.model.score < WEAK
+        verdict, places = ("none", []) if weak else ("none" if verdict == "none" else "unexplained", places)
+    if (first if useless else last).chi2_dof > NOISE_LIKE:
+        verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
+    if verdict == "unexplained" and not places:
+        places = mismatch_list(full, worth, before, anything=True)
+    effects = worth_telling(effects, verdict)
+    effects += [] if useless else unknown_effects(full, worth, proof)
+    if verdict == "unexplained" and not effects:
+        effects = where_it_is(places)
+    alternatives, inseparable, pairs = rivals(setup, full) if effects else ({}, [], [])
+    for effect in effects:
+        effect.alternatives = alternatives.get(effect.name, [])
+    hints = next_measurements.separate(setup.situation, pairs)
+    if verdict == "explained" and inseparable:
+        verdict = "cannot_tell"
+    if verdict == "none":
+        for candidate, seen, hopeless in unseen(setup, full):
+            hints.append(next_measurements.show(setup.situation, candidate))
+            if hopeless:
+                verdict = "cannot_tell"
+                inseparable.append(
+                    {
+                        "effects": [f"{candidate.name}:{'+'.join(candidate.where)}", "geometry and station poses"],
+                        "correlation": float(np.sqrt(1 - seen)),
+                    }
+                )
+    fit = {
+        "train": in_words(before, after),
+        "held_out": {**in_words(proof.before, proof.after), "split": proof.split},
+        "repeatability_floor_mm": expected_rms(full, after.rms),
+    }
+    shown = evidence_of(setup, full, left_before, left_after)
+    return Diagnosis(verdict, places, effects, fit, inseparable, hints, setup.dropped, notes(setup, full), shown)
+
+
+def worth_telling(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
+    """What describes next to nothing of a mismatch is no name for it."""
+    return [e for e in effects if e.held_out_gain >= LEAST.get(verdict, -np.inf)]
+
+
+def in_words(before: Quality, after: Quality) -> dict[str, float]:
+    return {
+        "before_rms_mm": before.rms,
+        "after_rms_mm": after.rms,
+        "before_chi2_dof": before.chi2_dof,
+        "after_chi2_dof": after.chi2_dof,
+    }
+
+
+def expected_rms(full: Finding, fallback: float) -> float:
+    """3D rms (mm) that the estimated noise alone makes at one centre."""
+    linear, noise = full.before.linear, full.noise
+    joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
+    return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
+
+
+def verdict_of(full: Finding) -> str:
+    """Names that survive beside what has no name explain in part, if they explain most of it."""
+    structure = full.smooth is not None or (full.leftover is not None and full.leftover.structure and not full.cells)
+    if not full.model.members:
+        return "unexplained" if structure else "none"
+    if not structure:
+        return "explained"
+    worth = Worth(full)
+    if full.smooth is None:
+        rest = full.leftover.judged.best()
+        return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"
+    names, groups = list(range(worth.members)), list(range(worth.members, len(worth.parts)))
+    if not full.cells:  # a long recording: groups stand everywhere and could do what names do, which were there first
+        return "partly_explained" if full.model.gain > 0.5 * worth.total else "unexplained"
+    return "partly_explained" if worth.of(names) > worth.of(groups) else "unexplained"
+
+
+def notes(setup: Setup, full: Finding) -> list[str]:
+    out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
+    keep = full.before.linear.keep
+    dropped = int(np.sum(~keep))
+    if dropped:
+        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
+    if not setup.situation.masses_known:
+        out.append(
+            "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
+            "its size in rad/Nm is not meaningful"
+        )
+    return out

@@ -1,0 +1,27 @@
+"""One line of a checkup: what is well, or what is not and how to cure it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+Level = Literal["ok", "warning", "error"]
+
+
+@dataclass(frozen=True)
+class Line:
+    """level: 'error' keeps a run from succeeding. topic: stable name for programs. cure: what to do, '' where all is well."""
+
+    level: Level
+    topic: str
+    text: str
+    cure: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def from_error(topic: str, error: BaseException) -> Line:
+    """Our errors end with what to do about them, behind the last semicolon."""
+    what, _, cure = str(error).rpartition("; ")
+    return Line("error", topic, what or str(error), cure if what else "see docs/reference/errors.md")

@@ -1,0 +1,32 @@
+"""Finds the effect files in ``pose/``: every module with a NAME and ``candidates(situation)``."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from types import ModuleType
+
+from mbcacq.effects import pose
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing
+
+
+def effects() -> dict[str, ModuleType]:
+    """Name of the effect -> its module."""
+    found = {}
+    for info in pkgutil.iter_modules(pose.__path__):
+        module = importlib.import_module(f"{pose.__name__}.{info.name}")
+        if hasattr(module, "NAME") and hasattr(module, "candidates"):
+            found[module.NAME] = module
+    return found
+
+
+def candidates(situation: Situation) -> tuple[list[Candidate], dict[str, str]]:
+    """All candidates that these data allow, and the effects dropped: name -> what is missing."""
+    out, dropped = [], {}
+    for name, module in effects().items():
+        try:
+            out += module.candidates(situation)
+        except Missing as reason:
+            dropped[name] = str(reason)
+    return out, dropped

@@ -1,0 +1,40 @@
+"""Two channels were not sampled at one instant: the late one shows the past.
+
+Seen as minus the rate of the channel; once it is there the recording itself is put right in time (``tuned``), for long delays of fast
+motion are not linear, and everything else in the channel is late with it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from mbcacq.effects.motion.effect import Candidate, Group, Report, Run
+
+NAME = "channel_latency"
+RESOLUTION_S = 1e-7   # two clocks are not compared better: splines between samples
+WINDOW_S = 0.25       # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
+
+
+def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+    if group.name == "q_set":  # a late set point and a late drive are one and the same: drive_lag says it, joint by joint
+        return []
+    columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
+    return [Candidate(NAME, (group.name,), depends, group.joints, columns, _report(), hyper=np.array([0.0]), refine=False, tuned=True)]
+
+
+def _encoder(run: Run, joint: int, _: float | None) -> np.ndarray:
+    return -run.qd[:, [joint]]
+
+
+def _torque(run: Run, joint: int, _: float | None) -> np.ndarray:
+    window = min(max(2 * int(WINDOW_S / run.step_s / 2) + 1, 7), (len(run.q) - 1) // 2 * 2 - 1)
+    return -savgol_filter(run.torque[:, joint], window, 5, deriv=1, delta=run.step_s)[:, None]
+
+
+def _report() -> Report:
+    def report(c: np.ndarray, v: np.ndarray, delay: float | None, _: float) -> dict:
+        """What the recording was moved by, and what is left of it."""
+        return {"latency_s": {"value": float(delay or 0.0) + float(c[0]), "std": float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), RESOLUTION_S))}}
+
+    return report

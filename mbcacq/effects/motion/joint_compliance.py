@@ -1,0 +1,30 @@
+"""The gearbox winds up under load: the joint side lags the motor side by compliance times the torque that passes the gear.
+
+Friction in front of the gear winds nothing up, so the load is the drive's torque without the friction found in its own channel;
+where no torque was recorded, that of the rigid-body simulation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.effects.motion.effect import Candidate, Group, Run
+
+NAME = "joint_compliance"
+
+
+def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+    if group.name != "q_joint" or any(run.load is None for run in runs):
+        return []
+    return [Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), lambda run, joint, _: -run.load[:, [joint]],
+                      _report(f"A{j + 1}.compliance_rad_per_Nm", runs, j), positive=True) for j in group.joints]
+
+
+def _report(name: str, runs: tuple[Run, ...], joint: int):
+    """The load is known only as well as the arm's inertial parameters: that much the compliance is uncertain besides."""
+    doubt = max(0.0 if run.load_doubt is None else float(run.load_doubt[joint]) for run in runs)
+
+    def report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> dict:
+        return {name: {"value": float(c[0]), "std": float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), doubt * c[0]))}}
+
+    return report

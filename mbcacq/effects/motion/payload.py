@@ -1,0 +1,22 @@
+"""The tool on the flange is not the one the cell describes: another mass, another centre of gravity. Seen in the torque of all joints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.effects.motion.effect import Candidate, Group, Run
+
+NAME = "payload"
+
+
+def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+    if group.name != "tau" or any(run.payload is None for run in runs):
+        return []
+    return [Candidate(NAME, ("mount",), "gravity_torque", group.joints, lambda run, joint, _: run.payload[:, joint], _report)]
+
+
+def _report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> dict:
+    """What must be added to the described payload: mass (kg) and first moment (kg mm, flange frame)."""
+    std = np.sqrt(np.maximum(np.diag(v), 0.0))
+    return {"added_mass_kg": {"value": float(c[0]), "std": float(std[0])},
+            "added_moment_kg_mm": {"value": (1e3 * c[1:4]).tolist(), "std": (1e3 * std[1:4]).tolist()}}

@@ -1,0 +1,28 @@
+"""An artefact away from its reference temperature, or certified in a wrong unit of length."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing, Part, number
+
+NAME = "artefact_expansion"
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    cell, out = s.obs.cell, []
+    if not s.scanner_on_flange:
+        raise Missing("no artefact with several balls")
+    owner, centres = cell.ball_artefact, cell.ball_centres
+    for a, artefact in enumerate(cell.artefacts):
+        mine = np.flatnonzero(owner == a)
+        if len(mine) < 2 or not np.any(np.isin(s.obs.ball, mine)):
+            continue
+        about = centres - centres[mine].mean(axis=0)
+        here = np.isin(s.obs.ball, mine)[:, None]
+        bias = np.where(here, about[s.obs.ball], 0.0) * 1e-6
+        parts = [Part("ball", 0, c, bias[:, c:c + 1]) for c in range(3)]
+        out.append(Candidate(NAME, (artefact.id,), "x", lambda _, p=parts: p,
+                             lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))}, np.array([100.0])))
+    if not out:
+        raise Missing("no artefact with two balls seen")
+    return out

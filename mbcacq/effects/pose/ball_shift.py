@@ -1,0 +1,25 @@
+"""One ball is not where its certificate says."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing, Part, vector
+
+NAME = "ball_shift"
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    if not s.scanner_on_flange:
+        raise Missing("no artefact with several balls")
+    cell = s.obs.cell
+    owner = cell.ball_artefact
+    out = []
+    for k, ball in enumerate(cell.ball_ids):
+        seen = s.obs.ball == k
+        if np.sum(owner == owner[k]) < 4 or seen.sum() < 4:
+            continue  # one or two balls only make a length: that is artefact_expansion
+        basis = seen[:, None].astype(float)
+        parts = [Part("ball", 0, c, basis * np.eye(3)[c]) for c in range(3)]
+        out.append(Candidate(NAME, (f"ball{ball}",), "x", lambda _, p=parts: p,
+                             lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, 0.05)))
+    return out

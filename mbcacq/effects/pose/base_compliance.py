@@ -1,0 +1,20 @@
+"""A pedestal that tilts under the overturning moment, equally soft in all directions."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing, Part, scalar_report
+
+NAME = "base_compliance"
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    if not s.masses_known:
+        raise Missing("no masses of the links given")
+    moment = s.gravity_moment(0)
+    parts = [Part("frame", 0, 3 + c, moment[:, c : c + 1]) for c in range(3)]
+    return [
+        Candidate(
+            NAME, ("base",), "gravity_torque_2", lambda _: parts, scalar_report("compliance_rad_per_Nm"), np.array([1e-7]), positive=True
+        )
+    ]

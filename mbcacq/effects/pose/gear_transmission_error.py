@@ -1,0 +1,78 @@
+"""Periodic error of a joint in its own angle; the orders are found by a spectral scan, not assumed."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Hyper, Part, number
+
+NAME = "gear_transmission_error"
+LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    gear = s.obs.cell.robot.gear_ratio
+    out = []
+    for i in range(s.n):
+        q = s.obs.q[:, i]
+        span = np.ptp(q)
+        if span < 0.05:
+            continue
+        ratio = None if gear is None else abs(float(gear[i]))
+        highest = HIGHEST_ORDER if ratio is None else max(HIGHEST_ORDER, 2.1 * ratio)
+        step = 0.25 * 2 * np.pi / span
+        orders = np.arange(max(LOWEST_ORDER, 0.0), highest, min(step, 0.5))
+        preferred = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
+        hyper = Hyper("order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred)
+
+        functions = waves(q, hyper.values)
+
+        out.append(
+            Candidate(
+                NAME,
+                (f"A{i + 1}",),
+                f"q{i + 1}",
+                lambda h, i=i, f=functions: [Part("joint", i, 0, f(np.array([h]))[0])],
+                report_for(f"A{i + 1}", q),
+                np.array([3e-5, 3e-5]),
+                hyper,
+                (("joint", i, 0),),
+                functions,
+                several=True,
+            )
+        )
+    return out
+
+
+def waves(q: np.ndarray, grid: np.ndarray):
+    """sin, cos of order times angle: (H,) -> (H, P, 2). The grid is scanned again and again: its waves are kept."""
+    kept = []
+
+    def functions(values: np.ndarray) -> np.ndarray:
+        if values is grid and kept:
+            return kept[0]
+        phase = values[:, None] * q
+        out = np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+        if values is grid:
+            kept.append(out)
+        return out
+
+    return functions
+
+
+def report_for(joint: str, q: np.ndarray):
+    """The order is uncertain too: by as much as it may turn the phase over the spread of the angle, and the phase at q = 0 with it."""
+    spread, middle = max(float(q.std()), 1e-9), float(q.mean())
+
+    def report(c, v, order):
+        amplitude = max(float(np.hypot(c[0], c[1])), 1e-30)
+        along = np.array([c[0], c[1]]) / amplitude
+        across = np.array([-c[1], c[0]]) / amplitude**2
+        phase_std = float(np.sqrt(across @ v @ across))
+        order_std = phase_std / spread
+        return {
+            f"{joint}.order": number(order, order_std),
+            f"{joint}.amplitude_deg": number(np.degrees(amplitude), np.degrees(np.sqrt(along @ v @ along))),
+            f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.hypot(phase_std, order_std * middle))),
+        }
+
+    return report

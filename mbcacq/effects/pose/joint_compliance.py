@@ -1,0 +1,21 @@
+"""Gearbox wind-up: a joint gives way in proportion to the gravity torque about it."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Part, scalar_report
+
+NAME = "joint_compliance"
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    torque = s.gravity_torque
+    out = []
+    for i in range(s.n):
+        if np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
+            continue  # a vertical axis feels no gravity
+        basis = torque[:, i:i + 1]
+        out.append(Candidate(
+            NAME, (f"A{i + 1}",), f"gravity_torque_{i + 1}", lambda _, i=i, b=basis: [Part("joint", i, 0, b)],
+            scalar_report(f"A{i + 1}.compliance_rad_per_Nm"), np.array([1.5e-6]), positive=True))
+    return out

@@ -1,0 +1,33 @@
+"""The scanner moved on its bracket between two poses of the run."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
+from mbcacq.effects.pose import steps
+
+NAME = "mount_shift"
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    if not s.scanner_on_flange and s.obs.rotation is None:
+        components = (0, 1, 2)
+    else:
+        components = (0, 1, 2, 3, 4, 5)
+    if s.obs.n_poses < 12:
+        raise Missing("fewer than 12 poses")
+    functions, hyper = steps.step_functions(s), steps.moment(s)
+    k = len(components)
+
+    def build(h):
+        step = functions(np.array([h]))[0]
+        return [Part("frame", s.n, c, step * np.eye(k)[j]) for j, c in enumerate(components)]
+
+    def report(c, v, rank):
+        out = {"at_pose": number(steps.pose_at(s, rank), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
+        if k == 6:
+            out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
+        return out
+
+    return [Candidate(NAME, ("mount",), "pose", build, report, np.array([0.03] * 3 + [1e-4] * 3)[:k], hyper,
+                      tuple(("frame", s.n, c) for c in components), functions)]

@@ -1,0 +1,78 @@
+"""A tool heavier, or hung elsewhere, than declared: seen through the elasticity of the joints, so only together with it.
+
+The wind-up c_i tau_i of each elastic joint contains the tool's weight. With c_i from the model so far, an error of the mass and of
+the first moment of mass (mass times centre of gravity, flange frame) is linear: four coefficients.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
+from mbcacq.geometry import gravity
+
+NAME = "payload"
+NEXT_IN_LINE = 0.15  # of the largest range of gravity torque
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    """None by itself: elasticity has to be found first, then ``beside`` applies."""
+    if not s.masses_known:
+        raise Missing("no masses of the links and the tool given")
+    return []
+
+
+def unit_torques(s: Situation) -> np.ndarray:
+    """(P, n, 4) N m: by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
+    robot = s.obs.cell.robot
+    frames = robot.chain.frames(s.obs.q)
+    none = np.zeros(s.n)
+
+    def torque(com: np.ndarray) -> np.ndarray:
+        return gravity.gravity_torque(robot.chain, frames, none, np.zeros((s.n, 3)), 1.0, com, robot.gravity)
+
+    at_origin = torque(np.zeros(3))
+    return np.stack([at_origin] + [torque(e) - at_origin for e in np.eye(3)], axis=2)
+
+
+def loaded(s: Situation) -> list[int]:
+    """Joints whose gravity torque varies enough for their elasticity to matter."""
+    load = np.ptp(s.gravity_torque, axis=0)
+    return [i for i in range(s.n) if load[i] > NEXT_IN_LINE * load.max()]
+
+
+def beside(s: Situation, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False) -> list[Candidate]:
+    """The candidate that goes with joints of known compliance: index -> rad/Nm. spread: covariance (4, 4) of mass and first moments
+    where it is known with the compliances' own uncertainty in it.
+
+    The loaded joint next in line is as soft as any, though perhaps too little loaded to be found by itself: where it has no
+    compliance it gets one, free, or the mass would take its part. complete: there is no such joint.
+    """
+    if not s.masses_known or not compliance or not s.scanner_on_flange:
+        return []
+    torque, declared = unit_torques(s), s.gravity_torque
+    elastic, softest = dict(compliance), max(compliance.values())
+    beyond = [] if complete else [i for i in loaded(s) if i not in elastic]
+    none = np.zeros((s.obs.n_poses, len(beyond)))
+    parts = []
+    for i, c in sorted({**elastic, **dict.fromkeys(beyond, softest)}.items()):
+        own = none.copy()
+        if i in beyond:
+            own[:, beyond.index(i)] = declared[:, i]
+        parts.append(Part("joint", i, 0, np.concatenate([c * torque[:, i], own], axis=1)))
+    mass, com = float(np.mean(s.payload_mass)), s.obs.cell.robot.payload_com
+
+    def report(c, v, _):
+        new_mass = max(mass + c[0], 0.05)
+        new_com = (mass * com + c[1:4]) / new_mass
+        slope = np.concatenate([-new_com[:, None], np.eye(3)], axis=1) / new_mass
+        v_payload = v[:4, :4] if spread is None else spread
+        out = {"mass_kg": number(new_mass, np.sqrt(v_payload[0, 0])), "com_mm": vector(new_com, slope @ v_payload @ slope.T)}
+        for k, i in enumerate(beyond, start=4):
+            out[f"A{i + 1}.compliance_rad_per_Nm"] = number(c[k], np.sqrt(v[k, k]))
+        return out
+
+    label = ",".join(f"{i}:{c:.3e}" for i, c in sorted(compliance.items()))
+    typical = np.array([0.5, 50.0, 50.0, 50.0] + [1.5e-6] * len(beyond))
+    return [Candidate(NAME, ("mount",), "gravity_torque_2", lambda _: parts, report, typical, variant=label)]

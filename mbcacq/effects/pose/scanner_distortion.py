@@ -1,0 +1,53 @@
+"""Errors of the scanner over its field of view: field curvature, radial and depth-dependent bias."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Missing, Part, number
+
+NAME = "scanner_distortion"
+TYPICAL = 0.02  # mm at the edge of the field
+LINEAR = ("magnification", "depth_gain")
+# A ball of known radius is fitted to the cap that is seen: its surface is bent too, which moves the centre by the next lower shape.
+TOGETHER = (
+    ("field_curvature_per_mm", "radial_per_mm2"),
+    ("field_curvature_per_mm", "magnification"),
+    ("depth_scale_per_mm", "magnification", "depth_gain"),
+    ("radial_per_mm2", "field_curvature_per_mm", "magnification"),
+    ("field_curvature_per_mm", "depth_scale_per_mm", "magnification", "depth_gain"),
+)
+
+
+def shapes(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
+    """Name of the coefficient -> (covariate, (M, 3) bias of a unit coefficient)."""
+    x, y, z = xyz.T
+    r2, zero = x * x + y * y, np.zeros_like(x)
+    return {
+        "field_curvature_per_mm": ("x", np.stack([zero, zero, r2], 1)),
+        "radial_per_mm2": ("x", np.stack([x * r2, y * r2, zero], 1)),
+        "depth_scale_per_mm": ("z", np.stack([x * z, y * z, zero], 1)),
+        "depth_quadratic_per_mm": ("z", np.stack([zero, zero, z * z], 1)),
+        "astigmatism_per_mm": ("x", np.stack([zero, zero, x * x - y * y], 1)),
+        "saddle_per_mm": ("x", np.stack([zero, zero, x * y], 1)),
+        "magnification": ("x", np.stack([x, y, zero], 1)),
+        "depth_gain": ("z", np.stack([zero, zero, z], 1)),
+    }
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    if not s.scanner_on_flange or np.ptp(s.obs.xyz, axis=0).max() == 0:
+        raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
+    every = shapes(s.obs.xyz)
+
+    def make(names: list[str]) -> Candidate:
+        bias = np.stack([every[k][1] for k in names], axis=-1)
+        typical = TYPICAL / np.maximum(np.linalg.norm(bias, axis=1).max(axis=0), 1e-12)
+        parts = [Part("point", 0, c, bias[:, c]) for c in range(3)]
+
+        def report(c, v, _):
+            return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
+
+        return Candidate(NAME, ("scanner",), every[names[0]][0], lambda _: parts, report, typical, variant="+".join(names))
+
+    alone = [k for k in every if k not in LINEAR]
+    return [make([k]) for k in alone] + [make(list(names)) for names in TOGETHER]

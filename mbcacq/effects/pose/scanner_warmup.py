@@ -1,0 +1,25 @@
+"""The scanner's offset right after switching on, fading with time."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation
+from mbcacq.effects.effect import Candidate, Part, number, vector
+from mbcacq.effects.pose import warm_up
+
+NAME = "scanner_warmup"
+UNCERTAIN_TAU = 2.0  # growth of the offset's variance because the time constant is estimated beside it
+
+
+def candidates(s: Situation) -> list[Candidate]:
+    hyper, functions = warm_up.time_constant(s), warm_up.fading(s)
+
+    def build(tau):
+        fade = functions(np.array([tau]))[0][s.obs.pose]
+        return [Part("point", 0, c, fade * np.eye(3)[c]) for c in range(3)]
+
+    def report(c, v, tau):
+        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v))}
+
+    return [
+        Candidate(NAME, ("scanner",), "time", build, report, np.full(3, 0.02), hyper, tuple(("point", 0, c) for c in range(3)), functions)
+    ]

@@ -1,0 +1,47 @@
+"""The moment of a sudden change: a step between two poses in the order they were measured."""
+
+import numpy as np
+
+from mbcacq.effects.context import Situation, in_time
+from mbcacq.effects.effect import Candidate, Hyper
+from mbcacq.model.observations import Observations
+
+NAME = "at_pose"
+
+
+def moment(s: Situation) -> Hyper:
+    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread.
+
+    Neighbouring moments split the poses nearly alike: independent ones are as many as the recording can be halved, a few times over.
+    """
+    margin = 2
+    ranks = np.arange(margin, s.obs.n_poses - margin + 1)
+    if len(ranks) > 400:
+        ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
+    return Hyper(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
+
+
+def step_functions(s: Situation):
+    order = s.order
+
+    def functions(values: np.ndarray) -> np.ndarray:
+        return (order[None] >= np.asarray(values)[:, None]).astype(float)[..., None]
+    return functions
+
+
+def undecided(candidate: Candidate, hyper: float | None, obs: Observations, seen: np.ndarray) -> list[float]:
+    """Other moments that the centres seen (M,) bool cannot tell from this one: no pose of theirs lies between. Empty where there is none,
+    and for effects that have no moment.
+    """
+    if candidate.hyper is None or candidate.hyper.name != NAME:
+        return []
+    ranks = np.unique(in_time(obs)[obs.pose[seen]])
+    before, after = ranks[ranks < hyper], ranks[ranks >= hyper]
+    if not len(before) or not len(after):
+        return []
+    return [float(r) for r in range(int(before[-1]) + 1, int(after[0]) + 1) if r != hyper]
+
+
+def pose_at(s: Situation, rank: float) -> int:
+    """Number of the pose (column ``pose``) that is the first after the change."""
+    return int(s.obs.pose_id[np.flatnonzero(s.order == int(rank))[0]])

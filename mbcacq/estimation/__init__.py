@@ -1,0 +1,1 @@
+"""The estimation engine: forward model, linearisation, whitening, variance components, solver, outliers, identifiability."""

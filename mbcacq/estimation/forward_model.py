@@ -1,0 +1,143 @@
+"""The one forward model: what the scanner should have seen, and how that changes with a small displacement anywhere.
+
+With a scanner on the flange, ball b of station s appears at ``x = inv(T_base_scanner(q)) T_base_station c_b``.
+With an external instrument, reflector b of the target on the flange appears at ``y = inv(T_base_station) T_base_target(q) c_b``; a single
+reflector is the target's origin.
+
+Every cause of a mismatch displaces the arm, the artefact or the measured point. Displacing everything behind some place of
+the arm by a spatial twist xi (base frame) changes the prediction by ``G xi`` with one matrix G per measured centre,
+whatever the place; so the derivative by any parameter or effect of the arm is G times that parameter's twist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+
+@dataclass(frozen=True)
+class CellState:
+    """A value for everything the forward model depends on.
+
+    chain: MD-H rows with their errors included. T_flange_scanner: (4, 4), or the target's frame on the flange for an
+    external instrument. T_base_station: (S, 4, 4). balls: (K, 3) mm, each in its artefact's frame.
+    """
+
+    chain: Chain
+    T_flange_scanner: np.ndarray
+    T_base_station: np.ndarray
+    balls: np.ndarray
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """What effects do to the cell, at the few places where one can act; None means nothing there.
+
+    joint: (P, n) rad added to the controller's angles. frame: (P, n+1, 6) local twists behind the base (0) and behind each
+    link (1..n; n is the mount). point: (M, 3) mm added to the measured point in the scanner frame. ball: (M, 3) mm added to
+    the ball in its artefact's frame. station: (P, 6) local twist of the artefact's placement at that pose.
+    """
+
+    joint: np.ndarray | None = None
+    frame: np.ndarray | None = None
+    point: np.ndarray | None = None
+    ball: np.ndarray | None = None
+    station: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted centres and all that is needed to differentiate them.
+
+    xyz: (M, 3) mm. frames: (P, n+1, 4, 4). T_base_scanner: (P, 4, 4). T_base_station: (P, 4, 4), the station of each pose.
+    ball: (M, 3) mm in the artefact frame. gradient G: (M, R, 6), change of the residual's rows by a spatial twist of the arm; R = 3, or 6
+    where the target's orientation is measured (rows 3..5: rotation vector in the instrument's frame, rad).
+    rotation: (M, 3, 3) predicted orientation of the target in the instrument's frame, or None.
+    """
+
+    xyz: np.ndarray
+    frames: np.ndarray
+    T_base_scanner: np.ndarray
+    T_base_station: np.ndarray
+    ball: np.ndarray
+    gradient: np.ndarray
+    rotation: np.ndarray | None = None
+
+
+def predict(observations: Observations, state: CellState, displacements: Displacements | None = None) -> Prediction:
+    """Evaluate the forward model at every measured centre."""
+    obs, moved = observations, displacements or Displacements()
+    q = obs.q if moved.joint is None else obs.q + moved.joint
+    frames = state.chain.frames(q, moved.frame)
+    T_base_scanner = frames[:, -1] @ state.T_flange_scanner
+    T_base_station = state.T_base_station[obs.station]
+    if moved.station is not None:
+        T_base_station = T_base_station @ se3.exp(moved.station)
+    ball = state.balls[obs.ball]
+    if moved.ball is not None:
+        ball = ball + moved.ball
+    if obs.cell.measurement == TARGET_IN_BASE:
+        prediction = _target_in_instrument(obs, frames, T_base_scanner, T_base_station, ball)
+    else:
+        prediction = _ball_in_scanner(obs, frames, T_base_scanner, T_base_station, ball)
+    if moved.point is not None:
+        prediction.xyz[:] += moved.point
+    return prediction
+
+
+def residual(observations: Observations, prediction: Prediction) -> np.ndarray:
+    """Measured minus predicted: (M, 3) mm, or (M, 6) with the rotation vector (rad) where an orientation is measured."""
+    difference = observations.xyz - prediction.xyz
+    if prediction.rotation is None:
+        return difference
+    turn = observations.rotation @ np.swapaxes(prediction.rotation, -1, -2)
+    return np.concatenate([difference, se3.rotation_log(turn)], axis=1)
+
+
+def _ball_in_scanner(obs, frames, T_base_scanner, T_base_station, ball):
+    point = se3.apply(T_base_station[obs.pose], ball)
+    T_scanner_base = se3.inverse(T_base_scanner)[obs.pose]
+    R = T_scanner_base[:, :3, :3]
+    gradient = np.concatenate([-R, R @ se3.skew(point)], axis=-1)
+    return Prediction(se3.apply(T_scanner_base, point), frames, T_base_scanner, T_base_station, ball, gradient)
+
+
+def _target_in_instrument(obs, frames, T_base_target, T_base_station, ball):
+    point = se3.apply(T_base_target[obs.pose], ball)
+    T_station_base = se3.inverse(T_base_station)[obs.pose]
+    R = T_station_base[:, :3, :3]
+    gradient = np.concatenate([R, -R @ se3.skew(point)], axis=-1)
+    rotation = None
+    if obs.rotation is not None:
+        rotation = R @ T_base_target[obs.pose, :3, :3]
+        turning = np.concatenate([np.zeros_like(R), R], axis=-1)
+        gradient = np.concatenate([gradient, turning], axis=1)
+    return Prediction(se3.apply(T_station_base, point), frames, T_base_target, T_base_station, ball, gradient, rotation)
+
+
+def arm_jacobian(observations: Observations, prediction: Prediction, twists: np.ndarray) -> np.ndarray:
+    """Derivative of the prediction by coefficients whose spatial twists are given: (P, k, 6) -> (M, R, k)."""
+    return prediction.gradient @ np.swapaxes(twists, -1, -2)[observations.pose]
+
+
+def mount_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
+    """By a local twist of the hand-eye transform, T_flange_scanner exp(xi): (M, R, 6)."""
+    return prediction.gradient @ se3.adjoint(prediction.T_base_scanner)[observations.pose]
+
+
+def station_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
+    """By a local twist of the pose's own station, T_base_station exp(xi): (M, R, 6). Moving the artefact is moving the arm back."""
+    return -prediction.gradient @ se3.adjoint(prediction.T_base_station)[observations.pose]
+
+
+def ball_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
+    """By a shift of the ball in its artefact's frame, or of a reflector in the target's: (M, 3, 3)."""
+    if observations.cell.measurement == TARGET_IN_BASE:
+        return prediction.gradient[:, :3, :3] @ prediction.T_base_scanner[observations.pose, :3, :3]
+    return -prediction.gradient[:, :3, :3] @ prediction.T_base_station[observations.pose, :3, :3]

@@ -1,0 +1,102 @@
+"""What the data leave undetermined: found, held, and named; and whether another recording could have determined it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.parameters import Layout
+from mbcacq.geometry import se3
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+LIMIT = 1.5          # standard deviation of a direction, in plausible sizes of the parameters, beyond which it counts as undetermined
+VISIBLE_MM = 0.05    # effect of a plausible change somewhere in the workspace below which leaving it out does no harm
+PROBES = 300
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """A direction of the parameters that the data do not see. name: the parameter held for it; together: others that take part;
+    effect_mm: what a plausible change of it would do to a measured point elsewhere in the workspace (rms)."""
+
+    name: str
+    together: tuple[str, ...]
+    effect_mm: float
+
+    @property
+    def harmless(self) -> bool:
+        return self.effect_mm < VISIBLE_MM
+
+    @property
+    def reason(self) -> str:
+        alone = f"not determined by these poses{' together with ' + ', '.join(self.together) if self.together else ''}"
+        return f"{alone}; without effect on what is measured" if self.harmless else alone
+
+
+def hold_undetermined(layout: Layout, information: np.ndarray, obs: Observations, state: CellState) -> tuple[Layout, list[Undetermined]]:
+    """Hold one parameter after another until the reduced information (g, g) determines the rest."""
+    found: list[Undetermined] = []
+    scale, names = layout.gather("scale"), np.array(layout.names)
+    arm = np.flatnonzero(~np.isfinite(layout.gather("sigma")))
+    H = scale[:, None] * information * scale
+    reference = None
+    kept = np.arange(len(names))
+    while len(kept):
+        value, vector = np.linalg.eigh(H[np.ix_(kept, kept)])
+        if value[0] > 1 / LIMIT**2:
+            break
+        v = np.abs(vector[:, 0]) * np.isin(kept, arm)
+        if not v.any():
+            break
+        worst = int(np.argmax(v))
+        if reference is None:
+            reference = scale[:, None] * workspace_information(obs, state, layout) * scale
+        full = np.zeros(len(names))
+        full[kept] = vector[:, 0]
+        effect = float(np.sqrt(max(full @ reference @ full, 0.0)))
+        others = [str(names[kept[i]]) for i in np.argsort(-v) if i != worst and v[i] > 0.3 * v[worst]][:3]
+        found.append(Undetermined(str(names[kept[worst]]), tuple(others), effect))
+        layout = layout.hold(found[-1].name, found[-1].reason)
+        kept = np.delete(kept, worst)
+    return layout, found
+
+
+def workspace_information(obs: Observations, state: CellState, layout: Layout, postures: int = PROBES, seed: int = 1) -> np.ndarray:
+    """(g, g): mean square displacement in mm of measured points, over postures within the joint limits, per unit of the free parameters;
+    what a rigid motion of everything would explain is taken out, since the base is wherever the stations put it."""
+    rng = np.random.default_rng(seed)
+    low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
+    q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
+    columns, points = base_columns(layout, state, q, typical_points(obs))
+    rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points * 1e-3)], axis=2).reshape(-1, 6)
+    flat = columns.reshape(-1, columns.shape[2])
+    flat = flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]
+    return flat.T @ flat / len(points)
+
+
+def typical_points(obs: Observations) -> np.ndarray:
+    """(k, 3) points of the scanner frame that span what was measured; those of the target for an external instrument."""
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return np.vstack([np.zeros(3), 50 * np.eye(3)]) if obs.rotation is not None else obs.cell.ball_centres[np.unique(obs.ball)]
+    middle, spread = obs.xyz.mean(axis=0), obs.xyz.std(axis=0)
+    return middle + np.vstack([np.zeros(3), np.diag(spread)]) if spread.max() > 1e-9 else middle[None]
+
+
+def base_columns(layout: Layout, state: CellState, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivative (P K, 3, g) of points in the base by the free parameters, and the points (P K, 3): the K scanner points xyz (K, 3) at each
+    of P postures q (P, n), or points of its own for each posture, xyz (P, K, 3)."""
+    frames = state.chain.frames(q)
+    T = frames[:, -1] @ state.T_flange_scanner
+    points = se3.apply(T[:, None], xyz if xyz.ndim == 3 else xyz[None])
+    twists = np.concatenate([
+        state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free],
+        np.swapaxes(se3.adjoint(T), 1, 2)[:, layout.blocks[1].free]], axis=1)
+    moved = twists[:, None, :, :3] + np.cross(twists[:, None, :, 3:], points[:, :, None, :])
+    columns = np.zeros((*points.shape[:2], layout.size, 3))
+    columns[:, :, :twists.shape[1]] = moved
+    return np.swapaxes(columns, 2, 3).reshape(-1, 3, layout.size), points.reshape(-1, 3)
+
+

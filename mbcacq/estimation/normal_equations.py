@@ -1,0 +1,88 @@
+"""Normal equations with the station poses eliminated (Schur complement): time and memory are linear in poses and stations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.estimation.whitening import PoseRows
+
+# Share of a station's largest information below which a direction counts as unseen: balls on one line but for a lever 3000 times smaller.
+UNSEEN = 1e-7
+STATION_SCALE = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Zero-mean rows besides the measured ones. sigma: (g,), inf = none; offset: (g,) present value minus the prior's centre.
+    station_information: (S', 6, 6) and station_offset: (S', 6), of placements that were given with an uncertainty."""
+
+    sigma: np.ndarray
+    offset: np.ndarray
+    station_information: np.ndarray
+    station_offset: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        x = self.offset / self.sigma
+        return float(x @ x + np.einsum("si,sij,sj->", self.station_offset, self.station_information, self.station_offset))
+
+    @property
+    def rows(self) -> int:
+        return int(np.isfinite(self.sigma).sum()) + int(sum(np.linalg.matrix_rank(i) for i in self.station_information if i.any()))
+
+
+class Normal:
+    """Whitened system of g parameters and 6 per station, reduced to g.
+
+    information: (g, g) of the parameters with the stations' freedom taken out; gradient: (g,). Directions of a station
+    that its data do not see (two balls leave the turn about their line) are left out by a pseudo-inverse; station_rank: (S',).
+    """
+
+    def __init__(self, rows: PoseRows, X: np.ndarray, prior: Prior):
+        """X: whitened (P, B R, g + 7), as in :class:`Linear`."""
+        self.rows, self.size = rows, X.shape[2] - 7
+        g = self.size
+        flat = X.reshape(-1, g + 7)
+        whole = flat.T @ flat
+        shared = rows.by_station(np.swapaxes(X[..., g:g + 6], 1, 2) @ X)
+        Hss = shared[..., g:g + 6] + prior.station_information
+        Hsg = shared[..., :g]
+        bs = shared[..., g + 6] - np.einsum("sij,sj->si", prior.station_information, prior.station_offset)
+        weight = 1.0 / prior.sigma**2
+        H = whole[:g, :g] + np.diag(weight)
+        b = whole[:g, -1] - weight * prior.offset
+        self.cost = float(whole[-1, -1]) + prior.cost
+        scaled = STATION_SCALE[:, None] * Hss * STATION_SCALE
+        value, vector = np.linalg.eigh(scaled)
+        seen = value > UNSEEN * np.maximum(value[:, -1:], 1e-300)
+        self.station_rank = seen.sum(axis=1)
+        root = np.where(seen, 1.0 / np.sqrt(np.where(seen, value, 1.0)), 0.0)
+        self.station_root = STATION_SCALE[:, None] * vector * root[:, None, :]  # F with F F' = pseudo-inverse of Hss
+        self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg                # F' Hsg
+        reduced_b = np.einsum("sji,sj->si", self.station_root, bs)
+        self.station_b = reduced_b
+        tall = self.reduced.reshape(6 * len(self.reduced), g)
+        self.information = H - tall.T @ tall
+        self.gradient = b - tall.T @ reduced_b.reshape(-1)
+
+    def decrease(self, step: np.ndarray) -> float:
+        """What the linear system promises to take off the cost with this step and the best stations."""
+        return float(2 * step @ self.gradient - step @ self.information @ step + np.sum(self.station_b**2))
+
+    def station_step(self, step: np.ndarray) -> np.ndarray:
+        """(S', 6) best local twists of the stations after a step (g,) of the parameters."""
+        return np.einsum("sij,sj->si", self.station_root, self.station_b - self.reduced @ step)
+
+    def reduce(self, A: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (P, m, g) and (P, m, 6) of any linear form, as (P, m, g) and (P, m, 6) so that its variance is
+        x C x' + y y', with C the covariance of the parameters."""
+        y = S @ self.station_root[self.rows.run]
+        return A - y @ self.reduced[self.rows.run], y
+
+    def station_covariance(self, C: np.ndarray) -> np.ndarray:
+        """(S', 6, 6) covariance of the stations' local twists, C (g, g) being that of the parameters."""
+        back = self.station_root @ self.reduced
+        own = self.station_root @ np.swapaxes(self.station_root, 1, 2)
+        return own + back @ C @ np.swapaxes(back, 1, 2)

@@ -1,0 +1,70 @@
+"""What a calibration may vary, and what it takes for granted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.terms import Term
+
+METHODS = ("ml", "paper")
+NOISE = ("auto", "given", "estimate")
+PAIRS = ("one", "four", "all")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How :func:`mbcacq.calibration.maximum_likelihood` works.
+
+    method: 'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage).
+    pairs: which balls enter the distance constraint of method 'paper': 'one' pair, as printed; all pairs of the 'four' balls that make the
+    virtual point; 'all' pairs of all balls.
+    phases: use only poses of these phases; None: all but 'verification', or all where there is nothing else.
+    kinematics: identify MD-H errors; otherwise only hand-eye and stations.
+    hold, release: names of parameters to keep at their nominal value, or to free although they would be held ('d_2', 'hand_eye.rz').
+    balls: estimate the ball centres within the certificate's uncertainty.
+    noise: 'auto' (a stated scanner noise is a prior of 30 %, joint repeatability is estimated), 'given' (stated figures are
+    exact; joint repeatability from repeatability_mm), 'estimate' (stated figures are ignored).
+    robust: screen gross outliers (centres and poses).
+    terms: effects to estimate with everything else. start: state to start from, instead of a closed form.
+    refuse: raise CalibrationError where the data leave undetermined what another recording could determine; otherwise such parameters
+    are held, and named.
+    """
+
+    method: str = "ml"
+    pairs: str = "one"
+    phases: tuple[str, ...] | None = None
+    kinematics: bool = True
+    hold: tuple[str, ...] = ()
+    release: tuple[str, ...] = ()
+    balls: bool = True
+    noise: str = "auto"
+    robust: bool = True
+    terms: tuple[Term, ...] = ()
+    start: CellState | None = None
+    refuse: bool = True
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ConfigError(f"there is no calibration method '{self.method}'; give one of {', '.join(METHODS)}")
+        if self.pairs not in PAIRS:
+            raise ConfigError(f"there is no choice of pairs '{self.pairs}'; give one of {', '.join(PAIRS)}")
+        if self.noise not in NOISE:
+            raise ConfigError(f"there is no noise option '{self.noise}'; give one of {', '.join(NOISE)}")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The hierarchical noise. point: (3,) mm of a centre along the instrument's axes; joint: (n,) rad repeatability of each axis,
+    which moves all centres of a pose together; turn: rad, of a measured orientation about each axis."""
+
+    point: np.ndarray
+    joint: np.ndarray
+    turn: float = 1e-4
+
+    def row_sigma(self, width: int) -> np.ndarray:
+        """(R,) sigma of the rows of one centre."""
+        return self.point if width == 3 else np.concatenate([self.point, np.full(3, self.turn)])

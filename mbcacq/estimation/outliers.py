@@ -1,0 +1,80 @@
+"""Gross outliers: centres that disagree with their pose (a ball taken for another), poses that disagree with the rest (a bumped
+tripod, a wrong pose). Thresholds follow a robust scale, so the screen works while the geometry is still coarse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.solver import Weights
+from mbcacq.estimation.whitening import PoseRows, Whitening
+
+# Median and 1e-7 tail of chi square for 3..7 degrees of freedom are interpolated by Wilson and Hilferty's cube root.
+TAIL = 5.2
+
+
+def chi2_quantile(dof: np.ndarray, z: float) -> np.ndarray:
+    """Quantile of chi square at the normal deviate z (Wilson, Hilferty 1931)."""
+    dof = np.maximum(dof, 1e-9)
+    return dof * (1 - 2 / (9 * dof) + z * np.sqrt(2 / (9 * dof))) ** 3
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Squared distances in sigma. centre: (M,) of each centre from where its pose, joints shifted to fit, expects it; pose: (P,) of each
+    pose from the model."""
+
+    centre: np.ndarray
+    pose: np.ndarray
+    centre_dof: int
+    pose_dof: np.ndarray
+
+
+def distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> Distances:
+    """joint: (P, B R, n) columns of the joints; residual: (M, R). Every centre and pose is judged, left out or not."""
+    whiten = Whitening(rows, joint, noise, weights.centre, np.ones(rows.n_poses))
+    sigma = noise.row_sigma(rows.width)
+    scaled = residual / sigma
+    r = rows.pad(scaled * np.sqrt(weights.centre)[:, None])[..., None]
+    gram = np.swapaxes(whiten.J, 1, 2) @ whiten.J
+    n = gram.shape[1]
+    gram[:, np.arange(n), np.arange(n)] += 1.0
+    u = np.linalg.solve(gram, np.swapaxes(whiten.J, 1, 2) @ r)
+    full = joint * rows.pad(np.broadcast_to(1 / sigma, residual.shape).copy())[..., None] * noise.joint
+    left = scaled - rows.unpad(full @ u)[..., 0]
+    by_pose = np.zeros(rows.n_poses)
+    # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
+    used = rows.pad(left**2 * weights.centre[:, None]).sum(axis=1)
+    by_pose[rows.order] = used + np.sum(u[..., 0] ** 2, axis=1)
+    dof = np.zeros(rows.n_poses)
+    dof[rows.order] = rows.pad(np.repeat(weights.centre[:, None], rows.width, axis=1)).sum(axis=1)
+    return Distances(np.sum(left**2, axis=1), by_pose, rows.width, dof)
+
+
+def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
+    """New weights, 0 or 1. pose: (M,) the pose of each centre. The worst of a pose is judged before its companions, which it spoils."""
+    n_poses = len(d.pose)
+    count = np.bincount(pose, minlength=n_poses)
+    centre = np.ones(len(d.centre))
+    displaced = np.zeros(n_poses, bool)
+    companions = count[pose] > 1
+    if companions.any():
+        # The scale is that of all, left out or not: a median of the survivors would shrink from round to round.
+        scale = max(np.median(d.centre[companions]) / chi2_quantile(np.array(float(d.centre_dof)), 0.0), 1e-300)
+        worst = np.zeros(n_poses)
+        np.maximum.at(worst, pose, d.centre)
+        off = companions & (d.centre > max(scale, 0.5) * chi2_quantile(np.array(float(d.centre_dof)), TAIL))
+        centre[off & (d.centre > 0.25 * worst[pose])] = 0.0
+        # Where most of a pose is off, it is the pose that stands elsewhere.
+        displaced = np.bincount(pose, centre == 0, minlength=n_poses) > 0.5 * count
+        centre[displaced[pose]] = 1.0
+    used = np.bincount(pose, centre, minlength=n_poses)
+    judged = d.pose_dof > 0
+    per_dof = d.pose / chi2_quantile(np.maximum(d.pose_dof, 1.0), 0.0)
+    scale = np.median(per_dof[judged]) if judged.any() else 1.0
+    out = judged & (d.pose > max(scale, 0.5) * chi2_quantile(np.maximum(d.pose_dof, 1.0), TAIL))
+    changed = np.bincount(pose, centre != weights.centre, minlength=n_poses) > 0
+    # A pose whose centres were just judged anew gets its own verdict in the next round.
+    return Weights(centre, np.where(displaced | (out & ~changed & (used > 0)), 0.0, 1.0))

@@ -1,0 +1,175 @@
+"""Named blocks of parameters: what each is called, its unit, whether it is free, why not, and its prior.
+
+The vector a solver works on is the free entries of all blocks, one after another; station poses are not in it (they are
+eliminated, six each).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import Options
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.model.cell import TARGET_IN_BASE, Cell
+from mbcacq.model.observations import Observations
+
+HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
+# Size that an error of each kind may plausibly have; scales the parameters for the rank check and says what "undetermined" means.
+PLAUSIBLE = {"theta": 0.02, "d": 3.0, "a": 3.0, "alpha": 0.01, "beta": 0.01}
+PLAUSIBLE_HAND_EYE = np.array([30.0, 30.0, 30.0, 0.2, 0.2, 0.2])
+
+
+@dataclass(frozen=True)
+class Block:
+    """k parameters of one kind. names, units: (k,); free: (k,) bool; sigma: (k,) prior about ``centre``, inf = none; scale: (k,) plausible
+    size; why: reason of each held one."""
+
+    name: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    free: np.ndarray
+    sigma: np.ndarray
+    scale: np.ndarray
+    why: dict[str, str] = field(default_factory=dict)
+
+    def hold(self, index: int, why: str) -> Block:
+        free = self.free.copy()
+        free[index] = False
+        return replace(self, free=free, why={**self.why, self.names[index]: why})
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The blocks of a problem: chain (5 n, row by row), hand_eye (6), balls (3 K), then one per term."""
+
+    blocks: tuple[Block, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the solver's vector."""
+        return tuple(name for b in self.blocks for name, free in zip(b.names, b.free, strict=True) if free)
+
+    @property
+    def size(self) -> int:
+        return sum(int(b.free.sum()) for b in self.blocks)
+
+    def gather(self, attribute: str) -> np.ndarray:
+        """(g,) 'sigma' or 'scale' of the free parameters."""
+        return np.concatenate([getattr(b, attribute)[b.free] for b in self.blocks])
+
+    def spread(self, step: np.ndarray) -> list[np.ndarray]:
+        """The solver's vector (g,) as one full array per block, zero where held."""
+        out, start = [], 0
+        for b in self.blocks:
+            full = np.zeros(len(b.names))
+            count = int(b.free.sum())
+            full[b.free] = step[start:start + count]
+            out.append(full)
+            start += count
+        return out
+
+    def hold(self, name: str, why: str) -> Layout:
+        """The layout with one more parameter held. Raises ConfigError if there is no such parameter."""
+        for i, b in enumerate(self.blocks):
+            if name in b.names:
+                return Layout((*self.blocks[:i], b.hold(b.names.index(name), why), *self.blocks[i + 1:]))
+        raise ConfigError(f"there is no parameter '{name}'; give one of {', '.join(n for b in self.blocks[:2] for n in b.names)}")
+
+    @property
+    def held(self) -> dict[str, str]:
+        """Held parameters with the reason, except balls that are simply taken as certified."""
+        return {name: b.why[name] for b in self.blocks for name, free in zip(b.names, b.free, strict=True) if not free and name in b.why}
+
+
+def build(observations: Observations, options: Options) -> Layout:
+    """The layout for a recording: which parameters are free, with gauge and redundancy removed by what is known of every arm.
+
+    theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i and i+1 are
+    parallel, d_i acts like d_(i+1) and beta_i is needed; elsewhere beta_i acts like the neighbours' parameters.
+    """
+    cell = observations.cell
+    blocks = [_chain(cell, options), _hand_eye(observations), _balls(observations, options)]
+    layout = Layout((*blocks, *(_term(t) for t in options.terms)))
+    for name in options.hold:
+        layout = layout.hold(name, "held on request")
+    return layout
+
+
+def _chain(cell: Cell, options: Options) -> Block:
+    chain, n = cell.robot.chain, cell.robot.n
+    names = tuple(f"{p}_{i + 1}" for i in range(n) for p in PARAMETERS)
+    why: dict[str, str] = {}
+    if not options.kinematics:
+        why = dict.fromkeys(names, "kinematics not asked for")
+    else:
+        if not any(s.T_base_station is not None for s in cell.stations):
+            why |= dict.fromkeys(("theta_1", "d_1"), "moves the base together with the stations")
+        parallel = chain.parallel_next()
+        for i in range(n - 1):
+            if parallel[i]:
+                why.setdefault(f"d_{i + 1}", f"acts like d_{i + 2}: axes {i + 1} and {i + 2} are parallel")
+            else:
+                why[f"beta_{i + 1}"] = "acts like its neighbours, except between parallel axes"
+        for p in PARAMETERS:
+            why[f"{p}_{n}"] = "acts like the hand-eye transform"
+        for name in options.release:
+            why.pop(name, None)
+    free = np.array([name not in why for name in names])
+    scale = np.tile([PLAUSIBLE[p] for p in PARAMETERS], n)
+    units = ("rad", "mm", "mm", "rad", "rad") * n
+    return Block("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
+
+
+def _hand_eye(obs: Observations) -> Block:
+    names = tuple(f"hand_eye.{c}" for c in HAND_EYE)
+    block = Block("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
+    if obs.cell.measurement == TARGET_IN_BASE:
+        blind = not obs.sees_target_turn
+        reason = "only the target's position is measured"
+    else:
+        blind = bool(np.abs(obs.xyz).max(initial=0.0) < 1e-9)
+        reason = "only points at the scanner's origin are measured"
+    for i in range(3, 6) if blind else ():
+        block = block.hold(i, reason)
+    return block
+
+
+def _balls(obs: Observations, options: Options) -> Block:
+    cell = obs.cell
+    ids = cell.ball_ids
+    names = tuple(f"ball_{b}.{c}" for b in ids for c in "xyz")
+    sigma = np.array([a.uncertainty_mm for a in cell.artefacts])[cell.ball_artefact]
+    seen = np.isin(np.arange(len(ids)), obs.ball)
+    several = np.bincount(cell.ball_artefact, minlength=len(cell.artefacts))[cell.ball_artefact] > 1
+    free = seen & several & (sigma > 0) & options.balls
+    return Block("balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3))
+
+
+def _term(term) -> Block:
+    scale = np.where(np.isfinite(term.sigma), term.sigma, 1.0)
+    return Block(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A point of the parameter space: the cell's state and the coefficients of the terms."""
+
+    state: CellState
+    coefficients: tuple[np.ndarray, ...] = ()
+
+    def moved(self, layout: Layout, step: np.ndarray, station_step: np.ndarray) -> Estimate:
+        """After a step (g,) of the free parameters and (S, 6) local twists of the stations."""
+        chain_step, mount_step, ball_step, *term_steps = layout.spread(step)
+        state = self.state
+        moved = CellState(
+            state.chain.with_errors(chain_step.reshape(-1, 5)),
+            state.T_flange_scanner @ se3.exp(mount_step),
+            state.T_base_station @ se3.exp(station_step),
+            state.balls + ball_step.reshape(-1, 3),
+        )
+        return Estimate(moved, tuple(c + s for c, s in zip(self.coefficients, term_steps, strict=True)))

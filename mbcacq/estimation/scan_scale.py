@@ -1,0 +1,78 @@
+"""The scanner's scale, from the distances of balls within single scans against the certificate.
+
+A calibration cannot see a scale common to all scans: the arm's lengths and the hand-eye translation grow with it, and every distance
+it measures later is wrong by that share. The scans themselves show it, whatever the arm did.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from mbcacq.estimation.initial_guess import match
+from mbcacq.model.cell import TARGET_IN_BASE, Cell
+from mbcacq.model.observations import Observations
+
+CLEAR = 3.0
+FEW = 8   # scans from whose own scatter their mean is judged; with fewer, by the noise
+
+
+@dataclass(frozen=True)
+class ScanScale:
+    """ppm: by how much distances within a scan are longer than certified; sigma_ppm: standard uncertainty, of which certificate_ppm is
+    the certificates' and does not fall with more scans; scans: how many took part."""
+
+    ppm: float
+    sigma_ppm: float
+    certificate_ppm: float
+    scans: int
+
+    @property
+    def significant(self) -> bool:
+        """Beyond three standard uncertainties."""
+        return abs(self.ppm) > CLEAR * self.sigma_ppm
+
+    def to_dict(self) -> dict:
+        return asdict(self) | {"significant": self.significant}
+
+
+def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> ScanScale | None:
+    """From the centres where ``used`` (M,) bool holds; noise_mm: (3,) of one centre. None where no scan shows two balls of an artefact."""
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return None
+    parts = [part for a in range(len(obs.cell.artefacts)) if (part := _of_artefact(obs, used, a, float(np.mean(noise_mm)))) is not None]
+    if not parts:
+        return None
+    ppm, scatter, certificate, count = np.array(parts).T
+    weight = 1 / (scatter**2 + certificate**2)
+    weight /= weight.sum()
+    from_certificates = float(np.sqrt(np.sum((weight * certificate) ** 2)))
+    total = float(np.sqrt(np.sum(weight**2 * (scatter**2 + certificate**2))))
+    return ScanScale(float(np.sum(weight * ppm)), total, from_certificates, int(count.sum()))
+
+
+def _of_artefact(obs: Observations, used: np.ndarray, a: int, noise: float) -> tuple[float, float, float, int] | None:
+    """Scale, its scatter, its uncertainty by the certificate, all in ppm, and the number of scans, of one artefact."""
+    cell: Cell = obs.cell
+    rows = used & (cell.ball_artefact[obs.ball] == a)
+    rows &= (np.bincount(obs.pose[rows], minlength=obs.n_poses) > 1)[obs.pose]
+    if not rows.any():
+        return None
+    poses, group = np.unique(obs.pose[rows], return_inverse=True)
+    known, seen = cell.ball_centres[obs.ball[rows]], obs.xyz[rows]
+    turn = match(known, seen, group, len(poses))[:, :3, :3]
+    known, seen = _centred(known, group), _centred(seen, group)
+    size = np.bincount(group, np.sum(known**2, axis=1))
+    scale = np.bincount(group, np.sum(seen * np.einsum("mij,mj->mi", turn[group], known), axis=1)) / size - 1
+    mean = float(np.average(scale, weights=size))
+    by_noise = noise / np.sqrt(size.sum())
+    scatter = np.sqrt(np.average((scale - mean) ** 2, weights=size) / (len(poses) - 1)) if len(poses) >= FEW else by_noise
+    certificate = cell.artefacts[a].uncertainty_mm / np.sqrt(size.mean())
+    return 1e6 * mean, 1e6 * float(scatter), 1e6 * float(certificate), len(poses)
+
+
+def _centred(points: np.ndarray, group: np.ndarray) -> np.ndarray:
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, points[:, c]) for c in range(3)], axis=1) / count[:, None]
+    return points - mean[group]

@@ -1,0 +1,132 @@
+"""Noise estimated from the data: restricted maximum likelihood of variance components, with broad log-normal priors.
+
+Components: scanner noise along each axis, turn of a measured orientation, repeatability of each joint. Stated figures are priors.
+Average-information scoring (Gilmour, Thompson, Cullis 1995) on the logarithms; degrees of freedom spent on the geometry are
+accounted for through the traces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.solver import Solution
+from mbcacq.model.cell import Cell
+
+# Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is anybody's guess.
+STATED, GUESSED, COMMON, JOINT, EXACT = 1.0, 2.0, 1.5, 0.1, 1e-3
+# No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
+LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """Normal prior of the logarithms of (point (3), joint (n), turn (1)): centre (K,), precision (K, K)."""
+
+    centre: np.ndarray
+    precision: np.ndarray
+
+
+def first_noise(cell: Cell) -> Noise:
+    """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach."""
+    chain = cell.robot.chain
+    # The height of the first axis' foot is no lever of anything.
+    reach = max(float(np.abs(chain.a[0]) + np.sum(np.hypot(chain.a[1:], chain.d[1:]))), 1.0)
+    point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, LEAST_POINT)
+    repeatability = cell.robot.repeatability_mm or 0.06
+    # RP = mean + 3 sigma of a distance, about four times the sigma of one coordinate; half of the reach, on average, is behind a joint.
+    return Noise(point, np.full(chain.n, repeatability / 4 / (0.5 * reach)), 1e-4)
+
+
+def noise_prior(cell: Cell, noise: Noise, option: str) -> NoisePrior:
+    """option: 'auto', 'given' or 'estimate'. Joints share an unknown common level and differ from it by JOINT."""
+    n = len(noise.joint)
+    stated = {"auto": STATED, "given": EXACT, "estimate": GUESSED}[option] if cell.noise_mm is not None else GUESSED
+    common, single = (EXACT, EXACT) if option == "given" and cell.robot.repeatability_mm else (COMMON, JOINT)
+    precision = np.zeros((n + 4, n + 4))
+    precision[:3, :3] = np.eye(3) / stated**2
+    precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2)
+    precision[-1, -1] = 1 / GUESSED**2
+    return NoisePrior(pack(noise), precision)
+
+
+def pack(noise: Noise) -> np.ndarray:
+    return np.log(np.concatenate([noise.point, noise.joint, [noise.turn]]))
+
+
+def unpack(theta: np.ndarray) -> Noise:
+    value = np.exp(theta)
+    return Noise(value[:3], value[3:-1], float(value[-1]))
+
+
+def improve(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
+    """One scoring step at a converged solution; also the largest change of a logarithm."""
+    score, information = score_and_information(solution, noise)
+    theta = pack(noise)
+    score = score - prior.precision @ (theta - prior.centre)
+    step = np.linalg.solve(information + prior.precision, score)
+    least = np.log(np.concatenate([np.full(3, LEAST_POINT), np.full(len(noise.joint), LEAST_JOINT), [LEAST_TURN]]))
+    moved = np.maximum(theta + np.clip(step, -1.0, 1.0), least)
+    return unpack(moved), float(np.abs(moved - theta).max())
+
+
+def score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas."""
+    W, normal = solution.whitening, solution.normal
+    rows, g = normal.rows, normal.size
+    X, r = solution.X[..., :g + 6], solution.X[..., g + 6:]
+    root = np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
+    back = W.transpose(np.concatenate([X, r], axis=2))      # inverse covariance times columns and residual
+    n, width = len(noise.joint), rows.width
+    sigma = np.resize(noise.row_sigma(width), rows.depth * width)
+    # Scanner: the rows of one axis each.
+    lever = _leverage(normal, root, back[..., :g + 6])       # (P, B R)
+    own = _own_trace(W)
+    quadratic = back[..., -1] ** 2
+    per_row = [((quadratic - own + lever) * sigma**2).reshape(-1, rows.depth, width)]
+    per_row = per_row[0].sum(axis=(0, 1))
+    score = np.zeros(n + 4)
+    score[:3] = per_row[:3]
+    score[-1] = per_row[3:].sum()
+    images = np.zeros((*back.shape[:2], n + 4))
+    row_axis = np.tile(np.arange(width), rows.depth)
+    for c in range(3):
+        images[..., c] = np.where(row_axis == c, back[..., -1] * sigma**2, 0)
+    images[..., -1] = np.where(row_axis >= 3, back[..., -1] * sigma**2, 0)
+    # Joints: one column a pose. W J in units of the repeatability; W.J is scaled by the centres' weights already.
+    J = W.J * W.pose_scale
+    V = J - W.J @ (W.M @ (np.swapaxes(W.J, 1, 2) @ J))       # whitened
+    Vt = np.swapaxes(V, 1, 2)
+    b = (Vt @ r)[..., 0]
+    lever_j = _leverage(normal, root, Vt @ X)                # (P, n)
+    score[3:-1] = np.sum(b**2 - np.einsum("pij,pij->pj", V, V) + lever_j, axis=0)
+    Y = W(images)
+    Y[..., 3:-1] = V * b[:, None, :]
+    # Average information: Y' P Y, twice (log sigma instead of variance: each derivative carries a factor 2, the half stays).
+    flat = Y.reshape(-1, Y.shape[2])
+    against = np.swapaxes(Y, 1, 2) @ X
+    A, y = against[..., :g], against[..., g:]
+    by_station = rows.by_station(y) @ normal.station_root
+    A = A.sum(axis=0) - np.einsum("skx,sxg->kg", by_station, normal.reduced)
+    projected = A @ root.T
+    information = flat.T @ flat - projected @ projected.T - np.einsum("skx,slx->kl", by_station, by_station)
+    return score, 2 * information
+
+
+def _leverage(normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Variance (P, m) of linear forms (P, m, g + 6), from parameters and stations."""
+    a, y = normal.reduce(rows[..., :normal.size], rows[..., normal.size:])
+    return np.sum((a @ root.T) ** 2, axis=2) + np.sum(y**2, axis=2)
+
+
+def _own_trace(W) -> np.ndarray:
+    """(P, B R): diagonal of W'W, the inverse covariance."""
+    inverse = np.linalg.inv(np.swapaxes(W.J, 1, 2) @ W.J + np.eye(W.J.shape[2]))
+    share = np.einsum("pij,pjk,pik->pi", W.J, inverse, W.J, optimize=True)
+    return (1 - share) * W.scale[..., 0] ** 2
+
+
+def _regular(information: np.ndarray) -> np.ndarray:
+    return information + np.diag(1e-14 * np.diag(information).max(initial=1.0) * np.ones(len(information)))

@@ -1,0 +1,81 @@
+"""Rows grouped by pose, and the whitening of each pose by scanner noise and joint repeatability.
+
+All arrays (P, B R, k): B is the largest number of centres of a pose, poses with fewer have rows of zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.estimation.options import Noise
+from mbcacq.model.observations import Observations
+
+
+class PoseRows:
+    """Scatter of centres (M, R, ...) into poses (P, B R, ...) and back; stations as runs of consecutive poses."""
+
+    def __init__(self, obs: Observations, width: int):
+        # Blocks follow the order of stations, so that sums over a station are sums over a run.
+        self.order = np.argsort(obs.station, kind="stable")
+        place = np.empty(obs.n_poses, int)
+        place[self.order] = np.arange(obs.n_poses)
+        count = np.bincount(obs.pose, minlength=obs.n_poses)
+        rank = np.arange(obs.n_centres) - (np.cumsum(count) - count)[obs.pose]
+        self.n_poses, self.depth, self.width = obs.n_poses, int(count.max(initial=1)), width
+        self.slot = place[obs.pose] * self.depth + rank
+        self.full = bool(len(self.slot) == obs.n_poses * self.depth and np.array_equal(self.slot, np.arange(len(self.slot))))
+        station = obs.station[self.order]
+        self.first = np.flatnonzero(np.r_[True, np.diff(station) > 0])
+        self.stations = station[self.first]
+        self.run = np.cumsum(np.r_[0, np.diff(station) > 0])
+
+    def pad(self, rows: np.ndarray) -> np.ndarray:
+        """(M, R, ...) -> (P, B R, ...)."""
+        if not self.full:
+            out = np.zeros((self.n_poses * self.depth, *rows.shape[1:]), dtype=rows.dtype)
+            out[self.slot] = rows
+            rows = out
+        return rows.reshape(self.n_poses, self.depth * rows.shape[1], *rows.shape[2:])
+
+    def unpad(self, blocks: np.ndarray) -> np.ndarray:
+        """(P, B R, ...) -> (M, R, ...)."""
+        rows = blocks.reshape(self.n_poses * self.depth, -1, *blocks.shape[2:])
+        return rows if self.full else rows[self.slot]
+
+    def by_station(self, per_pose: np.ndarray) -> np.ndarray:
+        """Sums (P, ...) over the poses of each station in use: (S', ...), in the order of ``stations``."""
+        return np.add.reduceat(per_pose, self.first, axis=0)
+
+
+class Whitening:
+    """W with W' W = inverse covariance of every pose, as one small matrix per pose.
+
+    With rows scaled by the scanner's sigma, J the scaled columns of the joints times their repeatability and L L' = I + J'J:
+    W = I - J M J', M = inv(L L' + L), for which W'W = I - J inv(I + J'J) J' = inv(I + J J').
+    """
+
+    def __init__(self, rows: PoseRows, joint: np.ndarray, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray):
+        """joint: (P, B R, n) derivative by the joints; weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of
+        the observations, 0 = left out, 1 = full (a share w counts as a variance 1 / w times as large)."""
+        scale = np.sqrt(weight)[:, None] / noise.row_sigma(rows.width)
+        self.scale = rows.pad(scale)[..., None]
+        self.pose_scale = np.sqrt(pose_weight[rows.order])[:, None, None]
+        self.J = joint * self.scale * noise.joint
+        self.scale = self.scale * self.pose_scale
+        gram = np.swapaxes(self.J, 1, 2) @ self.J
+        gram[:, np.arange(gram.shape[1]), np.arange(gram.shape[1])] += 1.0
+        L = np.linalg.cholesky(gram)
+        self.log_det = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum()
+        self.M = np.linalg.inv(gram + L)
+
+    def __call__(self, blocks: np.ndarray) -> np.ndarray:
+        """W X for blocks (P, B R, k)."""
+        X = blocks * self.scale
+        X -= self.J @ (self.M @ (np.swapaxes(self.J, 1, 2) @ X))
+        return X
+
+    def transpose(self, blocks: np.ndarray) -> np.ndarray:
+        """W' X for blocks (P, B R, k)."""
+        X = blocks - self.J @ (np.swapaxes(self.M, 1, 2) @ (np.swapaxes(self.J, 1, 2) @ blocks))
+        X *= self.scale
+        return X

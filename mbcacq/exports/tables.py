@@ -1,0 +1,60 @@
+"""Result as CSV (RFC 4180, units in the column names): parameters, covariance, verification, residuals."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbcacq.model.observations import Observations
+
+
+def parameters_csv(result: Mapping[str, Any]) -> str:
+    """name, value, error (value minus nominal), std, unit, status, reason of every parameter."""
+    keys = ("name", "value", "error", "std", "unit", "status", "reason")
+    return _csv(keys, ([p.get(k) for k in keys] for p in result["parameters"]))
+
+
+def covariance_csv(result: Mapping[str, Any]) -> str:
+    """Covariance of the free parameters, one row a parameter, in the units of the parameters."""
+    return _csv(["name", *result["names"]], ([name, *row] for name, row in zip(result["names"], result["covariance"], strict=True)))
+
+
+def verification_csv(result: Mapping[str, Any]) -> str:
+    """Sphere spacing errors at each place; only the header where nothing was verified."""
+    places = (result.get("verification") or {}).get("places") or []
+    keys = ("station", "ball_a", "ball_b", "certified_mm", "before_mm", "after_mm", "expected_mm")
+    return _csv(keys, ([p["station"], *p["balls"], *(p.get(k) for k in keys[3:])] for p in places))
+
+
+def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
+    """Measured minus predicted of every centre of the calibrated poses, in the scanner frame."""
+    from mbcacq.calibration import state_from_dict
+    from mbcacq.report.sources.measured import calibrated_poses, residuals
+
+    used = calibrated_poses(observations, dict(result))
+    rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
+    noise = result["noise"]
+    found = residuals(used, state_from_dict(dict(result), observations.cell), noise["scanner_mm"], noise["joint_rad"], rejected)
+    rows = zip(found.pose, found.phase, found.ball, found.xyz, found.weighted, found.outlier, strict=True)
+    return _csv(["pose", "phase", "ball", "dx_mm", "dy_mm", "dz_mm", "dx_over_sigma", "dy_over_sigma", "dz_over_sigma", "used"],
+                ([int(p), phase, int(b), *xyz, *w, int(not out)] for p, phase, b, xyz, w, out in rows))
+
+
+def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out)
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow([_cell(v) for v in row])
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """Shortest text that reads back to the same float; nothing for None."""
+    if value is None:
+        return ""
+    return repr(float(value)) if isinstance(value, float | np.floating) else value

@@ -1,0 +1,167 @@
+"""Robot, artefact and cell descriptions as YAML: one schema for plan files and observation sets. deg in files, rad inside."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.model import cell
+
+Vector = tuple[float, float, float]
+Size = Annotated[float, Field(ge=0)]
+
+
+class Strict(BaseModel):
+    """Unknown keys are refused. A subclass that reads foreign files may allow them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PoseSpec(Strict):
+    """A frame: rotation matrix or KUKA angles A, B, C (deg), and translation (mm)."""
+
+    rotation: tuple[Vector, Vector, Vector] | None = None
+    abc_deg: Vector | None = None
+    translation_mm: Vector = (0.0, 0.0, 0.0)
+    sigma_mm: float | None = None
+
+    def transform(self) -> np.ndarray:
+        """(4, 4); a rotation matrix given with few digits is brought to the nearest rotation, one given in full is kept bit for bit."""
+        xyz = np.array(self.translation_mm, dtype=float)
+        if self.rotation is not None:
+            R = np.array(self.rotation, dtype=float)
+            exact = np.abs(R @ R.T - np.eye(3)).max() < 1e-14 and np.linalg.det(R) > 0
+            return se3.transform(R if exact else se3.nearest_rotation(R), xyz)
+        return se3.from_abc(xyz, np.radians(self.abc_deg or (0.0, 0.0, 0.0)))
+
+
+class LinkSpec(Strict):
+    sign: Literal[-1, 1] = 1
+    theta_deg: float
+    d_mm: float
+    a_mm: float
+    alpha_deg: float
+    beta_deg: float = 0.0
+    limits_deg: tuple[float, float] = (-360.0, 360.0)
+    speed_deg_s: float | None = None
+    acceleration_deg_s2: float | None = None
+    mass_kg: float = 0.0
+    com_mm: Vector = (0.0, 0.0, 0.0)
+    gear_ratio: float | None = None
+
+
+class PayloadSpec(Strict):
+    mass_kg: float = 0.0
+    com_mm: Vector = (0.0, 0.0, 0.0)
+
+
+class RobotSpec(Strict):
+    name: str
+    links: tuple[LinkSpec, ...] = Field(min_length=2)
+    payload: PayloadSpec = PayloadSpec()
+    base_to_gravity: Vector = (0.0, 0.0, -1.0)
+    repeatability_mm: float | None = Field(default=None, gt=0)
+
+    def model(self) -> cell.RobotModel:
+        column = {name: np.array([getattr(link, name) for link in self.links], dtype=float)
+                  for name in ("sign", "theta_deg", "d_mm", "a_mm", "alpha_deg", "beta_deg", "mass_kg")}
+        optional = {name: _all_or_none([getattr(link, name) for link in self.links])
+                    for name in ("speed_deg_s", "acceleration_deg_s2", "gear_ratio")}
+        gravity = np.array(self.base_to_gravity, dtype=float)
+        return cell.RobotModel(
+            name=self.name,
+            chain=Chain(column["sign"], np.radians(column["theta_deg"]), column["d_mm"], column["a_mm"],
+                        np.radians(column["alpha_deg"]), np.radians(column["beta_deg"])),
+            limits=np.radians([link.limits_deg for link in self.links]),
+            mass=column["mass_kg"],
+            com=np.array([link.com_mm for link in self.links], dtype=float),
+            speed=_radians(optional["speed_deg_s"]),
+            acceleration=_radians(optional["acceleration_deg_s2"]),
+            gear_ratio=optional["gear_ratio"],
+            payload_mass=self.payload.mass_kg,
+            payload_com=np.array(self.payload.com_mm, dtype=float),
+            gravity=_unit(gravity),
+            repeatability_mm=self.repeatability_mm,
+        )
+
+
+class BallSpec(Strict):
+    id: int
+    centre_mm: Vector
+    diameter_mm: float = Field(default=0.0, ge=0)
+
+
+class ArtefactSpec(Strict):
+    id: str
+    name: str = ""
+    reference_temperature_C: float = 20.0
+    expansion_ppm_per_K: float | None = None
+    uncertainty_mm: float = Field(default=0.001, ge=0)
+    balls: tuple[BallSpec, ...] = Field(min_length=1)
+    certificate: str | None = None
+
+    def model(self) -> cell.Artefact:
+        return cell.Artefact(
+            id=self.id, name=self.name, ball_ids=tuple(b.id for b in self.balls),
+            centres=np.array([b.centre_mm for b in self.balls], dtype=float),
+            diameters=np.array([b.diameter_mm for b in self.balls]),
+            uncertainty_mm=self.uncertainty_mm, reference_temperature_C=self.reference_temperature_C,
+            expansion_ppm_per_K=self.expansion_ppm_per_K,
+        )
+
+
+class StationSpec(Strict):
+    id: str | int
+    artefact: str
+    pose_in_base: PoseSpec | None = None
+
+
+class ScannerSpec(Strict):
+    """noise_mm: of one centre along x, y, z; zeros say as little as none."""
+
+    name: str = ""
+    noise_mm: tuple[Size, Size, Size] | None = None
+
+
+class CellSpec(Strict):
+    """``cell.yaml`` of an observation set."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    format: Literal["mbcacq-observation-set/1"]
+    measurement: Literal["artefact_in_scanner", "target_in_base"] = "artefact_in_scanner"
+    robot: RobotSpec
+    hand_eye: PoseSpec = PoseSpec()
+    artefacts: tuple[ArtefactSpec, ...] = Field(min_length=1)
+    stations: tuple[StationSpec, ...] = Field(min_length=1)
+    scanner: ScannerSpec = ScannerSpec()
+
+    def model(self) -> cell.Cell:
+        return cell.Cell(
+            robot=self.robot.model(), T_flange_scanner=self.hand_eye.transform(),
+            artefacts=tuple(a.model() for a in self.artefacts),
+            stations=tuple(cell.Station(str(s.id), s.artefact,
+                                        s.pose_in_base.transform() if s.pose_in_base else None,
+                                        s.pose_in_base.sigma_mm if s.pose_in_base else None) for s in self.stations),
+            scanner_name=self.scanner.name,
+            noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
+            measurement=self.measurement,
+        )
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    """Normalised; what is normalised already stays as it is, so that writing and reading changes no bit."""
+    length = np.linalg.norm(vector)
+    return vector if abs(length - 1) < 1e-15 else vector / length
+
+
+def _all_or_none(values: list[Any]) -> np.ndarray | None:
+    return None if any(v is None for v in values) else np.array(values, dtype=float)
+
+
+def _radians(values: np.ndarray | None) -> np.ndarray | None:
+    return None if values is None else np.radians(values)

@@ -1,0 +1,28 @@
+"""The plans, robots and artefacts that come with the tool: inside the package once installed, beside it in a source tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mbcacq.errors import ConfigError
+
+
+def folder() -> Path:
+    """The folder with robots/, artefacts/ and the plans. Raises ConfigError where an installation lacks it."""
+    package = Path(__file__).resolve().parents[1]
+    for place in (package / "_plans", package.parent / "plans"):
+        if (place / "robots").is_dir():
+            return place
+    raise ConfigError("the robots and plans that come with mbcacq are missing; reinstall it")
+
+
+def robots() -> list[str]:
+    """Names of the robots, as ``model:`` of a trajectory set takes them."""
+    return sorted(path.stem for path in (folder() / "robots").glob("*.yaml"))
+
+
+def robot_file(name: str) -> Path:
+    """The YAML of a robot by name. Raises ConfigError naming the choices."""
+    if name not in robots():
+        raise ConfigError(f"there is no robot '{name}' among those of the tool ({', '.join(robots())}); correct the name or give its links")
+    return folder() / "robots" / f"{name}.yaml"

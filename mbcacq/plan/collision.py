@@ -1,0 +1,125 @@
+"""The cell as simple solids: capsules along the links, a box for the scanner, boxes and a post for what stands around."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbcacq.geometry import se3
+from mbcacq.plan.planned import LoadedPlan
+
+# Thickness of links 1, 2... as a share of the reach; what follows the last entry is as thin as that.
+LINK_RADIUS = (0.07, 0.07, 0.05, 0.05, 0.04)
+PLATE_MM = 40.0         # what carries the balls, below the lowest of them
+SIDE_MM = 8.0           # around the outermost balls
+SHORTEST_MM = 5.0
+WALL_MM = 5000.0        # thicker than any arm reaches
+DEEPEST_MM = 400.0      # of a tripod, where the plan names no floor
+
+
+@dataclass(frozen=True)
+class Body:
+    """A convex solid fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame."""
+
+    name: str
+    link: int
+    pose: np.ndarray
+    shape: Any
+    radius: float           # of a sphere around the origin of ``pose`` that holds it
+
+
+def arm_bodies(loaded: LoadedPlan) -> list[Body]:
+    """Base column, links and scanner."""
+    robot, plan = loaded.cell.robot, loaded.plan
+    frames = robot.chain.frames(np.zeros((1, robot.n)))[0]
+    scale = 1.0 if plan.robot.link_radius_mm is None else plan.robot.link_radius_mm / (LINK_RADIUS[1] * reach(loaded))
+    bodies = []
+    for i in range(robot.n):
+        radius = scale * reach(loaded) * LINK_RADIUS[min(i, len(LINK_RADIUS) - 1)]
+        lifted = frames[i, :3, 3] + robot.chain.d[i] * frames[i, :3, 2]
+        # The d of a row lies along its own axis, so it turns with the link, but does not move.
+        for part, (start, end) in enumerate(((frames[i, :3, 3], lifted), (lifted, frames[i + 1, :3, 3]))):
+            if np.linalg.norm(end - start) > SHORTEST_MM:
+                link = 0 if i == 0 and part == 0 else i + 1
+                name = "base" if link == 0 else f"link {i + 1}"
+                bodies.append(_capsule(name, link, se3.inverse(frames[link]), start, end, radius))
+    if plan.scanner.field_of_view.body_mm is not None:
+        low, high = np.array(plan.scanner.field_of_view.body_mm)
+        bodies.append(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high))
+        bodies += _bracket(loaded, low, high)
+    return bodies
+
+
+def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[Body]:
+    """What carries the scanner: from the flange to the nearest point of its housing, where there is room between."""
+    T = loaded.cell.T_flange_scanner
+    flange = se3.inverse(T)[:3, 3]
+    end = se3.apply(T, np.clip(flange, low, high))
+    if np.linalg.norm(end) > SHORTEST_MM:
+        radius = reach(loaded) * LINK_RADIUS[-1]
+        yield _capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius)
+
+
+def surrounding_bodies(loaded: LoadedPlan) -> list[Body]:
+    """Obstacles, and the workspace's limits as walls around it."""
+    boxes = [_box(o.name, 0, np.eye(4), np.array(o.min_mm), np.array(o.max_mm)) for o in loaded.plan.obstacles]
+    return boxes + list(_walls(loaded))
+
+
+def _walls(loaded: LoadedPlan) -> Iterator[Body]:
+    space = loaded.plan.workspace
+    if space is None:
+        return
+    low, high = np.array(space.min_mm) - WALL_MM, np.array(space.max_mm) + WALL_MM
+    for axis, name in enumerate("xyz"):
+        for side, at in (("lower", space.min_mm[axis]), ("upper", space.max_mm[axis])):
+            near, far = low.copy(), high.copy()
+            (far if side == "lower" else near)[axis] = at
+            yield _box(f"the workspace's {side} {name} limit", 0, np.eye(4), near, far)
+
+
+def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
+    """The artefact at a station, and the tripod below it."""
+    place = next(s for s in loaded.cell.stations if s.id == station)
+    artefact = loaded.cell.artefact(place.artefact)
+    room = artefact.diameters[:, None] / 2 + np.array([SIDE_MM, SIDE_MM, 0.0])
+    low, high = (artefact.centres - room).min(axis=0), (artefact.centres + room).max(axis=0)
+    low[2] -= PLATE_MM
+    bodies = [_box(f"artefact {artefact.id}", 0, place.T_base_station, low, high)]
+    radius = loaded.plan.tripod_radius_mm
+    down = loaded.cell.robot.gravity
+    top = se3.apply(place.T_base_station, np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])) + radius * down
+    floor = max((np.abs(np.array([o.min_mm, o.max_mm]) @ down).max() for o in loaded.plan.obstacles), default=top @ down + DEEPEST_MM)
+    length = floor - top @ down - radius
+    if radius > 0 and length > SHORTEST_MM:
+        bodies.append(_capsule("tripod", 0, np.eye(4), top, top + length * down, radius))
+    return bodies
+
+
+def reach(loaded: LoadedPlan) -> float:
+    """mm from axis 2 to the wrist, stretched."""
+    frames = loaded.cell.robot.chain.frames(np.zeros((1, loaded.cell.robot.n)))[0]
+    steps = np.linalg.norm(np.diff(frames[1:-1, :3, 3], axis=0), axis=1)
+    return float(steps.sum())
+
+
+def _box(name: str, link: int, T: np.ndarray, low: np.ndarray, high: np.ndarray) -> Body:
+    import coal
+
+    middle = se3.transform(np.eye(3), (low + high) / 2)
+    return Body(name, link, T @ middle, coal.Box(*(high - low)), float(np.linalg.norm(high - low) / 2))
+
+
+def _capsule(name: str, link: int, T: np.ndarray, start: np.ndarray, end: np.ndarray, radius: float) -> Body:
+    """Around the line from start to end (3,), both in the frame outside ``T``."""
+    import coal
+
+    length = float(np.linalg.norm(end - start))
+    z = (end - start) / length
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    pose = T @ se3.transform(np.stack([x, np.cross(z, x), z], axis=1), (start + end) / 2)
+    return Body(name, link, pose, coal.Capsule(radius, length), length / 2 + radius)

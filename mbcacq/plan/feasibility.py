@@ -1,0 +1,133 @@
+"""What is wrong or doubtful in a plan, found before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.plan.clearance import Clearance
+from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
+from mbcacq.plan.findings import Finding, finding
+from mbcacq.plan.occlusion import check_sight
+from mbcacq.plan.planned import LoadedPlan, PlannedPose
+from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
+
+LIMIT_MARGIN = np.radians(2.0)
+SINGULAR = np.radians(5.0)
+NEAR_AXIS_MM = 30.0
+SAME = np.radians(0.01)
+
+
+def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[Finding]:
+    """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises.
+
+    routes: of ``find_paths``, where they are known already."""
+    return [*check_reach(loaded), *check_joints(loaded, poses), *check_sight(loaded, poses), *check_clearance(loaded, poses),
+            *check_ways(loaded, poses, routes), *check_repetition(loaded, poses), *check_revisits(loaded, poses)]
+
+
+def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
+    """Raises ConfigError with the first error that ``check`` finds, and how many more there are."""
+    errors = [f for f in check(loaded, poses) if f.level == "error"]
+    if errors:
+        more = f" ({len(errors) - 1} more: mbcacq plan check {loaded.path})" if len(errors) > 1 else ""
+        raise ConfigError(f"{errors[0]}{more}")
+
+
+def check_reach(loaded: LoadedPlan) -> Iterator[Finding]:
+    """Targets that no joint position reaches."""
+    for target in expand_reachable(loaded)[1]:
+        place, sentence = unreachable_sentence(loaded, target).split(": ", 1)
+        yield Finding("error", "reach", loaded.plan.steps[target.step].name, place, sentence)
+
+
+def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+    """Limits and their margin, wrist, elbow and shoulder singularities."""
+    robot = loaded.cell.robot
+    for pose in poses:
+        room = np.minimum(pose.q - robot.limits[:, 0], robot.limits[:, 1] - pose.q)
+        axis = int(np.argmin(room))
+        angle = np.degrees(pose.q[axis])
+        low, high = np.degrees(robot.limits[axis])
+        limits = f"its limits {low:g}..{high:g} deg"
+        if room[axis] < 0:
+            yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f} deg exceeds {limits}; take another pose")
+        elif room[axis] < LIMIT_MARGIN:
+            yield finding(loaded, pose, "warning", "near-limit", f"A{axis + 1} at {angle:.1f} deg comes close to {limits}")
+        for where, sentence in _singularities(robot, pose.q):
+            yield finding(loaded, pose, "warning", where, sentence)
+
+
+def _singularities(robot, q: np.ndarray) -> Iterator[tuple[str, str]]:
+    if robot.n != 6:
+        return
+    frames = robot.chain.frames(q[None])[0]
+    z, origin = frames[:, :3, 2], frames[:, :3, 3]
+    if np.linalg.norm(np.cross(z[3], z[5])) < np.sin(SINGULAR):
+        yield "wrist-singular", "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly tells their errors apart"
+    shoulder, elbow, wrist = origin[1], origin[2], origin[4]
+    upper, lower = elbow - shoulder, wrist - elbow
+    if np.linalg.norm(np.cross(upper, lower)) < np.sin(SINGULAR) * np.linalg.norm(upper) * np.linalg.norm(lower):
+        yield "elbow-singular", "the arm is almost stretched: it is slow to move outwards and close to the end of its reach"
+    axis = z[0] / np.linalg.norm(z[0])
+    if np.linalg.norm(np.cross(wrist - origin[0], axis)) < NEAR_AXIS_MM:
+        yield "shoulder-singular", "the wrist stands above axis A1: small moves sideways turn the whole arm"
+
+
+def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+    """Distances at the poses and at home."""
+    clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
+    near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
+    if near.distance < needed:
+        place = f"{loaded.path}:{loaded.lines.get(('robot', 'home_deg'), 1)}"
+        yield Finding("error", "collision", "", place, f"at home {_touch(near)}; choose another home position")
+    for pose in poses:
+        near = clearance.at(pose.q, pose.station)
+        if near.distance < needed:
+            yield finding(loaded, pose, "error", "collision", f"at pose {pose.number} {_touch(near)}; change the view, or move the station")
+
+
+def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[Finding]:
+    """Poses to which no free way was found; those that collide by themselves are said elsewhere."""
+    _, obstructed = find_paths(loaded, poses) if routes is None else routes
+    if not obstructed:
+        return
+    clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
+    spoiled = {p.number for p in poses if clearance.at(p.q, p.station).distance < needed}
+    by_number = {p.number: (before, p) for before, p in zip([None, *poses[:-1]], poses, strict=True)}
+    for blocked in obstructed:
+        before, pose = by_number[blocked.number]
+        if pose.number in spoiled or (before is not None and before.number in spoiled):
+            continue
+        sentence = obstructed_sentence(loaded, poses, blocked).split(": ", 1)[1]
+        yield Finding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))
+
+
+def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+    """The same joint position twice at a station tells little more than once."""
+    seen: list[tuple[str, np.ndarray]] = []
+    for pose in poses:
+        if any(s == pose.station and np.abs(q - pose.q).max() < SAME for s, q in seen):
+            yield finding(loaded, pose, "warning", "repeated", "this pose was taken already at this station; take another view")
+        seen.append((pose.station, pose.q))
+
+
+def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+    """A station stands for one place of the artefact. Put back by hand, it stands elsewhere by more than the arm's repeatability."""
+    if loaded.plan.positioner.driver != "manual":
+        return
+    stands: dict[str, str] = {}
+    visited: set[str] = set()
+    for pose in poses:
+        if pose.station in visited and stands[pose.artefact] != pose.station:
+            yield finding(loaded, pose, "warning", "revisited", "the artefact was taken away meanwhile and will not stand where it stood; "
+                          "give the second visit a station of its own, at the same place")
+        visited.add(pose.station)
+        stands[pose.artefact] = pose.station
+
+
+def _touch(near) -> str:
+    how = f"comes within {near.distance:.0f} mm of" if near.distance > 0 else f"runs {-near.distance:.0f} mm into"
+    return f"{near.b} {how} {near.a}"

@@ -1,0 +1,60 @@
+"""A plan as it is handed on: loaded with the files it names, and expanded into poses and the transits between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.model.cell import Cell
+from mbcacq.plan.schema import Plan
+
+
+@dataclass(frozen=True)
+class LoadedPlan:
+    """A plan with the files it names. cell: robot, artefacts and stations (T_base_station as planned; not for the solver).
+
+    text: the plan's YAML as read. lines: path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages. files: names of the robot
+    and artefact files as the plan gives them -> their texts.
+    """
+
+    path: Path
+    plan: Plan
+    cell: Cell
+    text: str
+    lines: dict[tuple[str | int, ...], int]
+    files: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PlannedPose:
+    """One pose to take. number: 0.. in running order; q: (n,) rad; balls: certificate ids expected in view; line: in the YAML."""
+
+    number: int
+    step: int
+    step_name: str
+    phase: str
+    station: str
+    artefact: str
+    q: np.ndarray
+    balls: tuple[int, ...]
+    exposures: int
+    line: int
+
+
+@dataclass(frozen=True)
+class Transit:
+    """Joint waypoints (n,) rad to pass, in order, before a pose. Where the artefact is moved, that is safe after the first ``leave`` of
+    them: the arm then stands at home. Iterates over all of them."""
+
+    leave: list[np.ndarray] = field(default_factory=list)
+    approach: list[np.ndarray] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        yield from self.leave
+        yield from self.approach
+
+    def __len__(self) -> int:
+        return len(self.leave) + len(self.approach)

@@ -1,0 +1,53 @@
+"""How long a plan takes: jerk-limited motions, settling, exposures. An operator's time is not counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mbcacq.plan.motion_limits import motion_limits
+from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
+
+
+@dataclass(frozen=True)
+class Duration:
+    """Seconds, and how often the artefact is moved by hand or positioner."""
+
+    motion_s: float
+    settle_s: float
+    exposure_s: float
+    station_changes: int
+
+    @property
+    def total_s(self) -> float:
+        return self.motion_s + self.settle_s + self.exposure_s
+
+
+def duration(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> Duration:
+    """Of a whole run, from home to home, at the plan's own speed."""
+    limits, plan = motion_limits(loaded), loaded.plan
+    home = np.radians(plan.robot.home_deg)
+    stops = [home]
+    for pose, transit in zip(poses, transits, strict=True):
+        stops += [*transit, pose.q]
+    stops.append(home)
+    motion = sum(motion_time(a, b, limits) for a, b in pairwise(stops))
+    changes = sum(a.station != b.station for a, b in pairwise(poses))
+    exposures = sum(p.exposures for p in poses)
+    return Duration(motion, (len(stops) - 1) * plan.robot.settle_s, exposures * plan.scanner.scan_time_s, changes)
+
+
+def motion_time(start: np.ndarray, end: np.ndarray, limits) -> float:
+    """s of one jerk-limited joint motion (n,) rad from rest to rest."""
+    import ruckig
+
+    wanted = ruckig.InputParameter(len(start))
+    wanted.current_position, wanted.target_position = start.tolist(), end.tolist()
+    wanted.max_velocity, wanted.max_acceleration = limits.speed.tolist(), limits.acceleration.tolist()
+    wanted.max_jerk = limits.jerk.tolist()
+    trajectory = ruckig.Trajectory(len(start))
+    ruckig.Ruckig(len(start)).calculate(wanted, trajectory)
+    return float(trajectory.duration)

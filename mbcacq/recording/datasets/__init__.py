@@ -1,0 +1,1 @@
+"""Folders of YAML and CSV: observation sets and trajectory sets."""

@@ -1,0 +1,111 @@
+"""A cell as ``cell.yaml``, without losing a bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.recording.datasets import angles
+
+FORMAT = "mbcacq-observation-set/1"
+
+
+def cell_to_yaml(cell: Cell) -> str:
+    """``cell.yaml`` of an observation set; reading it gives every float of ``cell`` back, bit for bit.
+
+    The one exception: an angle that no float64 in deg converts to becomes its nearest neighbour (never one that was read from a file).
+    """
+    data: dict[str, Any] = {"format": FORMAT, "measurement": cell.measurement, "robot": _robot(cell.robot)}
+    data["hand_eye"] = _frame(cell.T_flange_scanner)
+    data["artefacts"] = [_artefact(a) for a in cell.artefacts]
+    data["stations"] = [_station(s) for s in cell.stations]
+    scanner: dict[str, Any] = {"name": cell.scanner_name}
+    if cell.noise_mm is not None:
+        scanner["noise_mm"] = _list(cell.noise_mm)
+    data["scanner"] = scanner
+    return _dump(data)
+
+
+def robot_to_yaml(form: str, robot: RobotModel) -> str:
+    """A ``cell.yaml`` that holds only the robot, such as a trajectory set's."""
+    return _dump({"format": form, "robot": _robot(robot)})
+
+
+def _dump(data: dict[str, Any]) -> str:
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=160)
+
+
+def _robot(robot: RobotModel) -> dict[str, Any]:
+    chain, n = robot.chain, robot.n
+    columns: dict[str, list[Any]] = {
+        "sign": [int(s) for s in chain.sign], "theta_deg": _degrees(chain.theta), "d_mm": _list(chain.d), "a_mm": _list(chain.a),
+        "alpha_deg": _degrees(chain.alpha), "beta_deg": _degrees(chain.beta), "limits_deg": [_degrees(row) for row in robot.limits],
+        "mass_kg": _list(robot.mass), "com_mm": [_list(row) for row in robot.com],
+    }
+    if robot.speed is not None:
+        columns["speed_deg_s"] = _degrees(robot.speed)
+    if robot.acceleration is not None:
+        columns["acceleration_deg_s2"] = _degrees(robot.acceleration)
+    if robot.gear_ratio is not None:
+        columns["gear_ratio"] = _list(robot.gear_ratio)
+    data: dict[str, Any] = {"name": robot.name}
+    if robot.repeatability_mm is not None:
+        data["repeatability_mm"] = float(robot.repeatability_mm)
+    data["links"] = [_Flow({key: values[i] for key, values in columns.items()}) for i in range(n)]
+    data["payload"] = _Flow({"mass_kg": float(robot.payload_mass), "com_mm": _list(robot.payload_com)})
+    data["base_to_gravity"] = _list(robot.gravity)
+    return data
+
+
+def _artefact(artefact: Artefact) -> dict[str, Any]:
+    data: dict[str, Any] = {"id": artefact.id, "name": artefact.name,
+                            "reference_temperature_C": float(artefact.reference_temperature_C)}
+    if artefact.expansion_ppm_per_K is not None:
+        data["expansion_ppm_per_K"] = float(artefact.expansion_ppm_per_K)
+    data["uncertainty_mm"] = float(artefact.uncertainty_mm)
+    data["balls"] = [_Flow({"id": int(ball), "centre_mm": _list(centre), "diameter_mm": float(diameter)})
+                     for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)]
+    return data
+
+
+def _station(station: Station) -> dict[str, Any]:
+    name: str | int = station.id
+    if name.lstrip("-").isdecimal() and str(int(name)) == name:
+        name = int(name)
+    data = _Flow({"id": name, "artefact": station.artefact})
+    if station.T_base_station is not None:
+        data["pose_in_base"] = _frame(station.T_base_station)
+        if station.sigma_mm is not None:
+            data["pose_in_base"]["sigma_mm"] = float(station.sigma_mm)
+    return data
+
+
+def _frame(T: np.ndarray) -> dict[str, Any]:
+    return {"rotation": [_list(row) for row in T[:3, :3]], "translation_mm": _list(T[:3, 3])}
+
+
+def _list(values: np.ndarray) -> list[float]:
+    return _FlowList(np.asarray(values, dtype=float).tolist())
+
+
+def _degrees(values: np.ndarray) -> list[float]:
+    return _FlowList(angles.degrees(values)[0].tolist())
+
+
+class _Flow(dict):
+    """A mapping written on one line."""
+
+
+class _FlowList(list):
+    """A list written on one line."""
+
+
+class _Dumper(yaml.SafeDumper):
+    pass
+
+
+_Dumper.add_representer(_Flow, lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, flow_style=True))
+_Dumper.add_representer(_FlowList, lambda dumper, data: dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True))

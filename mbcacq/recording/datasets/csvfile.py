@@ -1,0 +1,168 @@
+"""CSV tables (RFC 4180, header, '.' as decimal point) column by column, with file, line and column in every complaint."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.recording.datasets import angles
+
+MAX_BYTES = 1 << 30
+XYZ = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+@dataclass
+class Table:
+    """A CSV file as text. columns: header name -> cells of that column; line: (rows,) line of each row in the file."""
+
+    path: Path
+    columns: dict[str, tuple[str, ...]]
+    line: list[int]
+    taken: set[str] = field(default_factory=set)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def has(self, names: Sequence[str]) -> bool:
+        return all(name in self.columns for name in names)
+
+    def where(self, row: int, column: str) -> str:
+        return f"{self.path}:{self.line[row]}: column {column}"
+
+    def require(self, names: Sequence[str]) -> None:
+        missing = [name for name in names if name not in self.columns]
+        if missing:
+            raise ConfigError(f"{self.path}:1: column {', '.join(missing)} is missing (the header has: {', '.join(self.columns)}); "
+                              "add it, the separator must be a comma")
+
+    def text(self, name: str) -> tuple[str, ...]:
+        self.require([name])
+        self.taken.add(name)
+        return self.columns[name]
+
+    def number(self, name: str) -> np.ndarray:
+        """(rows,) float64. Raises ConfigError at the first cell that is no finite number."""
+        cells = self.text(name)
+        try:
+            values = np.array(cells, dtype=float)
+        except ValueError:
+            values = None
+        if values is None or not np.isfinite(values).all() or any("_" in cell for cell in cells):
+            self._refuse_number(name, cells)
+        return values
+
+    def integer(self, name: str) -> np.ndarray:
+        """(rows,) int64. '3' and '3.0' are accepted, '3.5' is not."""
+        values = self.number(name)
+        bad = (values != np.rint(values)) | (np.abs(values) > 2**53)
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise ConfigError(f"{self.where(row, name)}: '{self.columns[name][row]}' is not an integer; correct it")
+        return values.astype(np.int64)
+
+    def radians(self, name: str) -> np.ndarray:
+        """(rows,) float64 rad from a column in deg."""
+        return angles.radians(self.number(name), self.columns[name])
+
+    def group(self, names: Sequence[str], *, angle: bool = False) -> np.ndarray:
+        """(rows, len(names)) of several columns."""
+        return np.stack([self.radians(name) if angle else self.number(name) for name in names], axis=1)
+
+    def rest(self) -> dict[str, np.ndarray]:
+        """The columns nobody asked for, as text."""
+        return {name: np.array(cells, dtype=np.str_) for name, cells in self.columns.items() if name not in self.taken}
+
+    def _refuse_number(self, name: str, cells: Sequence[str]) -> None:
+        for row, cell in enumerate(cells):
+            where = self.where(row, name)
+            if not cell.strip():
+                raise ConfigError(f"{where}: the cell is empty; fill it in, or leave the whole column out if it is optional")
+            try:
+                value = float(cell)
+            except ValueError:
+                value = None
+            if value is None or "_" in cell:
+                raise ConfigError(f"{where}: '{_short(cell)}' is not a number; correct it")
+            if not np.isfinite(value):
+                raise ConfigError(f"{where}: '{_short(cell)}' is not a finite number; remove the row or correct it")
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV file. Raises ConfigError if it is absent, empty, not UTF-8, or a row has more or fewer cells than the header."""
+    reader = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
+    rows, line = [], []
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        for row in reader:
+            if row:
+                rows.append(row)
+                line.append(reader.line_num)
+    except csv.Error as error:
+        raise ConfigError(f"{path}:{reader.line_num}: not a CSV file ({error}); save it as comma-separated text") from None
+    if not header:
+        raise ConfigError(f"{path}:1: the file is empty; a header line and at least one row are needed")
+    for name in header:
+        if header.count(name) > 1:
+            raise ConfigError(f"{path}:1: column {name} appears twice; remove one")
+    for row, number in zip(rows, line, strict=True):
+        if len(row) != len(header):
+            raise ConfigError(f"{path}:{number}: column {header[min(len(row), len(header) - 1)]}: the row has {len(row)} cells, "
+                              f"the header {len(header)}; correct the row (decimal point '.', separator ',')")
+    if not rows:
+        raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
+    return Table(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
+
+
+def write_table(path: Path, columns: Mapping[str, Sequence[str]]) -> None:
+    """Write columns of text as one CSV file; an existing file is replaced only when the new one is complete."""
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    write_text(path, buffer.getvalue())
+
+
+def write_text(path: Path, text: str) -> None:
+    partial = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(text.encode("utf-8"))
+        os.replace(partial, path)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be written: {error.strerror}; choose another folder or free the disk") from error
+
+
+def numbered(pattern: str, n: int) -> list[str]:
+    """Column names with the joint's number, 1..n, in place of {}."""
+    return [pattern.format(i + 1) for i in range(n)]
+
+
+def numbers(values: np.ndarray) -> list[str]:
+    """Shortest decimals that read back as the same bits."""
+    return list(map(repr, np.asarray(values).tolist()))
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; split the set")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the path") from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise ConfigError(f"{path}:{line}: not UTF-8 text (byte 0x{data[error.start]:02x}); save the file as UTF-8") from None
+
+
+def _short(cell: str) -> str:
+    return cell if len(cell) <= 40 else cell[:37] + "..."

@@ -1,0 +1,142 @@
+"""The observation set, a folder of ``cell.yaml``, ``poses.csv`` and ``centres.csv``, as :class:`Observations`.
+
+Numbers come back bit for bit. Columns this program does not know are kept in ``Observations.extra`` and written back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.model.cell import Cell
+from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets import quaternions
+from mbcacq.recording.datasets.cell_yaml import read_cell
+from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, Table, numbered, read_table
+from mbcacq.recording.datasets.observation_writer import write_observation_set
+
+__all__ = ["read_observation_set", "write_observation_set"]
+
+
+
+def read_observation_set(folder: Path | str) -> Observations:
+    """Read a folder. Raises ConfigError naming file, line and column of the first fault."""
+    folder = Path(folder)
+    cell, text = read_cell(folder / "cell.yaml")
+    poses = _read_poses(read_table(folder / "poses.csv"), cell)
+    if (folder / "centres.csv").exists():
+        centres = _read_centres(read_table(folder / "centres.csv"), cell, poses)
+    elif (folder / "scans").is_dir():
+        from mbcacq.recording.datasets.scan_folder import centres_from_scans
+
+        centres = centres_from_scans(folder, cell, poses["pose_id"], poses["station"])
+    else:
+        raise ConfigError(f"{folder}: there is neither centres.csv nor a folder scans with clouds; add one of them")
+    extra = {**poses.pop("extra"), **centres.pop("extra", {})}
+    return Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
+
+
+def _read_poses(table: Table, cell: Cell) -> dict:
+    n = cell.robot.n
+    joints = numbered("q{}_deg", n)
+    table.require(["pose", "station", *joints])
+    out = {"pose_id": table.integer("pose"), "q": table.group(joints, angle=True)}
+    _refuse_repeated(table, "pose", out["pose_id"], "pose {} appears twice (first in line {}); number each pose once")
+    stations = {station.id: i for i, station in enumerate(cell.stations)}
+    out["station"] = _look_up(table, "station", stations, "station '{}' is not in cell.yaml (there: {})")
+    if table.has(["phase"]):
+        out["phase"] = np.array([cell.strip() for cell in table.text("phase")], dtype=np.str_)
+    for column in ("time_s", "payload_kg"):
+        if table.has([column]):
+            out[column] = table.number(column)
+    if table.has(names := numbered("dir{}", n)):
+        out["direction"] = np.stack([_direction(table, name) for name in names], axis=1)
+    if table.has(names := numbered("qd{}_deg_s", n)):
+        out["velocity"] = table.group(names, angle=True)
+    if table.has(names := numbered("tau{}_Nm", n)):
+        out["torque"] = table.group(names)
+    if table.has(names := numbered("i{}_A", n)):
+        out["current"] = table.group(names)
+    out["temperatures"] = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
+    out["extra"] = {f"poses.{name}": cells for name, cells in table.rest().items()}
+    return out
+
+
+def _read_centres(table: Table, cell: Cell, poses: dict) -> dict:
+    table.require(["pose", "ball", *XYZ])
+    pose_index = {pose: i for i, pose in enumerate(poses["pose_id"].tolist())}
+    table.taken |= {"pose", "ball"}
+    pose = _match(table, "pose", table.integer("pose"), pose_index, "pose {} is not in poses.csv")
+    balls = {ball: i for i, ball in enumerate(cell.ball_ids)}
+    ball = _match(table, "ball", table.integer("ball"), balls, "ball {} is on no artefact of cell.yaml")
+    artefacts = {artefact.id: i for i, artefact in enumerate(cell.artefacts)}
+    of_station = np.array([artefacts[station.artefact] for station in cell.stations])[poses["station"][pose]]
+    wrong = cell.ball_artefact[ball] != of_station
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        station = cell.stations[poses["station"][pose[row]]]
+        raise ConfigError(f"{table.where(row, 'ball')}: ball {cell.ball_ids[ball[row]]} is not on artefact '{station.artefact}', "
+                          f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station")
+    _refuse_repeated(table, "ball", pose * len(cell.ball_ids) + ball, "this ball was already given for this pose (line {1}); remove one")
+    out = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
+    if table.has(["n_points"]):
+        values = table.number("n_points")
+        whole = np.array_equal(values, np.rint(values)) and np.abs(values).max(initial=0.0) < 2.0**53
+        out["n_points"] = values.astype(np.int64) if whole else values
+    if table.has(["rms_mm"]):
+        out["rms_mm"] = table.number("rms_mm")
+    extra = {}
+    if any(name in table.columns for name in QUATERNION):
+        table.require(QUATERNION)
+        # The text is kept as well: a matrix does not remember the digits of its quaternion.
+        extra = {name: np.array(table.columns[name], dtype=np.str_) for name in QUATERNION}
+        out["rotation"] = _rotation(table)
+    extra |= table.rest()
+    order = np.argsort(pose, kind="stable")
+    out = {name: values[order] for name, values in out.items()}
+    out["extra"] = {f"centres.{name}": cells[order] for name, cells in extra.items()}
+    return out
+
+
+def _rotation(table: Table) -> np.ndarray:
+    q = table.group(QUATERNION)
+    length = np.linalg.norm(q, axis=1)
+    bad = np.abs(length - 1) > 0.01
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ConfigError(f"{table.where(row, 'qw')}: qw, qx, qy, qz have length {length[row]:.4g}, not 1; correct the quaternion")
+    return quaternions.to_matrix(q)
+
+
+def _direction(table: Table, name: str) -> np.ndarray:
+    values = table.integer(name)
+    if (np.abs(values) > 1).any():
+        row = int(np.argmax(np.abs(values) > 1))
+        raise ConfigError(f"{table.where(row, name)}: '{table.columns[name][row]}' is none of -1, 0, 1; correct it")
+    return values
+
+
+def _look_up(table: Table, column: str, index: dict[str, int], message: str) -> np.ndarray:
+    cells = [cell.strip() for cell in table.text(column)]
+    return _match(table, column, cells, index, message)
+
+
+def _match(table: Table, column: str, cells: Sequence | np.ndarray, index: dict, message: str) -> np.ndarray:
+    cells = cells.tolist() if isinstance(cells, np.ndarray) else cells
+    try:
+        return np.array([index[cell] for cell in cells], dtype=np.int64)
+    except KeyError:
+        row = next(i for i, cell in enumerate(cells) if cell not in index)
+        known = ", ".join(map(str, list(index)[:12])) + (", ..." if len(index) > 12 else "")
+        raise ConfigError(f"{table.where(row, column)}: {message.format(cells[row], known)}; correct it") from None
+
+
+def _refuse_repeated(table: Table, column: str, keys: np.ndarray, message: str) -> None:
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    again = first[inverse] != np.arange(len(keys))
+    if again.any():
+        row = int(np.argmax(again))
+        raise ConfigError(f"{table.where(row, column)}: " + message.format(keys[row], table.line[first[inverse[row]]]))

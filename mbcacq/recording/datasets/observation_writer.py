@@ -1,0 +1,91 @@
+"""Observations out as a folder of ``cell.yaml``, ``poses.csv`` and ``centres.csv``."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets import angles, quaternions
+from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
+from mbcacq.recording.datasets.csvfile import (
+    QUATERNION,
+    XYZ,
+    numbered,
+    numbers,
+    write_table,
+    write_text,
+)
+
+
+def write_observation_set(observations: Observations, folder: Path | str) -> None:
+    """Write the folder (made if absent; its three files are replaced). Raises RecordingError if that is impossible."""
+    obs, folder = observations, Path(folder)
+    write_text(folder / "cell.yaml", _cell_text(obs))
+    write_table(folder / "poses.csv", _pose_columns(obs))
+    write_table(folder / "centres.csv", _centre_columns(obs))
+
+
+def _cell_text(obs: Observations) -> str:
+    """The text the cell came from while it still says the same, so that comments and unknown keys survive."""
+    fresh = cell_to_yaml(obs.cell)
+    if obs.cell_yaml:
+        try:
+            if cell_to_yaml(parse_cell(obs.cell_yaml)) == fresh:
+                return obs.cell_yaml
+        except ConfigError:
+            pass
+    return fresh
+
+
+def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
+    n = obs.q.shape[1]
+    station = np.array([s.id for s in obs.cell.stations])
+    columns: dict[str, Sequence[str]] = {"pose": numbers(obs.pose_id)}
+    if obs.phase is not None:
+        columns["phase"] = obs.phase.tolist()
+    columns["station"] = station[obs.station].tolist()
+    if obs.time_s is not None:
+        columns["time_s"] = numbers(obs.time_s)
+    columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
+    for pattern, values, text in (("dir{}", obs.direction, numbers), ("qd{}_deg_s", obs.velocity, angles.degrees_text),
+                                  ("tau{}_Nm", obs.torque, numbers), ("i{}_A", obs.current, numbers)):
+        if values is not None:
+            columns |= dict(zip(numbered(pattern, n), map(text, values.T), strict=True))
+    if obs.payload_kg is not None:
+        columns["payload_kg"] = numbers(obs.payload_kg)
+    columns |= {name: numbers(values) for name, values in obs.temperatures.items()}
+    return columns | _extra(obs, "poses.", columns)
+
+
+def _centre_columns(obs: Observations) -> dict[str, Sequence[str]]:
+    ball = np.array(obs.cell.ball_ids)
+    columns: dict[str, Sequence[str]] = {"pose": numbers(obs.pose_id[obs.pose]), "ball": numbers(ball[obs.ball])}
+    columns |= dict(zip(XYZ, map(numbers, obs.xyz.T), strict=True))
+    for name in ("n_points", "rms_mm"):
+        if (values := getattr(obs, name)) is not None:
+            columns[name] = numbers(values)
+    if obs.rotation is not None:
+        columns |= _quaternion_columns(obs)
+    skip = {*columns, *QUATERNION}
+    return columns | _extra(obs, "centres.", skip)
+
+
+def _quaternion_columns(obs: Observations) -> dict[str, Sequence[str]]:
+    kept = [obs.extra.get(f"centres.{name}") for name in QUATERNION]
+    if all(cells is not None for cells in kept):
+        try:
+            q = np.stack([cells.astype(float) for cells in kept], axis=1)
+        except ValueError:
+            q = np.zeros((0, 4))
+        if q.shape == (obs.n_centres, 4) and np.array_equal(quaternions.to_matrix(q), obs.rotation):
+            return {name: cells.tolist() for name, cells in zip(QUATERNION, kept, strict=True)}
+    return dict(zip(QUATERNION, map(numbers, quaternions.from_matrix(obs.rotation).T), strict=True))
+
+
+def _extra(obs: Observations, prefix: str, skip: Container[str]) -> dict[str, Sequence[str]]:
+    return {name.removeprefix(prefix): cells.tolist() for name, cells in obs.extra.items()
+            if name.startswith(prefix) and name.removeprefix(prefix) not in skip}

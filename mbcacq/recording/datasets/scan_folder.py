@@ -1,0 +1,52 @@
+"""``scans/POSE.ply`` of an observation set: clouds into ball centres where another lab gives no centres, and clouds out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError, DeviceFault
+from mbcacq.model.cell import Cell
+
+
+def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: np.ndarray) -> dict[str, np.ndarray]:
+    """Centre columns of ``Observations`` from the cloud of each pose; a pose without cloud, or without a ball in it, has none.
+
+    pose_id: (P,); station: (P,) index into ``cell.stations``. Raises ConfigError naming the cloud that cannot be used.
+    """
+    from mbcacq.spheres import centres_from_ply
+
+    index = {ball: i for i, ball in enumerate(cell.ball_ids)}
+    pose, ball, xyz, count, rms = [], [], [], [], []
+    for p, number in enumerate(pose_id.tolist()):
+        path = folder / "scans" / f"{number}.ply"
+        if not path.exists():
+            continue
+        try:
+            found = centres_from_ply(path, cell.artefact(cell.stations[station[p]].artefact))
+        except DeviceFault as error:
+            raise ConfigError(f"{path}: {error}") from None
+        pose.append(np.full(len(found.ball), p))
+        ball.append([index[b] for b in found.ball.tolist()])
+        xyz.append(found.xyz)
+        count.append(found.n_points)
+        rms.append(found.rms_mm)
+    if not any(map(len, pose)):
+        raise ConfigError(f"{folder / 'scans'}: no cloud of a pose (POSE.ply) shows a ball; name each cloud by the number of its pose")
+    return {"pose": np.concatenate(pose), "ball": np.concatenate(ball).astype(np.int64), "xyz": np.concatenate(xyz),
+            "n_points": np.concatenate(count), "rms_mm": np.concatenate(rms)}
+
+
+def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None) -> None:
+    """Binary PLY: points (N, 3) as float32 or float64, mm; intensity (N,) uint8 as a property of its own."""
+    kind, name = ("<f8", "double") if points.dtype == np.float64 else ("<f4", "float")
+    fields = [("x", kind), ("y", kind), ("z", kind)] + ([("intensity", "u1")] if intensity is not None else [])
+    cloud = np.empty(len(points), dtype=fields)
+    cloud["x"], cloud["y"], cloud["z"] = points.T
+    properties = "".join(f"property {name} {axis}\n" for axis in "xyz")
+    if intensity is not None:
+        cloud["intensity"] = intensity
+        properties += "property uchar intensity\n"
+    header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(points)}\n{properties}end_header\n"
+    path.write_bytes(header.encode("ascii") + cloud.tobytes())

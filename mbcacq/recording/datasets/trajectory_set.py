@@ -1,0 +1,118 @@
+"""Trajectory sets: folders of ``cell.yaml`` and ``trajectory.csv``, as :class:`Trajectory` and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from mbcacq.errors import ConfigError
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
+from mbcacq.model.shipped import robot_file
+from mbcacq.model.trajectory import Trajectory
+from mbcacq.recording.datasets import angles
+from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
+from mbcacq.recording.datasets.csvfile import Table, numbers, read_table, write_table, write_text
+from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+
+FORMAT = "mbcacq-trajectory-set/1"
+
+
+class _RobotUse(Strict):
+    """A robot by its links, or by the name of one of the tool's with what is different about it."""
+
+    name: str = ""
+    model: str | None = None
+    links: tuple[LinkSpec, ...] | None = Field(default=None, min_length=2)
+    gear_ratio: tuple[float, ...] | None = None
+    payload: PayloadSpec | None = None
+    base_to_gravity: Vector | None = None
+    repeatability_mm: float | None = None
+
+
+class _TrajectorySpec(Strict):
+    model_config = ConfigDict(extra="ignore")
+
+    format: Literal["mbcacq-trajectory-set/1"]
+    robot: _RobotUse
+
+
+def is_trajectory_set(folder: Path | str) -> bool:
+    """Whether a folder says of itself that it is one."""
+    folder = Path(folder)
+    return (folder / "cell.yaml").is_file() and (folder / "trajectory.csv").is_file()
+
+
+def read_trajectory_set(folder: Path | str) -> Trajectory:
+    """Read a folder of ``cell.yaml`` and ``trajectory.csv``. Raises ConfigError naming file, line and column of the first fault."""
+    folder = Path(folder)
+    path = folder / "cell.yaml"
+    data, node = load_yaml(read_yaml_text(path), str(path))
+    robot = _robot(validate(_TrajectorySpec, data, node, str(path)).robot, str(path))
+    table = read_table(folder / "trajectory.csv")
+    table.require(["time_s", *(f"q{i + 1}_deg" for i in range(robot.n))])
+    unit = "percent" if "i1_percent" in table.columns and "i1_A" not in table.columns else "A"
+    time_s = table.number("time_s")
+    if len(time_s) > 1 and (np.diff(time_s) <= 0).any():
+        row = int(np.argmax(np.diff(time_s) <= 0)) + 1
+        raise ConfigError(f"{table.where(row, 'time_s')}: the time does not rise; sort the rows and remove doubles")
+    signals = {
+        "q": _signal(table, "q{}_deg", robot.n, angle=True), "q_set": _signal(table, "q{}_set_deg", robot.n, angle=True),
+        "q_joint": _signal(table, "q{}_joint_deg", robot.n, angle=True), "torque": _signal(table, "tau{}_Nm", robot.n),
+        "motor_torque": _signal(table, "motor_tau{}_Nm", robot.n), "current": _signal(table, f"i{{}}_{unit}", robot.n),
+    }
+    temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C")}
+    return Trajectory(robot, time_s, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder))
+
+
+def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
+    """Write the folder. Raises RecordingError if that is impossible."""
+    t, folder = trajectory, Path(folder)
+    write_text(folder / "cell.yaml", robot_to_yaml(FORMAT, t.robot))
+    columns = {"time_s": numbers(t.time_s)}
+    for pattern, values, text in (
+        ("q{}_set_deg", t.q_set, angles.degrees_text), ("q{}_deg", t.q, angles.degrees_text),
+        ("q{}_joint_deg", t.q_joint, angles.degrees_text), ("tau{}_Nm", t.torque, numbers),
+        ("motor_tau{}_Nm", t.motor_torque, numbers), (f"i{{}}_{t.current_unit}", t.current, numbers),
+    ):
+        if values is not None:
+            columns |= {pattern.format(i + 1): text(column) for i, column in enumerate(values.T) if np.isfinite(column).all()}
+    columns |= {name: numbers(values) for name, values in t.temperatures.items()}
+    columns |= {name: cells.tolist() for name, cells in t.extra.items() if name not in columns}
+    write_table(folder / "trajectory.csv", columns)
+
+
+def _robot(use: _RobotUse, file: str) -> RobotModel:
+    if (use.model is None) == (use.links is None):
+        raise ConfigError(f"{file}: robot: give either its links or the model: of one of the tool's robots")
+    if use.links is not None:
+        links = use.links
+        robot = RobotSpec(name=use.name, links=links, payload=use.payload or PayloadSpec(),
+                          base_to_gravity=use.base_to_gravity or (0.0, 0.0, -1.0), repeatability_mm=use.repeatability_mm).model()
+    else:
+        path = robot_file(use.model)
+        data, node = load_yaml(read_yaml_text(path), str(path))
+        changes = {"name": use.name or None, "payload": use.payload, "base_to_gravity": use.base_to_gravity,
+                   "repeatability_mm": use.repeatability_mm}
+        robot = validate(RobotSpec, data, node, str(path)).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
+    if use.gear_ratio is None:
+        return robot
+    if len(use.gear_ratio) != robot.n:
+        raise ConfigError(f"{file}: robot: gear_ratio has {len(use.gear_ratio)} numbers, the robot {robot.n} axes; give one for each axis")
+    return replace(robot, gear_ratio=np.array(use.gear_ratio))
+
+
+def _signal(table: Table, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:
+    """(T, n) with NaN for joints that have no such column; None where no joint has one."""
+    names = [pattern.format(i + 1) for i in range(n)]
+    if not any(name in table.columns for name in names):
+        return None
+    out = np.full((len(table), n), np.nan)
+    for i, name in enumerate(names):
+        if name in table.columns:
+            out[:, i] = table.radians(name) if angle else table.number(name)
+    return out

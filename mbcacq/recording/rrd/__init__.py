@@ -1,0 +1,1 @@
+"""The rerun recording of a run: written, read back, drawn."""

@@ -1,0 +1,105 @@
+"""Recorded pose rows into the arrays a solver takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import RecordingError
+from mbcacq.model.cell import Cell
+from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets.cell_yaml import parse_cell
+
+Row = dict[str, Any]
+RESTART_S = 60.0   # clocks that part by more over a pause were restarted
+
+
+def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
+    """rows: those of ``layout.OBSERVATION`` in the order recorded; each says to which part of a resumed run it belongs."""
+    cell = parse_cell(cell_yaml, f"{name} (its cell description)")
+    shift = _clock_shifts(rows)
+    latest: dict[int, Row] = {}
+    for row in rows:
+        latest.pop(int(row["pose"][0]), None)
+        latest[int(row["pose"][0])] = row
+    found = list(latest.values())
+    count = np.array([len(row["ball"]) for row in found])
+    ball = np.concatenate([row["ball"] for row in found]).astype(np.int64)
+    sensors, extra = _sensors(found)
+    for i, axis in enumerate(("x", "y", "z")):
+        extra[f"centres.scatter_{axis}_mm"] = _text(np.concatenate([row["scatter_mm"].reshape(-1, 3)[:, i] for row in found]))
+    return Observations(
+        cell=cell,
+        pose_id=np.array(list(latest), dtype=np.int64),
+        station=_index(cell, [row["station"][0] for row in found], name),
+        q=np.stack([row["q"] for row in found]),
+        pose=np.repeat(np.arange(len(found)), count),
+        ball=_ball_index(cell, ball, name),
+        xyz=np.concatenate([row["xyz"].reshape(-1, 3) for row in found]),
+        phase=np.array([row["phase"][0] for row in found]),
+        time_s=np.array([row["robot_time_s"][0] + shift[int(row["part"][0])] for row in found]),
+        direction=np.stack([row["direction"] for row in found]),
+        temperatures=sensors,
+        n_points=_whole(np.concatenate([row["n_points"] for row in found])),
+        rms_mm=np.concatenate([row["rms_mm"] for row in found]),
+        extra=extra,
+        cell_yaml=cell_yaml,
+    )
+
+
+def _clock_shifts(rows: Sequence[Row]) -> dict[int, float]:
+    """What to add to the controller's clock, by part: nothing where it went on over the pause, else what the computer's clock says."""
+    before = rows[0]
+    shifts = {int(before["part"][0]): 0.0}
+    for row in rows:
+        part = int(row["part"][0])
+        if part not in shifts:
+            robot = float(row["robot_time_s"][0] - before["robot_time_s"][0])
+            host = float(row["time_s"][0] - before["time_s"][0])
+            earlier = shifts[int(before["part"][0])]
+            shifts[part] = earlier + host - robot if robot < 0 or abs(host - robot) > RESTART_S else earlier
+        before = row
+    return shifts
+
+
+def _sensors(found: Sequence[Row]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Temperatures that every pose has, and everything else as text columns."""
+    by_pose = [dict(zip(row.get("sensors_names", ()), row.get("sensors_values", ()), strict=True)) for row in found]
+    temperatures, extra = {}, {}
+    for name in dict.fromkeys(name for values in by_pose for name in values):
+        if name.endswith("_C") and all(name in values for values in by_pose):
+            temperatures[name] = np.array([values[name] for values in by_pose], dtype=float)
+        else:
+            extra[f"poses.{name}"] = np.array([repr(float(values[name])) if name in values else "" for values in by_pose])
+    if all("current" in row for row in found):
+        current = np.stack([row["current"] for row in found])
+        extra |= {f"poses.i{i + 1}_percent": _text(column) for i, column in enumerate(current.T)}
+    extra["poses.step"] = np.array([row["step"][0] for row in found])
+    extra["poses.n_exposures"] = _text(np.array([row["n_exposures"][0] for row in found]))
+    return temperatures, extra
+
+
+def _index(cell: Cell, stations: Sequence[str], name: str) -> np.ndarray:
+    index = {station.id: i for i, station in enumerate(cell.stations)}
+    unknown = sorted(set(stations) - set(index))
+    if unknown:
+        raise RecordingError(f"{name}: station '{unknown[0]}' was measured but is not in the recorded cell; is the recording complete?")
+    return np.array([index[station] for station in stations], dtype=np.int64)
+
+
+def _ball_index(cell: Cell, ball: np.ndarray, name: str) -> np.ndarray:
+    index = {ball_id: i for i, ball_id in enumerate(cell.ball_ids)}
+    unknown = sorted(set(ball.tolist()) - set(index))
+    if unknown:
+        raise RecordingError(f"{name}: ball {unknown[0]} was measured but is not in the recorded cell; is the recording complete?")
+    return np.array([index[b] for b in ball.tolist()], dtype=np.int64)
+
+
+def _whole(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.int64) if np.array_equal(values, np.rint(values)) else values
+
+
+def _text(values: np.ndarray) -> np.ndarray:
+    return np.array(list(map(repr, np.asarray(values).tolist())))

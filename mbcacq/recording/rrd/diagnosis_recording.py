@@ -1,0 +1,103 @@
+"""A diagnosis as a recording: what was simulated over what was recorded, before and after; the misfit of each pose beside its cause."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from mbcacq.errors import RecordingError
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+from mbcacq.recording.rrd import layout, rows, scene
+from mbcacq.recording.rrd.blueprint import alone, camera
+from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
+
+ARROW_SHARE = 0.10         # of the extent of the measured places: how long a large difference (95 %) before is drawn
+RECORDED = (235, 238, 242)
+
+
+def write_diagnosis(path: Path | str, observations: Observations, words: str, pictures: Mapping[str, Any], run: Path | None = None) -> Path:
+    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.figures`` makes them; ``words``: its text).
+
+    run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
+    and is shown alone. Raises RecordingError if it cannot be written.
+    """
+    path, obs = Path(path), observations
+    centres = {name: np.asarray(values, float) for name, values in pictures["centres"].items() if isinstance(values, list)}
+    point, before, after = (centres[name].reshape(-1, 3) for name in ("point_mm", "before_mm", "after_mm"))
+    scale = _scale(point, before)
+    times, recording_id = _of_run(run)
+    partial = path.with_name(f".{path.stem}.part.rrd")
+    stream = rr.RecordingStream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
+    try:
+        at = camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
+        stream.save(partial, default_blueprint=alone(at, scale) if run is None else None)
+        if run is None:
+            scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
+            _log_arm(stream, obs)
+        stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale), static=True)
+        stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(f"```\n{words}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
+        for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+            stream.log(f"{layout.DIAGNOSIS_ARROWS}/{name}", rr.Arrows3D(
+                origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=[rr.Radius.ui_points(0.6)]), static=True)
+            stream.log(f"{layout.MISFIT}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+        stream.log(layout.DIAGNOSIS_BALLS, rr.Points3D(point, colors=[RECORDED], radii=[rr.Radius.ui_points(1.5)]), static=True)
+        for k, cause in enumerate(pictures["causes"]):
+            entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
+            label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
+            stream.log(entity, rr.SeriesPoints(names=[label], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
+        _log_poses(stream, centres, before, after, pictures["causes"], times)
+        stream.flush(timeout_sec=60.0)
+        stream.disconnect()
+        os.replace(partial, path)
+    except (RuntimeError, OSError) as error:
+        raise RecordingError(f"{path} cannot be written: {error}; choose another place") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def _of_run(run: Path | None) -> tuple[dict[int, float], str | None]:
+    """Run time (s) of each pose, and the recording id."""
+    if run is None:
+        return {}, None
+    from mbcacq.recording.rrd.reader import open_recordings
+
+    recordings = open_recordings(run)
+    return {int(row["pose"][0]): float(row["time_s"][0]) for r in recordings for row in r.observed()}, recordings[0].recording_id
+
+
+def _scale(point: np.ndarray, before: np.ndarray) -> float:
+    if not len(point):
+        return 1.0
+    large = float(np.percentile(np.linalg.norm(before, axis=1), 95))
+    extent = float(np.max(np.subtract(*np.percentile(point, [90, 10], axis=0))))
+    return round_scale(ARROW_SHARE * max(extent, 100.0) / max(large, 1e-9))
+
+
+def _log_arm(stream: rr.RecordingStream, obs: Observations) -> None:
+    index = [rr.TimeColumn(layout.POSE, sequence=obs.pose_id)]
+    for entity, T in scene.arm_frames(obs.cell, obs.q).items():
+        stream.send_columns(entity, index, rr.Transform3D.columns(**scene.transforms(T)))
+
+
+def _log_poses(stream: rr.RecordingStream, centres: dict[str, np.ndarray], before: np.ndarray, after: np.ndarray,
+               causes: list[dict[str, Any]], times: dict[int, float]) -> None:
+    pose, of = np.unique(centres["pose"].astype(int), return_inverse=True)
+    if not len(pose):
+        return
+    count = np.bincount(of)
+    index = [rr.TimeColumn(layout.POSE, sequence=pose)]
+    if times and all(int(p) in times for p in pose):
+        index.append(rr.TimeColumn(layout.TIME, duration=np.array([times[int(p)] for p in pose])))
+    for name, vector in (("before", before), ("after", after)):
+        rms = 1e3 * np.sqrt(np.bincount(of, np.sum(vector**2, axis=1)) / count)
+        stream.send_columns(f"{layout.MISFIT}/{name}", index, rr.Scalars.columns(scalars=rms))
+    for cause in causes:
+        mean = np.bincount(of, np.asarray(cause["values"], float)) / count
+        stream.send_columns(f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}", index, rr.Scalars.columns(scalars=mean))

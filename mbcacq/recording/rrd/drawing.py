@@ -1,0 +1,132 @@
+"""What the recorder draws beside what it keeps: the way done and to come, the scan coloured on its balls, the quality of each ball."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+
+from mbcacq.acquisition import events
+from mbcacq.devices import Scan
+from mbcacq.geometry import se3
+from mbcacq.model.cell import Artefact, Cell
+from mbcacq.recording.rrd import camera, layout, scene
+
+DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
+LEG_POINTS = 8             # to a leg straight in joint space
+
+
+class Drawing:
+    """Sees the events that matter for the eye; times are set on the stream by whoever owns it."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._rec = stream
+        self._cell: Cell | None = None
+        self._route: list[int] = []
+        self._artefact: Artefact | None = None
+        self._scan: Scan | None = None
+        self._form: list[np.ndarray] = []
+        self._warm: set[str] = set()
+        self._balls: dict[str, dict[int, np.ndarray]] = {}
+
+    def start(self, cell: Cell, event: events.RunStarted) -> None:
+        self._cell, self._route = cell, list(event.route)
+        scene.log_obstacles(self._rec, event.plan_yaml)
+        scene.log_ball_series(self._rec, cell)
+        self._rec.log(layout.SUMMARY, _words("No calibration yet: `mbcacq run` makes one at its end."), static=True)
+        self._rec.log(layout.DIAGNOSIS_TEXT, _words("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
+        if event.route:
+            strips = flange_strips(cell, scene.home(event.plan_yaml, cell.robot.n), event.route)
+            self._rec.log(layout.PATH, rr.LineStrips3D(strips, radii=[rr.Radius.ui_points(0.6)]), static=True)
+            self._rec.log(layout.PATH, rr.LineStrips3D.from_fields(colors=[TO_COME] * len(strips)))
+
+    def station(self, event: events.StationReached) -> None:
+        if self._cell is not None:
+            self._artefact = self._cell.artefact(event.artefact)
+
+    def reached(self, event: events.PoseReached) -> None:
+        self._form = []
+        self._rec.log(layout.JOINTS, rr.Scalars(np.degrees(event.q)))
+        if self._cell is not None:
+            station = next((s for s in self._cell.stations if s.id == event.station), None)
+            self._artefact = None if station is None else self._cell.artefact(station.artefact)
+        if event.pose in self._route:
+            at = self._route.index(event.pose)
+            colours = [DONE] * at + [NOW] + [TO_COME] * (len(self._route) - at - 1)
+            self._rec.log(layout.PATH, rr.LineStrips3D.from_fields(colors=colours))
+
+    def taken(self, event: events.ScanTaken) -> None:
+        self._scan = event.scan
+
+    def found(self, event: events.CentresFound) -> None:
+        """The scan as soon as its balls are known."""
+        if self._scan is None or self._artefact is None:
+            return
+        seen = camera.look(self._scan.points, self._artefact, event.ball, event.xyz)
+        self._scan = None
+        self._form.append(self._by_ball(event.ball, np.stack([seen.form_um, seen.radius_um], axis=1)))
+        self._rec.log(layout.ON_BALLS, rr.Points3D(seen.on_balls.astype(np.float32), colors=seen.colours, radii=rr.Radius.ui_points(1.6)))
+        self._rec.log(layout.BESIDE, rr.Points3D(seen.beside.astype(np.float32), colors=[camera.GREY], radii=rr.Radius.ui_points(0.8)))
+
+    def done(self, event: events.PoseDone) -> None:
+        if self._cell is None:
+            return
+        values = self._by_ball(event.ball, np.stack([event.n_points, 1e3 * np.asarray(event.rms_mm)], axis=1))
+        for entity, column in zip((layout.BALL_POINTS, layout.BALL_RMS), values.T, strict=True):
+            self._rec.log(entity, rr.Scalars(column))
+        if self._form:
+            form = np.array(self._form)
+            count = np.maximum(np.isfinite(form).sum(axis=0), 1)
+            mean = np.where(np.isfinite(form).any(axis=0), np.nansum(form, axis=0) / count, np.nan)
+            for entity, column in zip((layout.BALL_FORM, layout.BALL_SIZE), mean.T, strict=True):
+                self._rec.log(entity, rr.Scalars(column))
+        self.warmth(event.sensors)
+        if event.current is not None:
+            self._rec.log(layout.CURRENT, rr.Scalars(np.asarray(event.current, dtype=float)))
+        if len(event.ball):
+            self._show_balls(self._cell, event)
+
+    def _show_balls(self, cell: Cell, event: events.PoseDone) -> None:
+        """Where the balls of a station stand as measured so far, nominal arm."""
+        T = cell.robot.chain.flange(event.q[None])[0] @ cell.T_flange_scanner
+        artefact = next(s.artefact for s in cell.stations if s.id == event.station)
+        balls = self._balls.setdefault(event.station, {})
+        balls.update(zip(np.asarray(event.ball).tolist(), se3.apply(T, np.asarray(event.xyz)), strict=True))
+        scene.log_balls(self._rec, event.station, cell.artefact(artefact), balls)
+
+    def warmth(self, values: Mapping[str, float]) -> None:
+        """The temperatures among some values, by the ending of their names."""
+        for name, value in values.items():
+            if not name.endswith("_C"):
+                continue
+            entity = f"{layout.WARMTH}/{rr.escape_entity_path_part(name)}"
+            if name not in self._warm:
+                colour = scene.CURVES[len(self._warm) % len(scene.CURVES)]
+                self._warm.add(name)
+                self._rec.log(entity, rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
+            self._rec.log(entity, rr.Scalars(float(value)))
+
+    def _by_ball(self, ball: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(k, c) of some balls -> (balls of the cell, c), NaN where there is none."""
+        ids = list(self._cell.ball_ids)
+        out = np.full((len(ids), values.shape[1]), np.nan)
+        out[[ids.index(b) for b in np.asarray(ball).tolist()]] = values
+        return out
+
+
+def _words(markdown: str) -> rr.TextDocument:
+    return rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
+
+
+def flange_strips(cell: Cell, home: np.ndarray, route: dict[int, np.ndarray]) -> list[np.ndarray]:
+    """The flange's way (k, 3) mm to each pose of a route, nominal arm; legs are straight in joint space."""
+    strips, q = [], home
+    share = np.linspace(0.0, 1.0, LEG_POINTS)[:, None]
+    for legs in route.values():
+        legs = np.atleast_2d(legs)
+        starts = np.vstack([q[None], legs[:-1]])
+        joints = np.concatenate([a + share * (b - a) for a, b in zip(starts, legs, strict=True)])
+        strips.append(cell.robot.chain.flange(joints)[:, :3, 3].astype(np.float32))
+        q = legs[-1]
+    return strips

@@ -1,0 +1,207 @@
+"""Recordings back: observations bit for bit as the run used them, raw cycles, scans, plan and cell texts. Needs no footer."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from mbcacq.devices import Cycles, Scan
+from mbcacq.errors import ConfigError, MbcacqError, RecordingError
+from mbcacq.model.observations import Observations
+from mbcacq.recording.rrd import layout
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RecordedScan:
+    """A scan and where it was taken: number of the pose in the plan and of the exposure at that pose."""
+
+    pose: int
+    exposure: int
+    scan: Scan
+
+
+class Recording:
+    """One .rrd file. Every method reads only what it is asked for; where the footer is missing, it streams through the file."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise ConfigError(f"{self.path} does not exist; give a recording (.rrd)")
+        from rerun.chunk import RrdReader
+
+        with _named_errors(self.path):
+            self._reader = RrdReader(self.path)
+            stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
+        if not stores:
+            raise RecordingError(
+                f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it")
+        self._store = stores[0]
+        try:
+            self._indexed = self._reader.store(store=self._store)
+        except (RuntimeError, ValueError):
+            self._indexed = None              # no footer: the run was cut short, the file is read from end to end
+
+    @property
+    def recording_id(self) -> str:
+        return self._store.recording_id
+
+    def rows(self, entity: str) -> Iterator[Row]:
+        """Rows of one entity in the order they were logged: component name -> array or list, timeline -> int (ns, or number)."""
+        return _rows(self._batches(entity))
+
+    def columns(self, entity: str, archetype: str) -> dict[str, np.ndarray]:
+        """All rows of an entity whose rows have equal lengths: component -> (k,) or (k, n), in the order they were logged."""
+        found: dict[str, list[np.ndarray]] = {}
+        for batch in self._batches(entity):
+            for i in range(batch.num_columns):
+                field = batch.schema.field(i)
+                if _archetype(field) == archetype:
+                    flat = batch.column(i).flatten().to_numpy(zero_copy_only=False)
+                    found.setdefault(_short_name(field), []).append(flat.reshape(batch.num_rows, -1))
+        joined = {name: np.concatenate(parts) for name, parts in found.items()}
+        return {name: values[:, 0] if values.shape[1] == 1 else values for name, values in joined.items()}
+
+    def scalars(self, entities: str) -> dict[str, list[float]]:
+        """All curves below an entity ('health/**'): entity path -> values in the order they were logged."""
+        found: dict[str, list[float]] = {}
+        for batch in self._batches(entities):
+            path = (batch.schema.metadata or {}).get(b"rerun:entity_path", b"").decode()
+            for i in range(batch.num_columns):
+                if _short_name(batch.schema.field(i)) == "scalars":
+                    found.setdefault(path, []).extend(batch.column(i).flatten().to_pylist())
+        return found
+
+    def text(self, entity: str) -> str:
+        """A document: the plan or the cell. Raises RecordingError if the recording was cut before it."""
+        for row in self.rows(entity):
+            if "text" in row:
+                return row["text"][0]
+        raise RecordingError(f"{self.path}: the recording ends before its {entity}; nothing in it can be calibrated")
+
+    def about(self) -> Row:
+        """Name, start, number of planned poses, versions, exit status... as far as they were written."""
+        merged: Row = {}
+        for row in self.rows(layout.RUN):
+            merged |= {name: value[0] if len(value) == 1 else value for name, value in row.items() if not isinstance(value, int)}
+        return merged
+
+    def cycles(self) -> Cycles:
+        """Every controller cycle, as the driver delivered it."""
+        return Cycles(self.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE))
+
+    def scans(self) -> Iterator[RecordedScan]:
+        """Every scan in the order taken, one at a time."""
+        for row in _rows(self._stream(layout.SCAN)):
+            if "positions" in row and "exposure_us" in row:
+                yield RecordedScan(int(row["pose"][0]), int(row["exposure"][0]), Scan(
+                    points=row["positions"].reshape(-1, 3), intensity=row.get("intensity"), shape=tuple(row["shape"].tolist()),
+                    pixel=row.get("pixel"), time_s=float(row["time_s"][0]), frame=int(row["frame"][0]),
+                    exposure_us=float(row["exposure_us"][0]), measurements=_mapping(row, "measurements")))
+
+    def observed(self) -> list[Row]:
+        """The pose observations, in the order made."""
+        return [row for row in self.rows(layout.OBSERVATION) if "q" in row]
+
+    def _batches(self, entity: str) -> list[pa.RecordBatch]:
+        """In the order of logging, whatever order a merge left the chunks in: row ids count up with time."""
+        batches = [batch for batch in self._stream(entity) if batch.num_rows]
+        return sorted(batches, key=lambda batch: batch.column(0)[0].as_py())
+
+    def _stream(self, entity: str) -> Iterator[pa.RecordBatch]:
+        chunks = iter(())
+        with _named_errors(self.path):
+            stream = self._indexed.stream() if self._indexed is not None else self._reader.stream(store=self._store)
+            chunks = iter(stream.filter(content=f"/{entity}"))
+        while True:
+            with _named_errors(self.path):
+                chunk = next(chunks, None)
+                batch = None if chunk is None else chunk.to_record_batch()
+            if batch is None:
+                return
+            yield batch
+
+
+def open_recordings(path: Path | str) -> list[Recording]:
+    """The recordings of a run folder in order (several where it was resumed), or the one file."""
+    path = Path(path)
+    files = layout.parts(path) if path.is_dir() else [path]
+    if not files:
+        raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run")
+    return [Recording(file) for file in files]
+
+
+def read_observations(path: Path | str) -> Observations:
+    """The observations of a run. A pose measured again after a resume counts as measured last.
+
+    time_s is the controller's clock of the first part; a later part, whose controller may have been restarted, is set after
+    it by the computer's clock. Raises RecordingError if the recording is torn or holds no observation.
+    """
+    from mbcacq.recording.rrd.assemble import assemble
+
+    recordings = open_recordings(path)
+    rows = [row for recording in recordings for row in recording.observed()]
+    if not rows:
+        raise RecordingError(f"{path} holds no finished pose; there is nothing to calibrate")
+    return assemble(recordings[0].text(layout.CELL), str(path), rows)
+
+
+class _named_errors:
+    """Turns what the rerun library raises into one sentence."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._warnings = warnings.catch_warnings()
+
+    def __enter__(self) -> None:
+        self._warnings.__enter__()
+        warnings.simplefilter("ignore")   # a file without footer is read as well as one with
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        self._warnings.__exit__(kind, error, trace)
+        if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
+            raise RecordingError(f"{self._path} is torn or is no .rrd file ({str(error).splitlines()[0]}); "
+                                 f"make what is left of it readable: mbcacq recover {self._path}") from None
+
+
+def _rows(batches: Iterable[pa.RecordBatch]) -> Iterator[Row]:
+    for batch in batches:
+        names = {i: _short_name(batch.schema.field(i)) for i in range(batch.num_columns)}
+        for k in range(batch.num_rows):
+            yield {name: value for i, name in names.items() if (value := _cell(batch.column(i), k)) is not None}
+
+
+def _cell(column: pa.Array, row: int) -> Any:
+    value = column[row]
+    if not value.is_valid:
+        return None
+    if isinstance(value, pa.ListScalar):
+        inner = value.values
+        if pa.types.is_string(inner.type):
+            return inner.to_pylist()
+        while isinstance(inner, (pa.FixedSizeListArray, pa.ListArray)):
+            inner = inner.flatten()
+        return inner.to_numpy(zero_copy_only=False) if pa.types.is_primitive(inner.type) else inner.to_pylist()
+    if isinstance(value, (pa.DurationScalar, pa.TimestampScalar)):
+        return value.value
+    return value.as_py()
+
+
+def _short_name(field: pa.Field) -> str:
+    return field.name.rsplit(":", 1)[-1]
+
+
+def _archetype(field: pa.Field) -> str:
+    return (field.metadata or {}).get(b"rerun:archetype", b"").decode()
+
+
+def _mapping(row: Row, prefix: str) -> dict[str, float]:
+    values = row.get(f"{prefix}_values", ())
+    return dict(zip(row.get(f"{prefix}_names", ()), (float(v) for v in values), strict=False))

@@ -1,0 +1,169 @@
+"""The calibrated cell beside its recording: residuals per pose and ball, station frames, error arrows. A file of the same recording."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from mbcacq.errors import RecordingError
+from mbcacq.estimation.forward_model import CellState, predict, residual
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+from mbcacq.recording.rrd import layout, rows, scene
+from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
+from mbcacq.recording.rrd.reader import open_recordings
+
+BALL_ARROW_MM, SPACE_ARROW = 25.0, 0.12   # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
+BEFORE, AFTER = (230, 159, 0), (86, 180, 233)
+CERTIFIED = (240, 228, 66)
+AXES = ("x", "y", "z")
+
+
+def log_result(run: Path | str, observations: Observations, after: CellState, before: CellState | None = None) -> Path:
+    """Write result.rrd into a run folder (replacing an older one); viewers show it together with the run.
+
+    observations: those of the run, or any selection of them; poses of a station that the calibration did not determine (its
+    T_base_station is the identity) are left out. after, before: the calibrated cell, and the cell to compare it with.
+    Raises RecordingError where the run cannot be read or the file cannot be written.
+    """
+    run = Path(run)
+    recordings = open_recordings(run)
+    times = {int(row["pose"][0]): float(row["time_s"][0]) for recording in recordings for row in recording.observed()}
+    path = run / layout.RESULT_FILE
+    partial = path.with_name(".result.part.rrd")
+    stream = rr.RecordingStream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
+    try:
+        states = {"before": before, "after": after} if before is not None else {"after": after}
+        errors = {name: residual(observations, predict(observations, state))[:, :3] for name, state in states.items()}
+        known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
+        shown = known[observations.station[observations.pose]]
+        scale = _scales(observations, after, errors, shown)
+        stream.save(partial, default_blueprint=for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
+        _log_static(stream, scale)
+        for k, number in enumerate(observations.pose_id.tolist()):
+            if number not in times or not known[observations.station[k]]:
+                continue
+            stream.set_time(layout.TIME, duration=times[number])
+            stream.set_time(layout.POSE, sequence=number)
+            _log_pose(stream, observations, k, after, errors, scale.pose)
+        stream.reset_time()
+        _log_all(stream, observations, after, errors, shown, scale.all)
+        _log_stations(stream, observations, after, known)
+        summary = _summary(observations, errors, shown, scale)
+        stream.log(layout.SUMMARY, rr.TextDocument(summary, media_type=rr.MediaType.MARKDOWN), static=True)
+        stream.flush(timeout_sec=60.0)
+        stream.disconnect()
+        os.replace(partial, path)
+    except (RuntimeError, OSError) as error:
+        raise RecordingError(f"{path} cannot be written: {error}; free the disk or calibrate into another folder") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def round_scale(wanted: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above ``wanted``; 1 for what is not a number above zero."""
+    if not np.isfinite(wanted) or wanted <= 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1 + 1e-9)))
+
+
+def _scales(obs: Observations, after: CellState, errors: dict[str, np.ndarray], shown: np.ndarray) -> Enlarged:
+    if not shown.any():
+        return Enlarged()
+    large = {name: float(np.percentile(np.linalg.norm(error[shown], axis=1), 95)) for name, error in errors.items()}
+    places = _in_base(obs, after)[0][shown]
+    extent = float(np.max(np.subtract(*np.percentile(places, [90, 10], axis=0))))
+    return Enlarged(pose=round_scale(BALL_ARROW_MM / max(large["after"], 1e-9)),
+                    all=round_scale(SPACE_ARROW * max(extent, 100.0) / max(max(large.values()), 1e-9)))
+
+
+def _in_base(obs: Observations, state: CellState) -> tuple[np.ndarray, np.ndarray]:
+    """Measured centres (M, 3) mm in the base frame, and the rotation (M, 3, 3) of the scanner that measured them."""
+    T = (state.chain.flange(obs.q) @ state.T_flange_scanner)[obs.pose]
+    return se3.apply(T, obs.xyz), T[:, :3, :3]
+
+
+def _log_static(stream: rr.RecordingStream, scale: Enlarged) -> None:
+    for name, colours in (("before", [(120, 128, 140)] * 3), ("after", [(86, 180, 233), (230, 159, 0), (0, 190, 140)])):
+        names = [f"{axis} {name}" for axis in AXES]
+        stream.log(f"{layout.RESIDUAL}/{name}", rr.SeriesPoints(names=names, colors=colours, marker_sizes=[2.5]), static=True)
+    for name, colour in (("before", BEFORE), ("after", AFTER)):
+        stream.log(f"{layout.RMS_POSE}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+    values = {key: value for key, value in (("pose", scale.pose), ("all", scale.all)) if value is not None}
+    stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, **values), static=True)
+
+
+def _log_pose(stream: rr.RecordingStream, obs: Observations, k: int, after: CellState, errors: dict[str, np.ndarray], scale: float) -> None:
+    mine = obs.pose == k
+    if not mine.any():
+        return
+    for name, error in errors.items():
+        stream.log(f"{layout.RESIDUAL}/{name}", rr.Scalars(1e3 * error[mine].mean(axis=0)))
+        stream.log(f"{layout.RMS_POSE}/{name}", rr.Scalars(1e3 * _rms(error[mine])))
+    ball = np.array(obs.cell.ball_ids)[obs.ball[mine]]
+    stream.log(layout.RESIDUAL_BALL, rows.row(layout.RESIDUAL_ARCHETYPE, pose=int(obs.pose_id[k]), ball=ball,
+                                              **{f"{name}_mm": error[mine] for name, error in errors.items()}))
+    T = after.chain.flange(obs.q[[k]])[0] @ after.T_flange_scanner
+    origins = se3.apply(T, obs.xyz[mine])
+    stream.log(layout.ARROWS, rr.Arrows3D(origins=origins, vectors=scale * errors["after"][mine] @ T[:3, :3].T, colors=[AFTER],
+                                          radii=[0.8], labels=[f"ball {b}" for b in ball], show_labels=False))
+
+
+def _log_all(stream: rr.RecordingStream, obs: Observations, after: CellState, errors: dict[str, np.ndarray], shown: np.ndarray,
+             scale: float | None) -> None:
+    """Every error at once, and the rms of each ball."""
+    if scale is None:
+        return
+    origins, turn = _in_base(obs, after)
+    ids = np.array(obs.cell.ball_ids)
+    seen = np.unique(obs.ball[shown])
+    for name, error in errors.items():
+        colour = BEFORE if name == "before" else AFTER
+        vectors = scale * np.einsum("mij,mj->mi", turn[shown], error[shown])
+        stream.log(f"{layout.ALL_ARROWS}/{name}", rr.Arrows3D(origins=origins[shown], vectors=vectors, colors=[colour],
+                                                              radii=[rr.Radius.ui_points(0.6)]), static=True)
+        rms = [1e3 * _rms(error[shown & (obs.ball == b)]) for b in seen]
+        stream.log(f"{layout.RMS_BALL}/{name}", rr.BarChart(rms, abscissa=ids[seen], color=colour), static=True)
+
+
+def _rms(error: np.ndarray) -> float:
+    """Root mean square 3D length of (k, 3)."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray, scale: Enlarged) -> str:
+    """The result in a few lines of Markdown, beside the picture."""
+    if not shown.any():
+        return "No pose at a calibrated station."
+    lines = ["| residual of the poses shown | " + " | ".join(errors) + " |", "|---|" + "---|" * len(errors)]
+    lengths = {name: 1e3 * np.linalg.norm(error[shown], axis=1) for name, error in errors.items()}
+    for label, of in (("3D rms, um", lambda v: np.sqrt(np.mean(v**2))), ("median, um", np.median), ("largest, um", np.max)):
+        lines.append(f"| {label} | " + " | ".join(f"{of(v):.1f}" for v in lengths.values()) + " |")
+    lines += ["", "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell.",
+              f"Arrows here are {scale.all:g} times, those of the tab Cell {scale.pose:g} times as long as the errors.",
+              "The whole result with uncertainties: report.html in the folder of the run."]
+    ids = np.array(obs.cell.ball_ids)
+    lines += ["", "| ball | " + " | ".join(f"{name}, 3D rms, um" for name in errors) + " |", "|---|" + "---|" * len(errors)]
+    for b in np.unique(obs.ball[shown]):
+        lines.append(f"| {ids[b]} | " + " | ".join(f"{1e3 * _rms(e[shown & (obs.ball == b)]):.1f}" for e in errors.values()) + " |")
+    return "\n".join(lines)
+
+
+def _log_stations(stream: rr.RecordingStream, obs: Observations, after: CellState, known: np.ndarray) -> None:
+    """Where the calibrated cell says each artefact stood, with its certified balls."""
+    for s in np.flatnonzero(known):
+        station = obs.cell.stations[s]
+        artefact = obs.cell.artefact(station.artefact)
+        entity = f"{layout.CALIBRATED}/{rr.escape_entity_path_part(station.id)}"
+        move = scene.transforms(after.T_base_station[[s]])
+        own = obs.cell.ball_artefact == obs.cell.artefacts.index(artefact)
+        stream.log(entity, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]),
+                   rr.TransformAxes3D(axis_length=30.0), static=True)
+        half = np.repeat(np.maximum(artefact.diameters / 2, 1.0)[:, None], 3, axis=1)
+        stream.log(f"{entity}/certified", rr.Ellipsoids3D(centers=after.balls[own], half_sizes=half, colors=[CERTIFIED],
+                                                          line_radii=[rr.Radius.ui_points(0.6)]), static=True)

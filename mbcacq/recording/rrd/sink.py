@@ -1,0 +1,163 @@
+"""The stream into a .rrd file (and a live viewer), with a watch over the disk: a full disk ends the run by name, it never hangs it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import socket
+import threading
+from pathlib import Path
+
+import rerun as rr
+
+from mbcacq.errors import RecordingError
+from mbcacq.recording.rrd import layout
+
+STALLED_S = 5              # without one byte more in the file, while there is something to write
+MARGIN_BYTES = 48 << 20
+TICK_S = 0.04
+
+
+class Sink:
+    """One recording file. ``stream`` is the rerun stream; it must not be used after ``close`` or a RecordingError."""
+
+    def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: object) -> None:
+        self.path = path
+        self._alive = True
+        self._sync = _Syncer(path)
+        self.live_url: str | None = None
+        config = rr.ChunkBatcherConfig(flush_tick=TICK_S)
+        rr.set_strict_mode(True)
+        self.stream = rr.RecordingStream(layout.APPLICATION, recording_id=recording_id, batcher_config=config)
+        try:
+            sinks: list = [rr.FileSink(path)]
+            if live:
+                server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=_free_port(port), server_memory_limit="512MB")
+                self.live_url = server.uri
+                sinks.append(server)
+            self.stream.set_sinks(*sinks, default_blueprint=blueprint)
+        except (RuntimeError, ValueError, OSError) as error:
+            raise RecordingError(f"the recording {path} cannot be opened: {error}; choose another folder (or live port)") from error
+
+    def need(self, size: int) -> None:
+        """Raise RecordingError before ``size`` bytes would fill the disk."""
+        free = shutil.disk_usage(self.path.parent).free
+        if free < size + MARGIN_BYTES:
+            self.stop_writing()
+            raise RecordingError(f"the disk of {self.path.parent} is almost full ({free >> 20} MiB free); what was measured is kept: "
+                                 "free some space and resume the run")
+
+    def foresee(self, done: int, poses: int) -> None:
+        """Raise RecordingError if the poses to come will not fit, judged by the size of those done: early, when little is lost."""
+        need = self.path.stat().st_size * max(poses - done, 0) // done
+        free = shutil.disk_usage(self.path.parent).free
+        if free < need:
+            self.stop_writing()
+            raise RecordingError(f"the run needs about {need >> 20} MiB more, {free >> 20} MiB are free in {self.path.parent}; "
+                                 "free some space and resume the run")
+
+    def push(self) -> None:
+        """Set everything logged on its way to the file, without waiting."""
+        if self._alive:
+            try:
+                self.stream.flush(timeout_sec=0)
+            except RuntimeError as error:
+                raise self._lost(error) from error
+
+    def flush(self) -> None:
+        """Wait until everything logged is in the file. Raises RecordingError if it cannot be written."""
+        if self._alive:
+            try:
+                self._wait()
+            except RuntimeError as error:
+                raise self._lost(error) from error
+            self._sync.soon()
+
+    def _lost(self, error: RuntimeError) -> RecordingError:
+        self.abandon()
+        return RecordingError(f"the recording {self.path} can no longer be written ({error}); is the disk full? "
+                              f"What was written is kept: mbcacq recover {self.path}")
+
+    def _wait(self) -> None:
+        """Flush for as long as the file still grows: a writer that met an error may leave a flush waiting for ever."""
+        stalled, size = 0, -1
+        while True:
+            try:
+                return self.stream.flush(timeout_sec=1.0)
+            except RuntimeError:
+                now = self.path.stat().st_size
+                stalled, size = (stalled + 1, size) if now == size else (0, now)
+                if stalled >= STALLED_S - 1:
+                    raise
+
+    def stop_writing(self) -> None:
+        """Complete the file as it is; later calls do nothing."""
+        if self._alive:
+            self._alive = False
+            try:
+                self._wait()
+                self.stream.disconnect()
+            except RuntimeError:
+                self.abandon()
+            self._sync.close()
+
+    def close(self) -> None:
+        """Flush, write the footer, bring everything to the disk. Idempotent."""
+        if self._alive:
+            self.flush()
+            self._alive = False
+            self.stream.disconnect()
+            self._sync.close()
+
+    def abandon(self) -> None:
+        """Let go of a stream whose file cannot be written. Disconnecting or freeing it may wait for ever, so neither is done."""
+        self._alive = False
+        rr.unregister_shutdown()
+        for kept in (self.stream, self.stream.to_native()):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+
+
+def _free_port(preferred: int) -> int:
+    """The preferred port of this computer, or any free one if it is taken: rerun would only notice in a thread of its own."""
+    for port in (preferred, 0):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+                return probe.getsockname()[1]
+            except OSError:
+                continue
+    raise OSError("no free port on 127.0.0.1")
+
+
+class _Syncer:
+    """Brings the file to the disk now and then, in a thread of its own, so that a power cut costs little and a scan never waits."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._wake, self._quit = path, threading.Event(), False
+        self._thread = threading.Thread(target=self._work, name="recording-sync", daemon=True)
+        self._thread.start()
+
+    def soon(self) -> None:
+        self._wake.set()
+
+    def close(self) -> None:
+        self._quit = True
+        self._wake.set()
+        self._thread.join(timeout=60.0)
+
+    def _work(self) -> None:
+        while not self._quit:
+            self._wake.wait()
+            self._wake.clear()
+            try:
+                handle = os.open(self._path, os.O_RDWR)
+            except OSError:
+                continue
+            try:
+                os.fsync(handle)
+            except OSError:
+                pass   # the next flush reports a disk that does not take the data
+            finally:
+                os.close(handle)
+

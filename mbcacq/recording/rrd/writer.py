@@ -1,0 +1,236 @@
+"""The recorder: an event subscriber that writes everything that happens into one .rrd file, and to a live viewer on request."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+import uuid
+from datetime import datetime
+from functools import singledispatchmethod
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from mbcacq.acquisition import events
+from mbcacq.errors import Aborted, ConfigError, MbcacqError, RecordingError
+from mbcacq.model.cell import Cell
+from mbcacq.recording.datasets.cell_yaml import parse_cell
+from mbcacq.recording.rrd import layout, rows, scene
+from mbcacq.recording.rrd.blueprint import blueprint, for_cell
+from mbcacq.recording.rrd.cycles import CycleWriter
+from mbcacq.recording.rrd.drawing import Drawing
+from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row
+from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
+from mbcacq.recording.rrd.sink import Sink
+from mbcacq.recording.rrd.urdf_arm import UrdfArm
+
+START_FREE_BYTES = 256 << 20
+FORECAST_AFTER = 3         # poses whose size says how large the run will become
+LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+
+
+class Recorder:
+    """Call it with events, in order, from any thread; each is on its way to the file when the call returns, a pose is in the file.
+
+    folder: the run folder, which exists. part: 0 for a new run, else how many recordings the folder holds already (a resumed
+    run goes into a file of its own with the same recording id). live: serve a viewer on 127.0.0.1 as well, see ``live_url``.
+    Raises RecordingError if the file cannot be made or the disk fills; what was written until then stays readable.
+    """
+
+    def __init__(self, folder: Path | str, *, live: bool = False, part: int = 0, port: int = 9876) -> None:
+        folder = Path(folder)
+        self.path, self._part = folder / layout.part_name(part), part
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            free = shutil.disk_usage(folder).free
+        except OSError as error:
+            raise RecordingError(f"the run folder {folder} cannot be made: {error.strerror}; choose another --out") from error
+        if self.path.exists():
+            raise RecordingError(f"{self.path} exists already; record into another folder, or resume the run")
+        if free < START_FREE_BYTES:
+            raise RecordingError(f"only {free >> 20} MiB are free for {self.path}, {START_FREE_BYTES >> 20} MiB are needed to start; "
+                                 "free some space or choose another --out")
+        header = read_run_header(folder) if part else None
+        self._first_start = datetime.fromisoformat(header.started) if header else None
+        self.recording_id = header.recording_id if header else str(uuid.uuid4())
+        self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint(live=live))
+        self._rec = self._sink.stream
+        self._cycles = CycleWriter(self._rec)
+        self._lock = threading.RLock()
+        self._offset = 0.0                         # of this part's clock to the run's
+        self._clock = np.inf                       # time.monotonic() at the start of this part
+        self._pose: int | None = None
+        self._step: int | None = None
+        self._started_s: float | None = None       # POSIX time of run time 0
+        self._cell: Cell | None = None
+        self._T_base_scanner = np.eye(4)
+        self._drawing = Drawing(self._rec)
+        self._n_poses, self._done = 0, 0
+        self._failed = False
+
+    @property
+    def live_url(self) -> str | None:
+        """Where a viewer can connect, or None."""
+        return self._sink.live_url
+
+    def __call__(self, event: events.Event) -> None:
+        with self._lock:
+            if self._failed:
+                return
+            self._clock = min(self._clock, time.monotonic() - event.time_s)
+            try:
+                self._set_times(event.time_s)
+                self._write(event)
+            except Aborted:  # a signal came just here: the run ends, and the recording is to say so
+                raise
+            except MbcacqError:
+                self._failed = True
+                raise
+            except Exception as error:
+                self._failed = True
+                self._sink.stop_writing()
+                raise RecordingError(
+                    f"{type(event).__name__} cannot be recorded in {self.path}: {error}; what came before is kept") from error
+
+    def close(self) -> None:
+        """Complete the file. Idempotent."""
+        with self._lock:
+            self._sink.close()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _set_times(self, time_s: float) -> None:
+        self._rec.set_time(layout.TIME, duration=time_s + self._offset)
+        if self._started_s is not None:
+            self._rec.set_time(layout.CLOCK, timestamp=self._started_s + time_s + self._offset)
+        if self._step is not None:
+            self._rec.set_time(layout.STEP_INDEX, sequence=self._step)
+        if self._pose is not None:
+            self._rec.set_time(layout.POSE, sequence=self._pose)
+
+    @singledispatchmethod
+    def _write(self, event: events.Event) -> None:
+        """An event this recorder knows nothing about is left to the other subscribers."""
+
+    @_write.register
+    def _(self, event: events.RunStarted) -> None:
+        self._cell, self._n_poses = parse_cell(event.cell_yaml), event.n_poses
+        if self._first_start is not None:
+            self._offset = (datetime.fromisoformat(event.started) - self._first_start).total_seconds()
+        else:
+            write_run_header(self.path.parent, RunHeader(self.recording_id, event.started, event.name))
+        self._started_s = (self._first_start or datetime.fromisoformat(event.started)).timestamp()
+        self._cycles.started(self._started_s)
+        self._set_times(event.time_s)
+        rec = self._rec
+        rec.send_recording_name(event.name)
+        rec.log(layout.PLAN, rr.TextDocument(event.plan_yaml), static=True)
+        rec.log(layout.CELL, rr.TextDocument(event.cell_yaml), static=True)
+        about = rows.row(layout.RUN_ARCHETYPE, layout=layout.VERSION, name=event.name, started=event.started, n_poses=event.n_poses,
+                         offset_s=self._offset, versions_names=list(event.versions), versions_values=list(event.versions.values()))
+        rec.log(layout.RUN, about, static=True)
+        shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
+        rec.send_blueprint(shown, make_active=False, make_default=True)
+        self._draw_from_urdf(event.urdf)
+        scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
+        self._log_arm(scene.home(event.plan_yaml, self._cell.robot.n))
+        self._drawing.start(self._cell, event)
+        self._sink.flush()
+
+    def _draw_from_urdf(self, path: str) -> None:
+        """A URDF that does not fit is no reason not to measure: it is said, and the arm is drawn from its links."""
+        if path:
+            try:
+                self._cycles.urdf = UrdfArm(path, self._cell)
+                self._cycles.urdf.start(self._rec)
+            except ConfigError as error:
+                self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: {error}", level="WARN"))
+
+    def _log_arm(self, q: np.ndarray) -> None:
+        scene.log_arm(self._rec, self._cell, q)
+        if self._cycles.urdf is not None:
+            self._cycles.urdf.pose(self._rec, q[None])
+
+    @_write.register
+    def _(self, event: events.StateChanged) -> None:
+        self._rec.log(layout.STATE, rr.StateChange(state=event.state))
+
+    @_write.register
+    def _(self, event: events.StepStarted) -> None:
+        self._step = event.index
+        self._set_times(event.time_s)
+        self._rec.log(layout.STEP, rr.StateChange(state=event.name))
+
+    @_write.register
+    def _(self, event: events.StationReached) -> None:
+        self._drawing.station(event)
+        self._rec.log(layout.STATION, rr.StateChange(state=f"{event.station}: {event.artefact}"))
+
+    @_write.register
+    def _(self, event: events.Message) -> None:
+        self._rec.log(layout.LOG, rr.TextLog(f"{event.source}: {event.text}", level=LEVELS.get(event.level, event.level.upper())))
+        self._sink.flush()
+
+    @_write.register
+    def _(self, event: events.HealthReceived) -> None:
+        for name, value in event.values.items():
+            entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
+            self._rec.log(entity, rr.Scalars(float(value)))
+        self._drawing.warmth(event.values)
+
+    @_write.register
+    def _(self, event: events.CyclesReceived) -> None:
+        if len(event.cycles):
+            self._cycles.write(event.cycles, event.time_s, self._clock, self._offset, self._cell)
+            self._sink.push()
+
+    @_write.register
+    def _(self, event: events.PoseReached) -> None:
+        self._pose = event.pose
+        self._set_times(event.time_s)
+        self._cycles.show(self._cell)
+        if self._cell is not None:
+            self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
+            self._log_arm(event.q)
+            self._drawing.reached(event)
+
+    @_write.register
+    def _(self, event: events.ScanTaken) -> None:
+        self._sink.need(event.scan.points.nbytes + 9 * len(event.scan.points))
+        move = scene.transforms(self._T_base_scanner[None])
+        self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
+        points = rr.Points3D(event.scan.points)
+        self._rec.log(layout.SCAN, points, scan_row(event))
+        self._drawing.taken(event)
+
+    @_write.register
+    def _(self, event: events.CentresFound) -> None:
+        self._rec.log(layout.EXPOSURE, exposure_row(event))
+        self._drawing.found(event)
+
+    @_write.register
+    def _(self, event: events.PoseDone) -> None:
+        self._rec.log(layout.OBSERVATION, *observation_rows(event, self._part, event.time_s + self._offset))
+        self._drawing.done(event)
+        self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
+        if len(event.ball):
+            self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
+            self._rec.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
+        self._sink.flush()
+        self._done += 1
+        if self._done == FORECAST_AFTER:
+            self._sink.foresee(self._done, self._n_poses)
+
+    @_write.register
+    def _(self, event: events.RunStopped) -> None:
+        self._cycles.show(self._cell)
+        level = "INFO" if event.exit_status == "success" else "ERROR"
+        self._rec.log(layout.RUN, rows.row(layout.RUN_ARCHETYPE, exit_status=event.exit_status, reason=event.reason))
+        self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: run ended: {event.exit_status}: {event.reason}", level=level))
+        self._sink.flush()

@@ -1,0 +1,135 @@
+"""The journal of a run, one JSON object a line, each on the disk before the run goes on; and the log, the same way."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import singledispatchmethod
+from pathlib import Path
+from typing import Any
+
+from mbcacq.acquisition import events
+from mbcacq.errors import RecordingError
+from mbcacq.recording.rrd import layout
+
+
+class Journal:
+    """Event subscriber: ``journal.jsonl`` (run started, pose done, gap, run stopped; fsync each) and ``log.jsonl`` (messages, states)."""
+
+    def __init__(self, folder: Path | str) -> None:
+        folder = Path(folder)
+        self._lock = threading.Lock()
+        try:
+            self._journal = _open(folder / layout.JOURNAL_FILE)
+            self._log = _open(folder / layout.LOG_FILE)
+        except OSError as error:
+            raise RecordingError(f"{folder / layout.JOURNAL_FILE} cannot be written: {error.strerror}; choose another --out") from error
+
+    def __call__(self, event: events.Event) -> None:
+        with self._lock:
+            self._write(event)
+
+    def close(self) -> None:
+        with self._lock:
+            for file in (self._journal, self._log):
+                with suppress(OSError):   # what a full disk did not take was said when it was written
+                    file.close()
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @singledispatchmethod
+    def _write(self, event: events.Event) -> None:
+        pass
+
+    @_write.register
+    def _(self, event: events.RunStarted) -> None:
+        self._note(event.time_s, event="run_started", name=event.name, started=event.started, n_poses=event.n_poses,
+                   versions=dict(event.versions))
+
+    @_write.register
+    def _(self, event: events.PoseDone) -> None:
+        self._note(event.time_s, event="pose_done", pose=event.pose, station=event.station, phase=event.phase, step=event.step,
+                   balls=len(event.ball), robot_time_s=float(event.robot_time_s))
+
+    @_write.register
+    def _(self, event: events.Gap) -> None:
+        self._note(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
+
+    @_write.register
+    def _(self, event: events.RunStopped) -> None:
+        self._note(event.time_s, event="run_stopped", exit_status=event.exit_status, reason=event.reason)
+        self._say(event, "info" if event.exit_status == "success" else "error", "mbcacq", f"run ended: {event.exit_status}: {event.reason}")
+
+    @_write.register
+    def _(self, event: events.Message) -> None:
+        self._say(event, event.level, event.source, event.text)
+
+    @_write.register
+    def _(self, event: events.StepStarted) -> None:
+        self._say(event, "info", "mbcacq", f"step {event.name} ({event.n_poses} poses)")
+
+    @_write.register
+    def _(self, event: events.StationReached) -> None:
+        self._say(event, "info", "mbcacq", f"artefact {event.artefact} at station {event.station}")
+
+    def _note(self, time_s: float, **entry: Any) -> None:
+        self._put(self._journal, layout.JOURNAL_FILE, {"time_s": round(time_s, 4), **entry}, sync=True)
+
+    def _say(self, event: events.Event, level: str, source: str, text: str) -> None:
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        entry = {"time": now, "time_s": round(event.time_s, 4), "level": level, "source": source, "text": text}
+        self._put(self._log, layout.LOG_FILE, entry)
+
+    def _put(self, file, name: str, entry: dict[str, Any], sync: bool = False) -> None:
+        try:
+            file.write(json.dumps(entry, ensure_ascii=False) + "\n")
+            file.flush()
+            if sync:
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise RecordingError(f"{name} can no longer be written: {error.strerror}; free the disk and resume the run") from error
+
+
+def read_journal(folder: Path | str) -> list[dict[str, Any]]:
+    """The entries of a run folder's journal; a torn last line is left out. Raises RecordingError if there is none."""
+    path = Path(folder) / layout.JOURNAL_FILE
+    try:
+        return _entries(path)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}; is this a run folder?") from None
+
+
+def read_log(folder: Path | str) -> list[dict[str, Any]]:
+    """The entries of a run folder's log, none where it has no log; a torn last line is left out."""
+    try:
+        return _entries(Path(folder) / layout.LOG_FILE)
+    except OSError:
+        return []
+
+
+def _entries(path: Path) -> list[dict[str, Any]]:
+    entries = []
+    for line in path.read_bytes().decode("utf-8", errors="replace").splitlines():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(entry, dict):
+            entries.append(entry)
+    return entries
+
+
+def _open(path: Path):
+    """Open for appending; a torn last line left by a crash is ended first, so that it spoils no other."""
+    torn = path.exists() and path.stat().st_size > 0 and path.read_bytes()[-1:] != b"\n"
+    file = path.open("a", encoding="utf-8")
+    if torn:
+        file.write("\n")
+    return file

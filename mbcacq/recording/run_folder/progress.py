@@ -1,0 +1,95 @@
+"""What of an interrupted run is measured, readable and still missing: resuming goes on from here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.run_folder.journal import read_journal
+
+EMPTY = ".empty"   # added to the name of a recording that was torn before anything was in it
+
+
+@dataclass(frozen=True)
+class Progress:
+    """done: numbers of the poses that need not be measured again. part: number of the recording to write next.
+
+    stations: station -> numbers of its measured poses. told: what had to be repaired, one sentence each.
+    """
+
+    done: frozenset[int]
+    part: int
+    stations: dict[str, tuple[int, ...]]
+    told: tuple[str, ...] = ()
+
+
+def poses_done(folder: Path | str) -> frozenset[int]:
+    """Numbers of the poses that the journal of a run folder lists and its recordings hold.
+
+    After a power cut the journal can be ahead of the recording; such a pose is measured again. Raises RecordingError if there is
+    no journal or a recording is torn (``mbcacq recover`` makes it readable).
+    """
+    return frozenset(_measured(Path(folder)))
+
+
+def take_stock(folder: Path | str) -> Progress:
+    """Make every recording of an interrupted run readable, and say what it holds. Nothing is deleted: a torn recording stays beside its
+    recovered copy, one without content gets another name. Raises RecordingError where the disk does not take the copy."""
+    folder = Path(folder)
+    told = tuple(_repair(folder))
+    _keep_identity(folder)
+    measured = _measured(folder) if (folder / layout.JOURNAL_FILE).exists() else {}
+    stations: dict[str, tuple[int, ...]] = {}
+    for number, station in sorted(measured.items()):
+        stations[station] = (*stations.get(station, ()), number)
+    return Progress(frozenset(measured), layout.next_part(folder), stations, told)
+
+
+def _measured(folder: Path) -> dict[int, str]:
+    """Number -> station."""
+    from mbcacq.recording.rrd.reader import open_recordings
+
+    listed = {int(entry["pose"]) for entry in read_journal(folder) if entry.get("event") == "pose_done"}
+    try:
+        recordings = open_recordings(folder) if layout.parts(folder) else []
+    except ConfigError as error:
+        raise RecordingError(str(error)) from None
+    rows = [row for recording in recordings for row in recording.observed()]
+    return {int(row["pose"][0]): str(row["station"][0]) for row in rows if int(row["pose"][0]) in listed}
+
+
+def _repair(folder: Path) -> Iterator[str]:
+    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.run_folder.recovery import recover
+
+    for path in layout.parts(folder):
+        try:
+            recording = Recording(path)
+            recording.observed()
+            recording.text(layout.CELL)
+            continue
+        except RecordingError:
+            pass
+        try:
+            found = recover(path)[0]
+            yield f"{path.name} was torn; its {found.poses} finished poses are in {found.output.name}"
+        except RecordingError as error:
+            if "nothing could be recovered" not in str(error):
+                raise
+            path.rename(path.with_name(path.name + EMPTY))
+            yield f"{path.name} was torn before a pose was in it, it is now {path.name + EMPTY}"
+
+
+def _keep_identity(folder: Path) -> None:
+    """All parts carry one recording id; where the note of it was lost, the first part tells it."""
+    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
+
+    parts = layout.parts(folder)
+    if parts and read_run_header(folder) is None:
+        first = Recording(parts[0])
+        about = first.about()
+        write_run_header(folder, RunHeader(first.recording_id, str(about["started"]), str(about["name"])))

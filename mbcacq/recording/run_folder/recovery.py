@@ -1,0 +1,107 @@
+"""Torn recordings made readable: everything complete before the tear, with a new footer, in a copy. The original stays as it is."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.rrd.reader import Recording
+
+WHOLE = "whole.rrd"
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """source: the recording as found. output: the readable copy, or the source itself where nothing was wrong with it.
+
+    poses: finished poses in it; cycles: controller cycles; complete: whether the run's end is in it.
+    """
+
+    source: Path
+    output: Path
+    poses: int
+    cycles: int
+    complete: bool
+
+    @property
+    def damaged(self) -> bool:
+        return self.output != self.source
+
+
+def recover(path: Path | str) -> list[Recovered]:
+    """Make a .rrd, or every recording of a run folder, readable. Raises RecordingError where nothing is left to read.
+
+    A damaged NAME.rrd is copied to NAME.recovered.rrd (never overwriting one), which :func:`load` then prefers. A run of several
+    parts is also merged into whole.rrd.
+    """
+    path = Path(path)
+    if path.is_dir():
+        sources = sorted((file for file in path.glob("run*.rrd") if layout.RECOVERED not in file.name), key=lambda p: (len(p.name), p.name))
+        if not sources:
+            raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run, or a .rrd file")
+        found = [_recover_file(source) for source in sources]
+        if len(found) > 1:
+            _merge([item.output for item in found], path / WHOLE)
+        return found
+    if not path.is_file():
+        raise ConfigError(f"{path} does not exist; give the folder of a run, or a .rrd file")
+    return [_recover_file(path)]
+
+
+def _recover_file(source: Path) -> Recovered:
+    if _verified(source):
+        return _summary(source, source)
+    existing = layout.recovered_of(source)
+    if existing is not None and existing.stat().st_mtime >= source.stat().st_mtime and _verified(existing):
+        return _summary(source, existing)
+    output = layout.next_recovered(source)
+    try:
+        _merge([source], output)
+        return _summary(source, output)
+    except RecordingError as error:
+        output.unlink(missing_ok=True)
+        raise RecordingError(f"nothing could be recovered from {source}: {error}") from None
+
+
+def _merge(sources: list[Path], output: Path) -> None:
+    """Merge through a temporary name, so that a broken merge leaves nothing behind."""
+    size = sum(source.stat().st_size for source in sources)
+    free = shutil.disk_usage(output.parent).free
+    if free < size + (16 << 20):
+        raise RecordingError(f"the copy needs {size >> 20} MiB, only {free >> 20} MiB are free in {output.parent}; free some space")
+    partial = output.with_name(f".{output.stem}.part.rrd")
+    try:
+        result = rerun_program.run(["rrd", "merge", "--continue-on-error", *map(str, sources), "-o", str(partial)])
+        if result.returncode or not partial.exists():
+            raise RecordingError(f"rerun could not read it ({rerun_program.complaint(result)})")
+        if not _verified(partial):
+            raise RecordingError("no complete message is left in it")
+        partial.replace(output)
+    except OSError as error:
+        if isinstance(error, RecordingError):
+            raise
+        raise RecordingError(f"{output} cannot be written: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _verified(path: Path) -> bool:
+    """Whether rerun's own check finds no fault, and our reader something to read."""
+    if rerun_program.run(["rrd", "verify", str(path)]).returncode:
+        return False
+    try:
+        Recording(path).about()
+    except RecordingError:
+        return False
+    return True
+
+
+def _summary(source: Path, output: Path) -> Recovered:
+    recording = Recording(output)
+    recording.text(layout.CELL)   # without its cell a recording explains nothing
+    about = recording.about()
+    poses = {int(row["pose"][0]) for row in recording.observed()}
+    return Recovered(source, output, len(poses), len(recording.cycles()), "exit_status" in about)

@@ -1,0 +1,1 @@
+"""The rerun viewer, opened on a recording."""

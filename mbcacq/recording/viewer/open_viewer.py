@@ -1,0 +1,226 @@
+"""The rerun viewer on a recording, in a process group of its own; and pictures of it without a screen."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mbcacq.errors import ConfigError, MbcacqError, RecordingError
+from mbcacq.recording.rrd import layout, rerun_program
+
+START_TIMEOUT_S = 30.0
+LOAD_TIMEOUT_S = 120.0
+SETTLE_S, TAB_SETTLE_S = 7.0, 1.0   # until the viewer's notices have gone from the picture; until it turns to a tab
+STILL_S, DRAWN_TIMEOUT_S = 1.0, 60.0   # a picture that stays the same for so long is complete: what still loads turns
+
+
+def files(path: Path | str) -> list[Path]:
+    """What the viewer opens for a run folder (its recordings, its result, its diagnosis) or for a .rrd file."""
+    path = Path(path)
+    if path.is_dir():
+        found = layout.parts(path)
+        if not found:
+            raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run, or a .rrd file")
+        return found + [file for name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE) if (file := path / name).exists()]
+    if not path.is_file():
+        raise ConfigError(f"{path} does not exist; give the folder of a run, or a .rrd file")
+    return [path]
+
+
+def view(sources: Sequence[Path | str]) -> None:
+    """Open files or addresses in the viewer and wait until it is closed. Raises RecordingError if it cannot start."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
+    with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
+        shown = map(str, layout_first(sources, Path(folder)))
+        command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]   # it would listen everywhere
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                                 errors="replace", start_new_session=True)
+        try:
+            _, err = child.communicate()
+        except BaseException:
+            rerun_program.end(child)
+            child.communicate()
+            raise
+    if child.returncode:
+        reason = rerun_program.complaint(subprocess.CompletedProcess(child.args, child.returncode, "", err))
+        raise RecordingError(f"the viewer could not be opened ({reason}); without a screen, use --screenshot DIR")
+
+
+def screenshots(sources: Sequence[Path | str], folder: Path, size: tuple[int, int] = (1600, 1000), pose: int | None = None) -> list[Path]:
+    """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing.
+
+    Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where there is no such pose.
+    """
+    folder = Path(folder).absolute()
+    moment = _moment(sources, pose)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder} cannot be made: {error.strerror}; choose another folder for the pictures") from error
+    written: list[Path] = []
+    with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as made, _headless(size) as client:
+        _load(client, layout_first(sources, Path(made)))
+        for tab in _tabs(client):
+            _turn_to(client, tab)
+            _go_to(client, tab, moment)
+            time.sleep(TAB_SETTLE_S if written else SETTLE_S)
+            written.append(_picture(client, folder / f"{tab.lower()}.png"))
+    return written
+
+
+def _picture(client: Any, path: Path) -> Path:
+    """The window as it looks once nothing in it changes any more."""
+    path.unlink(missing_ok=True)
+    deadline, before = time.monotonic() + DRAWN_TIMEOUT_S, b""
+    while True:
+        late = time.monotonic() > deadline
+        try:
+            client.save_screenshot(str(path))
+        except TimeoutError:            # a busy viewer
+            if late:
+                raise
+            continue
+        if (now := path.read_bytes()) == before or late:
+            return path
+        before = now
+        time.sleep(STILL_S)
+
+
+def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str]:
+    """The sources, and in front of them a small file in ``folder`` with today's blueprint, its camera and its magnifications: of several
+    files of one recording the viewer takes the blueprint of the first. Sources that are no run of ours are left as they are."""
+    import rerun as rr
+
+    from mbcacq.recording.datasets.cell_yaml import parse_cell
+    from mbcacq.recording.rrd.blueprint import for_cell
+    from mbcacq.recording.rrd.reader import Recording
+
+    try:
+        first = Recording(sources[0])
+        plan, cell = first.text(layout.PLAN), parse_cell(first.text(layout.CELL))
+    except MbcacqError:
+        return list(sources)
+    path = folder / "layout.rrd"
+    stream = rr.RecordingStream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
+    stream.save(path, default_blueprint=for_cell(cell, plan, enlarged(sources)))
+    stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
+    stream.flush(timeout_sec=10.0)
+    stream.disconnect()
+    return [path, *sources]
+
+
+def _tabs(client: Any) -> list[str]:
+    """Names of the tabs on show; a foreign recording has one picture."""
+    contents, blueprint = _root(client)
+    names = [blueprint[entity]["ContainerBlueprint"].get("display_name", "") for entity in contents if entity in blueprint]
+    return names if contents and all(names) and len(names) == len(contents) else ["view"]
+
+
+def _turn_to(client: Any, tab: str) -> None:
+    contents, blueprint = _root(client)
+    for entity in contents:
+        if blueprint[entity].get("ContainerBlueprint", {}).get("display_name") == tab:
+            root = blueprint[_root_entity(blueprint)]
+            root["ContainerBlueprint"]["active_tab"] = entity
+            client.set_blueprint(blueprint, "recording")
+
+
+def _root(client: Any) -> tuple[list[str], dict[str, Any]]:
+    """What the outermost container holds, where that is tabs of containers; and the whole blueprint."""
+    blueprint = client.get_blueprint("recording").blueprint
+    container = blueprint.get(_root_entity(blueprint), {}).get("ContainerBlueprint", {})
+    contents = container.get("contents", []) if container.get("container_kind") == "Tabs" else []
+    return [entity for entity in contents if entity.startswith("/container/")], blueprint
+
+
+def _root_entity(blueprint: dict[str, Any]) -> str:
+    return f"/container/{blueprint.get('/viewport', {}).get('ViewportBlueprint', {}).get('root_container')}"
+
+
+def enlarged(sources: Sequence[Path | str]) -> Any:
+    """How many times the arrows of the sources are enlarged (``blueprint.Enlarged``)."""
+    from mbcacq.recording.rrd.blueprint import Enlarged
+    from mbcacq.recording.rrd.reader import Recording
+
+    found: dict[str, float] = {}
+    for source in sources:
+        if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
+            for row in Recording(source).rows(layout.ENLARGED):
+                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis") if name in row}
+    return Enlarged(**found)
+
+
+@contextmanager
+def _headless(size: tuple[int, int]) -> Iterator[Any]:
+    """A client of a viewer without a screen, which ends with the block. What the viewer raises becomes a RecordingError."""
+    from rerun.experimental import ViewerClient
+
+    port = _free_port()
+    child = subprocess.Popen(
+        [rerun_program.program(), "--headless", "--port", str(port), "--bind", "127.0.0.1", "--hide-welcome-screen", "--window-size",
+         f"{size[0]}x{size[1]}"], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + START_TIMEOUT_S
+    try:
+        while True:
+            try:
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                client.get_state()
+                break
+            except Exception as error:  # noqa: BLE001 the client raises whatever its transport does while the viewer starts
+                if child.poll() is not None or time.monotonic() > deadline:
+                    raise RecordingError("no picture could be made: the viewer does not start without a screen; "
+                                         "it needs a Vulkan driver, e.g. apt-get install mesa-vulkan-drivers") from error
+                time.sleep(0.2)
+        try:
+            yield client
+        except (RuntimeError, TimeoutError) as error:
+            raise RecordingError(f"no picture could be made ({str(error).splitlines()[0]}); try again, or look with mbcacq view") from error
+    finally:
+        rerun_program.end(child)
+        child.wait()
+
+
+def _load(client: Any, sources: Sequence[Path | str]) -> None:
+    deadline = time.monotonic() + LOAD_TIMEOUT_S
+    client.open([str(Path(source).absolute()) for source in sources])
+    while client.get_state().loading and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def _go_to(client: Any, tab: str, moment: tuple[int, float] | None) -> None:
+    """To the pose, on the timeline on which the tab is best read."""
+    if moment is None:
+        return
+    number, time_s = moment
+    if tab in ("Cell", "Motion"):
+        client.set_time(layout.TIME, duration=time_s, play_state="paused")
+    else:
+        client.set_time(layout.POSE, sequence=number, play_state="paused")
+
+
+def _moment(sources: Sequence[Path | str], pose: int | None) -> tuple[int, float] | None:
+    """Number of a pose and the run time (s) of its end."""
+    from mbcacq.recording.rrd.reader import Recording
+
+    own = [source for source in sources if Path(source).name not in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE)]
+    rows = [row for source in own for row in Recording(source).observed()]
+    ends = {int(row["pose"][0]): float(row["time_s"][0]) for row in rows}
+    if pose is not None and pose not in ends:
+        raise ConfigError(f"pose {pose} is not in the recording, which has {len(ends)} (up to {max(ends, default=0)}); give another --pose")
+    number = pose if pose is not None else max(ends, key=ends.__getitem__, default=None)
+    return None if number is None else (number, ends[number])
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -1,0 +1,124 @@
+"""Figures of a diagnosis: the map, the shape of each effect with its band, the misfit along what is held responsible."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from mbcacq.report.charts.calibration_charts import AFTER, BEFORE, ESCAPES, look, thinned
+from mbcacq.report.sources.diagnosis_content import Told
+
+ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a shape is no line
+
+
+def heat_map(told: Told) -> go.Figure:
+    """Place by covariate: how improbable it is that chance alone explains as much, beyond what free geometry absorbs."""
+    at, on, z = told.map
+    top = max(float(np.nanmax(z)), 3.0)
+    ticks = [v for v in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if v <= top]
+    labels = [o.translate(ESCAPES) for o in on]
+    figure = go.Figure(
+        go.Heatmap(
+            z=np.log10(1 + z),
+            customdata=z,
+            x=labels,
+            y=[spaced(a).translate(ESCAPES) for a in at],
+            colorscale="Viridis",
+            zmin=0,
+            zmax=float(np.log10(1 + top)),
+            xgap=1,
+            ygap=1,
+            colorbar={
+                "title": {"text": "−log₁₀ p"},
+                "thickness": 12,
+                "outlinewidth": 0,
+                "tickvals": [float(np.log10(1 + v)) for v in ticks],
+                "ticktext": [str(v) for v in ticks],
+            },
+            hovertemplate="%{y} depends on %{x}: −log₁₀ p = %{customdata:.1f}<extra></extra>",
+        )
+    )
+    figure.update_xaxes(tickangle=-55, dtick=1, showgrid=False, title="depends on")
+    figure.update_yaxes(dtick=1, autorange="reversed", showgrid=False, title="place that moves")
+    figure = look(figure, 190 + 19 * len(at))
+    figure.update_layout(meta={"narrow": {"height": 230 + 13 * len(at), "tick": 7, "angle": -90}})
+    return figure
+
+
+def shape(curve: Mapping[str, Any]) -> go.Figure:
+    """What moves over what it depends on: the model with its band (k = 2), and what each pose says by itself."""
+    x, y, std, seen = (np.array(curve[name], dtype=float) for name in ("x", "y", "std", "seen"))
+    figure = go.Figure()
+    keep = thinned(np.abs(seen))
+    figure.add_scatter(
+        x=x[keep],
+        y=seen[keep],
+        mode="markers",
+        name="poses",
+        marker={"color": "#9aa0a6", "size": 4, "opacity": 0.7},
+        hovertemplate="%{x:.4g}: %{y:.4g}<extra></extra>",
+    )
+    span = max(float(np.ptp(y)), 1e-12)
+    if len(y) > 8 and np.mean(np.abs(np.diff(y))) < ROUGH * span:
+        figure.add_scatter(
+            x=np.concatenate([x, x[::-1]]),
+            y=np.concatenate([y + 2 * std, (y - 2 * std)[::-1]]),
+            fill="toself",
+            mode="lines",
+            line={"width": 0},
+            fillcolor="rgba(0,114,178,0.22)",
+            name="k = 2",
+            hoverinfo="skip",
+        )
+        figure.add_scatter(x=x, y=y, mode="lines", name="model", line={"color": AFTER, "width": 2.5})
+    else:
+        figure.add_scatter(
+            x=x,
+            y=y,
+            mode="markers",
+            name="model, k = 2",
+            marker={"color": AFTER, "size": 4.5, "symbol": "diamond"},
+            error_y={"array": 2 * std, "color": "rgba(0,114,178,0.45)", "thickness": 1, "width": 0},
+        )
+    low, high = np.percentile(np.concatenate([y - 2 * std, y + 2 * std, np.percentile(seen, [2, 98])]), [0, 100])
+    pad = 0.12 * max(high - low, 1e-9)
+    figure.update_xaxes(title=axis(curve["x_label"], curve["x_unit"]))
+    figure.update_yaxes(title=axis(curve["what"], curve["unit"]), range=[low - pad, high + pad], zeroline=True, zerolinecolor="#bbbbbb")
+    return look(figure, 300)
+
+
+def along(told: Told, cause: Mapping[str, Any]) -> go.Figure:
+    """Size of the difference between simulation and recording along a variable held responsible, before and after."""
+    x = np.array(cause["values"], dtype=float)
+    before, after = (
+        1e3 * np.linalg.norm(np.array(told.centres[f"{w}_mm"], dtype=float).reshape(-1, 3), axis=1) for w in ("before", "after")
+    )
+    figure = go.Figure()
+    for name, values, colour, symbol in (("before", before, BEFORE, "circle"), ("after", after, AFTER, "diamond")):
+        keep = thinned(before)
+        figure.add_scatter(
+            x=x[keep],
+            y=values[keep],
+            mode="markers",
+            name=name,
+            marker={"color": colour, "size": 4, "symbol": symbol, "opacity": 0.7},
+            hovertemplate="%{x:.4g}: %{y:.1f} µm<extra></extra>",
+        )
+    figure.update_xaxes(title=axis(cause["label"], cause["unit"]))
+    figure.update_yaxes(title="3D difference / µm", rangemode="tozero")
+    return look(figure, 290)
+
+
+def spaced(place: str) -> str:
+    """'station12' -> 'station 12'; joints and links stay as they are called."""
+    for stem in ("station", "ball"):
+        if place.startswith(stem) and len(place) > len(stem):
+            return f"{stem} {place.removeprefix(stem)}"
+    return place
+
+
+def axis(words: str, unit: str) -> str:
+    return f"{words} / {unit}".translate(ESCAPES) if unit else words.translate(ESCAPES)

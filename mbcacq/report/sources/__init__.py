@@ -1,0 +1,1 @@
+"""Where the content of a report comes from: results, run folders, diagnoses."""

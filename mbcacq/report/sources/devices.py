@@ -1,0 +1,84 @@
+"""How the devices did, read from the recording of a run: late answers, periods, times of exposures and states, what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.journal import read_log
+from mbcacq.report.content import Devices
+
+MAX_LOST = 40
+
+
+def devices_of(run: str | Path) -> Devices | None:
+    """None where ``run`` is no folder with a recording, or the recording cannot be read: the report then does without."""
+    from mbcacq.errors import MbcacqError
+    from mbcacq.recording.rrd.reader import open_recordings
+
+    run = Path(run)
+    try:
+        recordings = open_recordings(run) if run.is_dir() and layout.parts(run) else []
+        if not recordings:
+            return None
+        cycles = [recording.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE) for recording in recordings]
+        late, period, nominal = _cycles([c for c in cycles if len(c.get("time_s", ()))])
+        exposures = np.concatenate([_exposures(recording.rows(layout.EXPOSURE)) for recording in recordings])
+        states: dict[str, float] = {}
+        for recording in recordings:
+            for name, seconds in _states(recording.rows(layout.STATE)).items():
+                states[name] = states.get(name, 0.0) + seconds
+        health = _health(recordings)
+    except MbcacqError:
+        return None
+    return Devices(late, period, nominal, exposures if len(exposures) else None, sorted(states.items(), key=lambda item: -item[1]),
+                   lost(run), health)
+
+
+def _cycles(columns: list[dict[str, np.ndarray]]) -> tuple[np.ndarray | None, np.ndarray | None, float | None]:
+    if not columns:
+        return None, None, None
+    late = np.concatenate([c["delay"] for c in columns]) if all("delay" in c for c in columns) else None
+    period = np.concatenate([1e3 * np.diff(c["host_time_s"]) for c in columns])
+    nominal = 1e3 * float(np.median(np.concatenate([np.diff(c["time_s"]) for c in columns])))
+    return late, period if len(period) else None, nominal if np.isfinite(nominal) else None
+
+
+def _exposures(rows: Any) -> np.ndarray:
+    """(e,) s between successive exposures of one pose, finding the balls included."""
+    seen = [(int(row["pose"][0]), int(row["exposure"][0]), _seconds(row[layout.TIME])) for row in rows if "exposure" in row]
+    return np.array([t - s for (p, i, s), (q, j, t) in zip(seen[:-1], seen[1:], strict=True) if p == q and j == i + 1])
+
+
+def _states(rows: Any) -> dict[str, float]:
+    seen = [(row["state"][0], _seconds(row[layout.TIME])) for row in rows if "state" in row]
+    out: dict[str, float] = {}
+    for (state, start), (_, end) in zip(seen[:-1], seen[1:], strict=True):
+        out[state] = out.get(state, 0.0) + end - start
+    return out
+
+
+def _health(recordings: list) -> list[tuple[str, str, str, str]]:
+    """Lowest, highest and last value of every quantity that varied or is a temperature."""
+    found: dict[str, list[float]] = {}
+    for recording in recordings:
+        for entity, values in recording.scalars(f"{layout.HEALTH}/**").items():
+            found.setdefault(entity.removeprefix(f"/{layout.HEALTH}/").replace("/", ": ").replace("\\", ""), []).extend(values)
+    return [(name, *(f"{v:.6g}" for v in (min(values), max(values), values[-1]))) for name, values in sorted(found.items())
+            if values and (min(values) != max(values) or name.endswith("_C"))]
+
+
+def lost(run: Path) -> list[str]:
+    """What the recording lacks, and the warnings and errors of the log."""
+    out = [*find_gaps(run), *(str(e["text"]) for e in read_log(run) if e.get("level") in ("warning", "error") and e.get("text"))]
+    out = list(dict.fromkeys(out))
+    return out if len(out) <= MAX_LOST else [*out[:MAX_LOST], f"and {len(out) - MAX_LOST} more: see {layout.LOG_FILE}"]
+
+
+def _seconds(value: Any) -> float:
+    """A duration of the recording (ns) in s."""
+    return float(value) * 1e-9

@@ -1,0 +1,210 @@
+"""result.json (format 'mbcacq-result/1') to the content of a report; with the recording at hand, residuals and poses too."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from mbcacq import __version__
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.report.content import AccuracyGrid, Content, Parameter, Spacing
+from mbcacq.report.sources.diagnosis_content import told
+from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
+
+FORMAT = "mbcacq-result/1"
+GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
+METHODS = {"ml": "maximum likelihood over all observations", "paper": "stage by stage, as published"}
+
+
+def content_of(result: Mapping[str, Any], observations: Observations | None = None, run_info: Mapping[str, Any] | None = None) -> Content:
+    """Everything the report says. Raises ConfigError if the result is not one, or damaged."""
+    if not isinstance(result, Mapping) or result.get("format") != FORMAT:
+        raise ConfigError(f"this is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
+    try:
+        return _content(result, observations, run_info or {})
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise ConfigError(f"the calibration result is damaged ({type(error).__name__}: {error}); "
+                          "write it anew with mbcacq calibrate") from error
+
+
+def _content(result: Mapping[str, Any], observations: Observations | None, run_info: Mapping[str, Any]) -> Content:
+    found = {}
+    if observations is not None and observations.n_centres:
+        from mbcacq.calibration import state_from_dict
+        from mbcacq.report.sources import measured
+
+        used = measured.calibrated_poses(observations, result)
+        state = state_from_dict(dict(result), observations.cell)
+        rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
+        found["residuals"] = measured.residuals(used, state, result["noise"]["scanner_mm"], result["noise"]["joint_rad"], rejected)
+        found["coverage"] = measured.coverage(observations, state)
+        found["spheres"] = measured.spheres(observations)
+    spacing = _spacing(result.get("verification"), {str(s["id"]) for s in result["stations"]})
+    verdict = verdict_of(spacing, result, _certificate(observations))
+    diagnosis = run_info.get("diagnosis")
+    return Content(
+        title=f"Calibration of {result['robot']['name'] or 'the cell'}",
+        subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
+        verdict=verdict, instrument=_instrument(result), headlines=headlines(spacing, result),
+        next=next_action(verdict, spacing, result, diagnosis, str(run_info.get("folder") or "RUN")),
+        facts=_facts(result, run_info), fit=_fit(result), spacing=spacing, figures=_figures(result.get("verification")),
+        parameters=_parameters(result), accuracy=_accuracy(result.get("accuracy_map")), devices=run_info.get("devices"),
+        diagnosis=None if diagnosis is None else told(diagnosis, run_info.get("pictures")),
+        hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
+        noise=_noise(result), observability=_observability(result), correlation=_correlation(result),
+        not_separable=[(" and ".join(c["parameters"]), float(c["correlation"])) for c in result.get("correlated", ())][:20],
+        warnings=_warnings(result),
+        versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
+        hashes=list(run_info.get("hashes") or ()), plan_yaml=str(run_info.get("plan_yaml") or ""), **found,
+    )
+
+
+def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacing | None:
+    places = (verification or {}).get("places")
+    if not places:
+        return None
+    several = len({p["station"] for p in places}) < len(places)
+    expected = [p.get("expected_mm") for p in places]
+    more = []
+    if verification.get("expected_mean_mm") is not None:
+        more.append(("mean magnitude expected from the fit", f"{verification['expected_mean_mm']:.4f} mm"))
+    more += [(key.replace("_", " ").removesuffix(" mm"), f"{value:.4f} mm") for key, value in verification.items()
+             if key.endswith("_mm") and key not in ("limit_mm", "expected_mean_mm") and isinstance(value, float)]
+    return Spacing(
+        [f"{p['station']}" + (f": {p['balls'][0]}–{p['balls'][1]}" if several else "") for p in places],
+        *(np.array([p[key] for p in places], dtype=float) for key in ("certified_mm", "before_mm", "after_mm")),
+        sigma=None if any(e is None for e in expected) else np.array(expected, dtype=float), limit=verification.get("limit_mm"), more=more,
+        independent=not any(str(p["station"]) in fitted for p in places))
+
+
+def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str, str, str]]:
+    """(name, value, standard uncertainty, limit, verdict) of the figures after the guideline, as texts."""
+    words = {"pass": "passed", "fail": "not passed", "undecided": "undecided", "none": "not judged"}
+
+    def mm(value: Any) -> str:
+        return "–" if value is None else f"{float(value):.4f}"
+
+    def name(figure: Mapping[str, Any]) -> str:
+        return figure["name"] + (f", largest of {figure['count']}" if figure["count"] > 1 else "")
+
+    return [(name(f), mm(f["value_mm"]), mm(f["uncertainty_mm"]), mm(f["limit_mm"]), words[f["verdict"]])
+            for f in (verification or {}).get("figures", ()) if f["value_mm"] is not None]
+
+
+def _accuracy(data: Mapping[str, Any] | None) -> AccuracyGrid | None:
+    if not data or not data["centres_mm"]:
+        return None
+    centres = np.array(data["centres_mm"], dtype=float).reshape(-1, 3)
+    return AccuracyGrid(centres, np.array(data["sigma_mm"], dtype=float), float(data["cell_mm"]))
+
+
+def _when(text: str) -> str:
+    """A time of ISO 8601 as people read it; any other text as it is."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        return text
+    return f"{when:%Y-%m-%d %H:%M} {when.tzname() or ''}".strip()
+
+
+def _certificate(observations: Observations | None) -> float:
+    """Standard uncertainty (mm) of a certified distance, worst of the artefacts; 0 where it is not known."""
+    if observations is None:
+        return 0.0
+    return float(np.sqrt(2) * max(a.uncertainty_mm for a in observations.cell.artefacts))
+
+
+def _instrument(result: Mapping[str, Any]) -> str:
+    return "instrument" if result.get("measurement") == "target_in_base" else "scanner"
+
+
+def _facts(result: Mapping[str, Any], run_info: Mapping[str, Any]) -> list[tuple[str, str]]:
+    out = [("robot", str(result["robot"]["name"])), ("method", METHODS.get(result["method"], str(result["method"])))]
+    if result.get("measurement") == "target_in_base":
+        out.append(("measured", "a target on the flange, by an external instrument"))
+    out.append(("stations", str(len(result["stations"]))))
+    out += [(str(k), str(v)) for k, v in (run_info.get("facts") or {}).items()]
+    return out
+
+
+def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    fit = result["fit"]
+    out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", f"{1e3 * fit['rms_mm']:.1f} µm")]
+    if fit.get("chi2_dof") is not None:
+        out.append(("χ² over degrees of freedom", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
+    held_out = result.get("held_out")
+    if held_out:
+        out.append(("poses held out, 3D rms", f"{1e3 * held_out['rms_mm']:.1f} µm ({held_out['poses']} poses, by {held_out['split']})"))
+    if fit.get("expected_accuracy_mm") is not None:
+        out.append(("expected accuracy of a point", f"{1e3 * fit['expected_accuracy_mm']:.1f} µm"))
+    return out
+
+
+def _parameters(result: Mapping[str, Any]) -> list[Parameter]:
+    out = []
+    for p in result["parameters"]:
+        name = str(p["name"])
+        unit, factor = ("deg", 180 / np.pi) if p["unit"] == "rad" else (str(p["unit"]), 1.0)
+        turn = re.fullmatch(r"hand_eye\.r[xyz]", name) is not None
+        error, value = factor * float(p["error"]), factor * float(p["value"])
+        group = next((title for prefix, title in GROUPS if name.startswith(prefix)), None)
+        if group is None:
+            group = "Kinematics, MD-H" if re.fullmatch(r"(theta|d|a|alpha|beta)_\d+", name) else "Effects"
+        std = None if p.get("std") is None else factor * float(p["std"])
+        bare = turn or group == "Effects"
+        held = str(p.get("reason") or "held") if p["status"] == "held" else None
+        nominal, value = (None, None) if bare else (value - error, value)
+        out.append(Parameter(group, name.removeprefix("hand_eye."), unit, nominal, error, value, std, held))
+    return out
+
+
+def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    noise = result["noise"]
+    out = [(f"{_instrument(result)}, one centre along x, y, z", ", ".join(f"{1e3 * v:.1f}" for v in noise["scanner_mm"]) + " µm"),
+           ("joint repeatability, A1 …", ", ".join(f"{1e6 * v:.1f}" for v in noise["joint_rad"]) + " µrad")]
+    if noise.get("turn_rad") is not None:
+        out.append(("orientation of the target", f"{1e6 * noise['turn_rad']:.1f} µrad"))
+    if noise.get("check_factor"):
+        out.append((f"found over stated noise of the {_instrument(result)}", ", ".join(f"{v:.2f}" for v in noise["check_factor"])))
+    return out
+
+
+def _observability(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    out = [("rank", f"{result['fit']['rank']} (free parameters and station poses)")]
+    indices = result.get("observability")
+    if isinstance(indices, Mapping):
+        out += [(f"observability index {k}", f"{v:.4g}" if isinstance(v, int | float) else str(v)) for k, v in indices.items()]
+    return out
+
+
+def _correlation(result: Mapping[str, Any]) -> tuple[list[str], np.ndarray] | None:
+    """Of all free parameters but the balls, which are as certified but for their uncertainty."""
+    names = list(result["names"])
+    C = np.array(result["covariance"], dtype=float).reshape(len(names), len(names))
+    keep = [i for i, n in enumerate(names) if not n.startswith("ball_")]
+    if len(keep) < 2:
+        return None
+    C = C[np.ix_(keep, keep)]
+    std = np.sqrt(np.diag(C))
+    return [names[i] for i in keep], C / np.maximum(np.outer(std, std), 1e-300)
+
+
+def _warnings(result: Mapping[str, Any]) -> list[str]:
+    out = []
+    factor = result["noise"].get("check_factor")
+    if factor and max(factor) > SUSPICIOUS:
+        out.append(f"The residuals need {max(factor):.1f} times the noise that was stated for the {_instrument(result)}: "
+                   "something is not in the model. mbcacq diagnose looks for it.")
+    if gaps := result.get("gaps"):
+        more = f"; and {len(gaps) - 2} more, under Devices and timing" if len(gaps) > 2 else ""
+        out.append(f"The recording lacks something: {'; '.join(map(str, gaps[:2]))}{more}.")
+    rejected = result.get("rejected", ())
+    if rejected:
+        listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])
+        out.append(f"{len(rejected)} measurements contradict the rest and were left out: {listed}{' …' if len(rejected) > 8 else ''}.")
+    return out + [str(w) for w in result.get("warnings", ())]

@@ -1,0 +1,63 @@
+"""What a report needs of the observations themselves: residuals of the calibrated cell, where the arm stood, how well the spheres fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.estimation.forward_model import CellState, arm_jacobian, predict, residual
+from mbcacq.geometry import se3
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+from mbcacq.report.content import Coverage, Residuals, Spheres
+
+
+def residuals(observations: Observations, state: CellState, point_mm: np.ndarray | None, joint_rad: np.ndarray | None,
+              rejected: set[tuple[int, int | None]] = frozenset()) -> Residuals:
+    """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
+
+    point_mm: (3,) sigma of a centre; joint_rad: (n,) repeatability of each axis. rejected: (pose number, ball id or None for all).
+    """
+    obs = observations
+    prediction = predict(obs, state)
+    left = residual(obs, prediction)[:, :3]
+    weighted = None
+    if point_mm is not None and joint_rad is not None:
+        J = arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))[:, :3]
+        sigma = np.sqrt(np.asarray(point_mm) ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
+        weighted = left / sigma
+    pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
+    out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
+    station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
+    return Residuals(pose, ball, _phase(obs)[obs.pose], left, weighted, out, station, np.degrees(obs.q)[obs.pose])
+
+
+def coverage(observations: Observations, state: CellState) -> Coverage:
+    obs = observations
+    T = state.chain.flange(obs.q)
+    balls, phase = None, None
+    if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
+        balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
+    return Coverage(np.degrees(obs.q), np.degrees(obs.cell.robot.limits), _phase(obs), T[:, :3, 3], balls, phase)
+
+
+def spheres(observations: Observations) -> Spheres | None:
+    """None where the observations carry no quality of their fits."""
+    obs = observations
+    if obs.rms_mm is None or obs.n_points is None or not obs.n_centres or not np.any(np.isfinite(obs.rms_mm)):
+        return None
+    ball = np.array(obs.cell.ball_ids)[obs.ball]
+    return Spheres(obs.pose_id[obs.pose], ball, np.asarray(obs.n_points, dtype=float), 1e3 * np.asarray(obs.rms_mm, dtype=float))
+
+
+def calibrated_poses(observations: Observations, result: dict) -> Observations:
+    """The poses at stations that the result knows; others (the verification bar) have no place in its forward model."""
+    known = {s["id"] for s in result["stations"]}
+    station = np.array([s.id in known for s in observations.cell.stations])
+    keep = station[observations.station]
+    if observations.phase is not None and (observations.phase != "verification").any():
+        keep &= observations.phase != "verification"
+    return observations.select(keep)
+
+
+def _phase(obs: Observations) -> np.ndarray:
+    return np.full(obs.n_poses, "") if obs.phase is None else obs.phase

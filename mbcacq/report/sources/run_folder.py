@@ -1,0 +1,68 @@
+"""What a run folder says about itself, for the report's head and provenance."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from mbcacq.recording.rrd import layout
+
+MAX_LINES = 5
+MAX_BYTES = 1 << 20
+KEPT = ("plan.yaml", "result.json", "diagnosis.json")
+
+
+def about_run(folder: str | Path) -> dict[str, Any]:
+    """name, started, versions and plan_yaml of a run folder, as far as it has them; nothing for an observation set or a .rrd."""
+    folder = Path(folder)
+    info: dict[str, Any] = {}
+    try:
+        with (folder / "journal.jsonl").open(encoding="utf-8") as lines:
+            for _, line in zip(range(MAX_LINES), lines, strict=False):
+                entry = json.loads(line)
+                if entry.get("event") == "run_started":
+                    info |= {key: entry[key] for key in ("name", "started", "versions") if key in entry}
+                    break
+    except (OSError, ValueError, AttributeError):
+        pass
+    try:
+        info["plan_yaml"] = (folder / "plan.yaml").read_bytes()[:MAX_BYTES].decode("utf-8", "replace")
+    except OSError:
+        pass
+    return info
+
+
+def everything_about(folder: str | Path) -> dict[str, Any]:
+    """``about_run`` with devices, diagnosis (where one was made) and hashes: all that the whole report wants beside the result."""
+    from mbcacq.report.sources.devices import devices_of
+
+    folder = Path(folder)
+    info = about_run(folder) | {"folder": str(folder), "hashes": hashes(folder)}
+    if (devices := devices_of(folder)) is not None:
+        info["devices"] = devices
+    diagnosis, pictures = _json(folder / "diagnosis.json"), _json(folder / "diagnosis-pictures.json")
+    if diagnosis is not None:
+        info |= {"diagnosis": diagnosis, "pictures": pictures}
+    return info
+
+
+def hashes(folder: Path) -> list[tuple[str, str, str]]:
+    """(file, bytes, SHA-256) of the recordings and of what was made from them."""
+    out = []
+    for path in [*layout.parts(folder), *(folder / name for name in KEPT)]:
+        try:
+            with path.open("rb") as file:
+                out.append((path.name, f"{path.stat().st_size:,}".replace(",", " "), hashlib.file_digest(file, "sha256").hexdigest()))
+        except OSError:
+            continue
+    return out
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
