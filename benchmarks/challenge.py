@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.challenge.power import Cell, ninety, with_interval
+from mbcacq.challenge.power import PowerCell, ninety, with_interval
 from mbcacq.challenge.run import _begin, _take
 from mbcacq.challenge.scenarios import draw, kinds
 from mbcacq.challenge.score import Score
@@ -76,7 +76,7 @@ def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None
             add(kept, file, {"part": "power", "effect": name, "cell": cell, **asdict(one)})
 
 
-def _power(job: tuple[str, int]) -> Cell:
+def _power(job: tuple[str, int]) -> PowerCell:
     from mbcacq.challenge import run
     from mbcacq.challenge.power import tried
 

@@ -20,7 +20,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
 from cells import measure, scanner_cell  # noqa: E402
 
-from mbcacq.calibration import Noise, Options, calibrate
+from mbcacq.calibration import CalibrationOptions, Noise, calibrate
 from mbcacq.calibration.uncertainty import distance_uncertainty  # noqa: E402
 from mbcacq.estimation import parameters  # noqa: E402
 from mbcacq.estimation.forward_model import CellState, predict  # noqa: E402
@@ -36,8 +36,8 @@ NOISE, JOINT, CERTIFICATE = (0.005, 0.005, 0.009), 8e-6, 0.001
 
 def bound(obs, truth: CellState):
     """Layout and covariance (g, g) of the free parameters at the truth, by the true noise."""
-    layout = parameters.build(obs, Options())
-    lineariser = Lineariser(obs, layout, Options())
+    layout = parameters.build(obs, CalibrationOptions())
+    lineariser = Lineariser(obs, layout, CalibrationOptions())
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     at = system(lineariser, Estimate(truth), Noise(np.array(NOISE), np.full(6, JOINT)), weights)
     return layout, np.linalg.inv(at.normal.information)
@@ -103,7 +103,7 @@ def main() -> None:
             if reading == 0:
                 for pairs, errors in theirs.items():
                     # Judged as it comes out: what the tool would refuse as too uncertain counts too.
-                    paper = calibrate(obs, Options(method="paper", pairs=pairs, refuse=False))
+                    paper = calibrate(obs, CalibrationOptions(method="paper", pairs=pairs, refuse=False))
                     off = length(paper.state, ends) - true_length
                     errors.append((np.abs(off).mean(), float(np.mean((off / stated(paper, ends)) ** 2))))
     square, limit = np.array(square), np.array(limit)

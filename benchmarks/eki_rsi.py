@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from mbcacq.calibration import Options, calibrate, verify
+from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.devices import load_driver
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load, path
@@ -80,7 +80,7 @@ def main() -> None:
                 seed, began = given.first_seed + 2 * k + offset, time.monotonic()
                 observations = load_run(record(given.plan, driver, seed, Path(folder) / f"{driver}{seed}"))
                 took = time.monotonic() - began
-                calibration = calibrate(observations, Options())
+                calibration = calibrate(observations, CalibrationOptions())
                 results[driver] = calibration.to_dict()
                 after = verify(observations, calibration, limit_mm=0.1).to_dict()["after"]
                 print(f"{driver} seed {seed}: {len(observations.phase)} poses in {took:.0f} s, bar error mean {after['mean_mm']:.4f} mm, "

@@ -24,13 +24,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "conforma
 from benches import BENCHES  # noqa: E402
 from whole_run import WholeRun  # noqa: E402
 
-from mbcacq.conformance import ACTIONS, Verdict, cases, inject, survey  # noqa: E402
+from mbcacq.conformance import ACTIONS, InjectionVerdict, cases, inject, survey  # noqa: E402
 
 WHOLE = "whole run"
 
 
-def examine(name: str, most: int) -> list[Verdict]:
-    verdicts: list[Verdict] = []
+def examine(name: str, most: int) -> list[InjectionVerdict]:
+    verdicts: list[InjectionVerdict] = []
     if name == WHOLE:
         run = WholeRun()
         counts, one = run.counts, run.inject
@@ -51,7 +51,7 @@ def examine(name: str, most: int) -> list[Verdict]:
     return verdicts
 
 
-def table(verdicts: list[Verdict]) -> None:
+def table(verdicts: list[InjectionVerdict]) -> None:
     results = sorted({v.result for v in verdicts}, key=lambda r: ("recovered", "named error", "not reached").index(r) if r in (
         "recovered", "named error", "not reached") else 9)
     print("| fault | " + " | ".join(results) + " |\n|---|" + "---|" * len(results))

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from mbcacq_fakes.protocols.gocator import FakeGocator, encode
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, uniform_grid
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.decode import decode
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.points import intensity_of, surface_points
@@ -24,7 +24,7 @@ from mbcacq_gocator.points import intensity_of, surface_points
 SHAPE = (1250, 1650)
 
 
-def frame(missing: float) -> Frame:
+def frame(missing: float) -> ScannerFrame:
     """A wavy surface; ``missing`` is the share of pixels lost, in patches as shadows are and in single pixels."""
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:SHAPE[0], :SHAPE[1]].astype(np.float32)
@@ -34,7 +34,7 @@ def frame(missing: float) -> Frame:
         row, column = rng.integers(0, SHAPE[0] - 60), rng.integers(0, SHAPE[1] - 80)
         lost[row:row + 60, column:column + 80] = True
     xyz[lost] = np.nan
-    return Frame(xyz, (x + y).astype(np.uint32).astype(np.uint8))
+    return ScannerFrame(xyz, (x + y).astype(np.uint32).astype(np.uint8))
 
 
 def seconds(action: Callable[[], object], repetitions: int, clock: Callable[[], float] = time.thread_time) -> float:

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "calibration"))
 from cells import inverse_kinematics, measure  # noqa: E402
 
-from mbcacq.calibration import Options, calibrate, verify  # noqa: E402
+from mbcacq.calibration import CalibrationOptions, calibrate, verify  # noqa: E402
 from mbcacq.calibration.staged import stages  # noqa: E402
 from mbcacq.calibration.staged.ball_pairs import several_balls  # noqa: E402
 from mbcacq.estimation.forward_model import CellState  # noqa: E402
@@ -41,8 +41,8 @@ HAND_EYE = se3.transform(se3.nearest_rotation(np.array([[-0.0169, -0.9998, -0.00
 PUBLISHED = {"before": ([0.721, 0.837, 1.041, 0.712, 0.734], 1.041, 0.809), "after": ([0.457, 0.347, 0.428, 0.375, 0.364], 0.428, 0.394)}
 RP = 0.04   # mm, as the paper states of its robot
 CENTRE = np.array([0.005, 0.005, 0.009])
-WAYS = {"paper": Options(method="paper", refuse=False), "paper (four balls)": Options(method="paper", pairs="four", refuse=False),
-        "paper (all pairs)": Options(method="paper", pairs="all", refuse=False), "maximum likelihood": Options()}
+WAYS = {"paper": CalibrationOptions(method="paper", refuse=False), "paper (four balls)": CalibrationOptions(method="paper", pairs="four", refuse=False),
+        "paper (all pairs)": CalibrationOptions(method="paper", pairs="all", refuse=False), "maximum likelihood": CalibrationOptions()}
 TO_RAD = np.array([np.pi / 180, 1, 1, np.pi / 180, np.pi / 180])
 
 

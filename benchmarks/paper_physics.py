@@ -21,7 +21,7 @@ import numpy as np
 from paper_physics_cells import NOISE, Effect, catalogue, plans, record
 from paper_physics_figure import write_figure
 
-from mbcacq.calibration import Calibration, Options, calibrate, verify
+from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
 from mbcacq.geometry import se3
 
 PUBLISHED = np.array([0.457, 0.347, 0.428, 0.375, 0.364])
@@ -46,7 +46,7 @@ class Judged:
 
 def judge(obs, method: str) -> Judged:
     ours = method == "ml"
-    c: Calibration = calibrate(obs, Options(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto"))
+    c: Calibration = calibrate(obs, CalibrationOptions(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto"))
     v = verify(obs, c)
     group = np.array([p.station[0] for p in v.places])
     after = v.errors("after")
@@ -106,7 +106,7 @@ def noise_alone(made, cells: int) -> list[dict[str, Any]]:
 
 def bar_errors(obs, method: str) -> np.ndarray:
     """(10,) mm at the planned places of the bar."""
-    c = calibrate(obs, Options(method=method, pairs="four", refuse=False, robust=False, noise="given"))
+    c = calibrate(obs, CalibrationOptions(method=method, pairs="four", refuse=False, robust=False, noise="given"))
     return np.array([p.after_mm for p in verify(obs, c.state).places if p.station[0] == "b"])
 
 
@@ -142,7 +142,7 @@ def stretch_signal(plan) -> float:
 
     obs = several_balls(record(*plan, None, 0.0, 1, errors="none", **EXACT), "four")
     obs = obs.select(obs.phase == "position")
-    chain, hand_eye = obs.cell.robot.chain, calibrate(obs, Options(kinematics=False)).state.T_flange_scanner
+    chain, hand_eye = obs.cell.robot.chain, calibrate(obs, CalibrationOptions(kinematics=False)).state.T_flange_scanner
     free = np.ones((chain.n, 5), bool)
     free[:, 1:3] = False
     free[~chain.parallel_next(), 4] = False

@@ -21,8 +21,8 @@ import numpy as np  # noqa: E402
 from real_data_figures import bars, spectrum  # noqa: E402
 
 from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
-from mbcacq.diagnosis.linearized.linear_problem import Linear  # noqa: E402
-from mbcacq.effects.context import Situation  # noqa: E402
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem  # noqa: E402
+from mbcacq.effects.context import Context  # noqa: E402
 from mbcacq.recording import load  # noqa: E402
 
 SETS = ("ur5-tracker", "ur10-tracker-c", "ur10-tracker-a", "panda-sockets", "iiwa14-sockets")
@@ -42,8 +42,8 @@ class Data:
             chosen[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True
             obs = obs.select(chosen)
         state, keep = geometry_fit.fit(obs, geometry_fit.first_noise(obs))
-        self.obs, self.linear = obs, Linear(obs, state, keep)
-        self.situation = Situation(obs, state, self.linear.prediction)
+        self.obs, self.linear = obs, LinearProblem(obs, state, keep)
+        self.situation = Context(obs, state, self.linear.prediction)
         self.n = self.situation.n
         self.places = len(np.unique(obs.station)) > 1
 

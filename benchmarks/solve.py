@@ -19,7 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
 from cells import scanner_cell  # noqa: E402
 
-from mbcacq.calibration import Noise, Options, calibrate
+from mbcacq.calibration import CalibrationOptions, Noise, calibrate
 from mbcacq.estimation import parameters  # noqa: E402
 from mbcacq.estimation.initial_guess import start  # noqa: E402
 from mbcacq.estimation.linearization import Lineariser  # noqa: E402
@@ -76,7 +76,7 @@ def main() -> None:
     for poses in arguments.poses:
         obs = scanner_cell(np.random.default_rng(0), stations=poses // 8).observations
         low, middle, own = best(lambda obs=obs: calibrate(obs), arguments.repeats)
-        options = Options(balls=False)
+        options = CalibrationOptions(balls=False)
         lineariser = Lineariser(obs, parameters.build(obs, options), options)
         begin, weights = Estimate(start(obs)), Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
         alone, *_ = best(lambda a=lineariser, b=begin, w=weights: solve(a, b, NOISE, w), arguments.repeats)

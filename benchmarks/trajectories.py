@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mbcacq_fakes.dynamics.recorded import recorded
 
-from mbcacq.challenge.motion import Result, draw, take
+from mbcacq.challenge.motion import MotionResult, draw, take
 from mbcacq.model import shipped
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text
@@ -28,11 +28,11 @@ def robot(name: str = "kr10_r1100_2"):
     return RobotSpec.model_validate(load_yaml(read_yaml_text(path), str(path))[0]).model()
 
 
-def one(number: int) -> Result:
+def one(number: int) -> MotionResult:
     return take(draw(number), robot(), recorded)
 
 
-def summary(results: list[Result]) -> dict:
+def summary(results: list[MotionResult]) -> dict:
     faulty = [r for r in results if any(r.matters)]
     clean = [r for r in results if not r.truth]
     sigmas = [v for r in results for v in r.sigmas.values()]

@@ -10,12 +10,12 @@ from types import TracebackType
 from typing import Any, Self
 
 from mbcacq.devices import Aborted, ConfigError, Description, Field
-from mbcacq_bus.options import Options, parse
+from mbcacq_bus.options import BusOptions, parse
 
 POLL_S = 0.1
 
 
-class ManualOptions(Options):
+class ManualOptions(BusOptions):
     assume_yes: bool = False
 
 

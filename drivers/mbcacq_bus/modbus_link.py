@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
-from mbcacq_bus.options import Options
+from mbcacq_bus.options import BusOptions
 from mbcacq_bus.registers import Register
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its failures reach the user as our errors, once
@@ -20,14 +20,14 @@ REASONS = {1: "the function is not supported", 2: "there is no such address", 3:
            6: "the device is busy"}
 
 
-class Identity(Options):
+class Identity(BusOptions):
     """A register that must hold a certain value, so that the wrong box is noticed before anything moves."""
 
     where: Register
     equals: float
 
 
-class Connection(Options):
+class Connection(BusOptions):
     """Either ``host`` (Modbus TCP) or ``serial`` (RTU: a device name, or socket://host:port for a serial server)."""
 
     host: str | None = None

@@ -10,11 +10,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from mbcacq.devices import ConfigError
 
 
-class Options(BaseModel):
+class BusOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-AnyOptions = TypeVar("AnyOptions", bound=Options)
+AnyOptions = TypeVar("AnyOptions", bound=BusOptions)
 
 
 def parse(schema: type[AnyOptions], device: str, options: Mapping[str, Any]) -> AnyOptions:

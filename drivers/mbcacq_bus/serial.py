@@ -14,20 +14,20 @@ from typing import Any, Literal, Self
 from pydantic import Field as Option
 
 from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
-from mbcacq_bus.options import Options, parse
+from mbcacq_bus.options import BusOptions, parse
 
 MAX_LINE = 1024
 ASKED = 3    # times, for its identity
 
 
-class SerialIdentity(Options):
+class SerialIdentity(BusOptions):
     """Send ``ask`` on connecting; a line must match ``expect`` as a whole."""
 
     ask: str
     expect: str
 
 
-class SerialOptions(Options):
+class SerialOptions(BusOptions):
     """line: regular expression for a whole line; its named groups are the values, each times its ``scale`` plus its ``offset``. ask: sent
     before each reading, if needed. valid: by name, what may be read; beyond it the probe is taken to be broken."""
 

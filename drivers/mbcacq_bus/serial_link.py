@@ -11,21 +11,21 @@ from typing import Any, Literal
 from pydantic import Field
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, IdentityError, ProtocolError
-from mbcacq_bus.options import Options
+from mbcacq_bus.options import BusOptions
 
 MAX_LINE = 1024
 POLL_S = 0.05
 _TRIES, _QUIET_S = 3, 0.3
 
 
-class SerialIdentity(Options):
+class SerialIdentity(BusOptions):
     """Send ``ask`` on connecting; a line must match ``expect`` as a whole."""
 
     ask: str
     expect: str
 
 
-class SerialConnection(Options):
+class SerialConnection(BusOptions):
     """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server. terminator: ends each line it sends."""
 
     port: str

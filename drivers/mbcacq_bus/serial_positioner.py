@@ -13,21 +13,21 @@ from pydantic import Field as Option
 from pydantic import model_validator
 
 from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field, ProtocolError
-from mbcacq_bus.options import Options, parse
+from mbcacq_bus.options import BusOptions, parse
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
 
 POLL_S = 0.05
 DEVICE = "the serial positioner"
 
 
-class Order(Options):
+class Order(BusOptions):
     """A text to send. reply: pattern of the line that acknowledges it, where there is one."""
 
     send: str
     reply: str | None = None
 
 
-class Query(Options):
+class Query(BusOptions):
     """A question, and the pattern (of the whole line) of the reply that means yes; every other line means no."""
 
     send: str

@@ -6,25 +6,25 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Command:
+class GocatorCommand:
     id: int
     name: str
     limit_s: float
 
 
-PROTOCOL_VERSION = Command(0x4511, "protocol version", 1)
-SYSTEM_INFO_1 = Command(0x4002, "system info", 2)
-SYSTEM_INFO_2 = Command(0x4010, "system info", 2)
-STATES = Command(0x4525, "states", 3)
-LOG_IN = Command(0x4003, "log in", 2)
-LIST_FILES = Command(0x101A, "list files", 3)
-READ_FILE = Command(0x1007, "read file", 15)
-WRITE_FILE = Command(0x1006, "write file", 60)
-COPY_FILE = Command(0x101B, "copy file", 15)
-LOADED_JOB = Command(0x4512, "loaded job", 1)
-START = Command(0x100D, "start", 15)
-STOP = Command(0x1001, "stop", 15)
-SNAPSHOT = Command(0x4528, "snapshot", 5)
-TRIGGER = Command(0x4510, "software trigger", 1)
-TIME_STAMP = Command(0x100A, "time stamp", 1)
-SCAN_MODE = Command(0x1005, "scan mode", 3)
+PROTOCOL_VERSION = GocatorCommand(0x4511, "protocol version", 1)
+SYSTEM_INFO_1 = GocatorCommand(0x4002, "system info", 2)
+SYSTEM_INFO_2 = GocatorCommand(0x4010, "system info", 2)
+STATES = GocatorCommand(0x4525, "states", 3)
+LOG_IN = GocatorCommand(0x4003, "log in", 2)
+LIST_FILES = GocatorCommand(0x101A, "list files", 3)
+READ_FILE = GocatorCommand(0x1007, "read file", 15)
+WRITE_FILE = GocatorCommand(0x1006, "write file", 60)
+COPY_FILE = GocatorCommand(0x101B, "copy file", 15)
+LOADED_JOB = GocatorCommand(0x4512, "loaded job", 1)
+START = GocatorCommand(0x100D, "start", 15)
+STOP = GocatorCommand(0x1001, "stop", 15)
+SNAPSHOT = GocatorCommand(0x4528, "snapshot", 5)
+TRIGGER = GocatorCommand(0x4510, "software trigger", 1)
+TIME_STAMP = GocatorCommand(0x100A, "time stamp", 1)
+SCAN_MODE = GocatorCommand(0x1005, "scan mode", 3)

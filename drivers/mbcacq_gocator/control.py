@@ -9,7 +9,7 @@ import time
 
 from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
 from mbcacq_gocator import commands, wire
-from mbcacq_gocator.commands import Command
+from mbcacq_gocator.commands import GocatorCommand
 from mbcacq_gocator.status import OK, meaning
 
 PROTOCOL_MAJOR = 101
@@ -60,7 +60,7 @@ class ControlChannel:
             self.close()
             raise
 
-    def request(self, command: Command, payload: bytes = b"", wait_s: float | None = None) -> memoryview:
+    def request(self, command: GocatorCommand, payload: bytes = b"", wait_s: float | None = None) -> memoryview:
         """Send one command and return the payload of its reply. ``wait_s`` bounds the wait for one's turn.
 
         Raises SensorRefused (a DeviceFault) on a bad status, DeviceTimeout, ConnectError, ProtocolError.
@@ -86,10 +86,10 @@ class ControlChannel:
         sock, self._sock = self._sock, None
         wire.shut(sock)
 
-    def _limit(self, command: Command) -> float:
+    def _limit(self, command: GocatorCommand) -> float:
         return command.limit_s if self._reply_limit_s is None else min(command.limit_s, self._reply_limit_s)
 
-    def _exchange(self, sock: socket.socket, command: Command, payload: bytes) -> memoryview:
+    def _exchange(self, sock: socket.socket, command: GocatorCommand, payload: bytes) -> memoryview:
         deadline = time.monotonic() + self._limit(command)
         what = f"reply to '{command.name}'"
         _send(sock, _REQUEST.pack(_REQUEST.size + len(payload), command.id) + payload, command.name, self._limit(command))

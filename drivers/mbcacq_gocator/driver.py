@@ -30,8 +30,8 @@ from mbcacq_gocator.files import SensorFiles
 from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
-from mbcacq_gocator.options import Options
-from mbcacq_gocator.session import Session
+from mbcacq_gocator.options import GocatorOptions
+from mbcacq_gocator.session import GocatorSession
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, float32"),
@@ -53,10 +53,10 @@ class Gocator:
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.name, self.model = name, model
-        self.options = Options.read(name, options or {})
+        self.options = GocatorOptions.read(name, options or {})
         self._cancel = threading.Event()
         self._one_capture = threading.Lock()
-        self._session: Session | None = None
+        self._session: GocatorSession | None = None
         self._wanted = False
         self._before: Before | None = None
         self._place = self.options
@@ -136,12 +136,12 @@ class Gocator:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _connect(self) -> Session:
+    def _connect(self) -> GocatorSession:
         if self._session is not None:
             return self._session
         with _named(self.name):
             self._place = located(self.options)
-            session = Session(self._place, self.model, self._cancel.is_set, self._before)
+            session = GocatorSession(self._place, self.model, self._cancel.is_set, self._before)
             try:
                 session.open()
             except IdentityError:
@@ -155,14 +155,14 @@ class Gocator:
         self._description = Description("scanner", session.info.model, _FIELDS, str(session.info.serial), session.info.firmware_text)
         return session
 
-    def _bracket(self, session: Session) -> Scan:
+    def _bracket(self, session: GocatorSession) -> Scan:
         """One scan of all exposures of the plan."""
         if not self.options.exposures_us:
             return self._expose(session, self._wanted_exposure_us)
         scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us]
         return best(scans) if self.options.bracket == "best" else merged(scans)
 
-    def _expose(self, session: Session, exposure_us: float | None) -> Scan:
+    def _expose(self, session: GocatorSession, exposure_us: float | None) -> Scan:
         self._guard.look(session.health.values())
         scan = expose(session, exposure_us)
         return replace(scan, warnings=self._guard.look(scan.health))

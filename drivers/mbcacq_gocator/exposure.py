@@ -10,10 +10,10 @@ from mbcacq_gocator import commands
 from mbcacq_gocator.dataset import DataSet, read_set
 from mbcacq_gocator.layouts import SURFACE_INTENSITY
 from mbcacq_gocator.points import intensity_of, surface_points
-from mbcacq_gocator.session import Session
+from mbcacq_gocator.session import GocatorSession
 
 
-def expose(session: Session, exposure_us: float | None) -> Scan:
+def expose(session: GocatorSession, exposure_us: float | None) -> Scan:
     """``exposure_us`` None keeps the one that is set. Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError, Aborted."""
     assert session.configuration is not None
     if exposure_us is not None and not session.configuration.exposes_for(exposure_us):
@@ -29,7 +29,7 @@ def expose(session: Session, exposure_us: float | None) -> Scan:
     return _scan(session, _wait_for_surface(session, asked))
 
 
-def _wait_for_surface(session: Session, asked: int) -> DataSet:
+def _wait_for_surface(session: GocatorSession, asked: int) -> DataSet:
     """The first data set with a surface that was exposed after ``asked`` (ticks)."""
     assert session.reader is not None
     deadline = time.monotonic() + session.options.timeout_s
@@ -51,7 +51,7 @@ def _wait_for_surface(session: Session, asked: int) -> DataSet:
             stamp_only += 1
 
 
-def _explained(session: Session, error: DeviceTimeout, stamp_only: int, early: int, other: str) -> DeviceTimeout:
+def _explained(session: GocatorSession, error: DeviceTimeout, stamp_only: int, early: int, other: str) -> DeviceTimeout:
     waited = f"no scan within {session.options.timeout_s:g} s"
     if stamp_only and not other:
         return DeviceTimeout(f"{waited}: {stamp_only} data set(s) came with only a stamp; in the job, open Output > Ethernet, choose "
@@ -65,7 +65,7 @@ def _explained(session: Session, error: DeviceTimeout, stamp_only: int, early: i
                          f"port {session.options.data_port} is not blocked")
 
 
-def _scan(session: Session, data: DataSet) -> Scan:
+def _scan(session: GocatorSession, data: DataSet) -> Scan:
     assert data.surface is not None
     assert data.stamp is not None
     assert session.configuration is not None

@@ -7,12 +7,12 @@ from ipaddress import ip_address
 
 from mbcacq.devices import ConnectError
 from mbcacq_gocator.discovery import FoundSensor, find_sensors
-from mbcacq_gocator.options import Options
+from mbcacq_gocator.options import GocatorOptions
 
 _LOOK_S, _TRIES, _HINT_S = 0.5, 3, 0.5
 
 
-def located(options: Options) -> Options:
+def located(options: GocatorOptions) -> GocatorOptions:
     """The options with an address. Raises ConnectError if no sensor with that serial number answers."""
     if options.address.strip():
         return options
@@ -28,7 +28,7 @@ def located(options: Options) -> Options:
                        "the firewall lets udp from port 3220 in, or give its address")
 
 
-def elsewhere(error: ConnectError, options: Options) -> ConnectError:
+def elsewhere(error: ConnectError, options: GocatorOptions) -> ConnectError:
     """The error, with what else answers on the networks of this computer: a wrong address is the usual cause."""
     if _loopback(options.address):
         return error

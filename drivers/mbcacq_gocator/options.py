@@ -14,7 +14,7 @@ _MAX_BRACKET = 16
 
 
 @dataclass(frozen=True)
-class Options:
+class GocatorOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
     store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the
     protocol's own time limit of every command. retries: attempts after a dropped connection. exposures_us: all of them at every
@@ -44,7 +44,7 @@ class Options:
     discovery_port: int = 3220
 
     @classmethod
-    def read(cls, name: str, given: Mapping[str, Any]) -> Options:
+    def read(cls, name: str, given: Mapping[str, Any]) -> GocatorOptions:
         """Raises ConfigError naming the option that is wrong."""
         known = [f.name for f in fields(cls)]
         unknown = sorted(set(given) - set(known))

@@ -20,7 +20,7 @@ _ROW = np.dtype("V6")    # x, y, z of one pixel: selected as one item, runs of v
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceMessage:
     """points: (N, 3) float32 mm. pixel: (N,) int32 = row * width + column of each. valid: (L, W) bool, True where a point is."""
 
     points: np.ndarray
@@ -28,25 +28,25 @@ class Surface:
     valid: np.ndarray
 
 
-def surface_points(message: ArrayMessage) -> Surface:
+def surface_points(message: ArrayMessage) -> SurfaceMessage:
     """The valid points of a surface, copied. A pixel is valid if its z is. Raises ProtocolError."""
     if message.type not in (SURFACE_POINTS, UNIFORM_SURFACE):
         raise ProtocolError(f"a message of type {message.type} is no surface")
     scale, offset = _scales(message)
     raw = message.array
     if not raw.size:    # 0 rows may announce any number of columns; nothing is to be made for them
-        return Surface(np.empty((0, 3), np.float32), np.empty(0, np.int32), np.zeros(raw.shape, bool))
+        return SurfaceMessage(np.empty((0, 3), np.float32), np.empty(0, np.int32), np.zeros(raw.shape, bool))
     heights = raw[..., 2] if message.type == SURFACE_POINTS else raw
     valid = heights != INVALID
     flat = valid.reshape(-1)
     pixel = np.flatnonzero(flat).astype(np.int32)
     if message.type == SURFACE_POINTS:
         rows = raw.reshape(-1) if len(pixel) == flat.size else raw.reshape(-1).view(_ROW)[flat].view(raw.dtype)
-        return Surface(_to_mm(rows, scale, offset), pixel, valid)
-    return Surface(_uniform(raw, valid, scale, offset), pixel, valid)
+        return SurfaceMessage(_to_mm(rows, scale, offset), pixel, valid)
+    return SurfaceMessage(_uniform(raw, valid, scale, offset), pixel, valid)
 
 
-def intensity_of(message: ArrayMessage, surface: Surface) -> np.ndarray:
+def intensity_of(message: ArrayMessage, surface: SurfaceMessage) -> np.ndarray:
     """(N,) uint8 of every point, copied. The intensity image must have the surface's own shape, else ProtocolError."""
     if message.array.shape != surface.valid.shape:
         raise ProtocolError(f"the intensity image is {message.array.shape} but the surface {surface.valid.shape}")

@@ -14,20 +14,20 @@ from mbcacq_gocator.control import ControlChannel, SensorRefused
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
 from mbcacq_gocator.health import HealthReader
 from mbcacq_gocator.information import SystemInfo
-from mbcacq_gocator.options import Options
+from mbcacq_gocator.options import GocatorOptions
 
 _RECEIVE_BUFFER = 4 * 2**20
 _SNAPSHOT_SINCE = (5, 2, 1)
 _STOP_WAIT_S = 1.0
 
 
-class Session:
+class GocatorSession:
     """Raises from ``open``: ConnectError, IdentityError, ConfigError, DeviceFault, DeviceTimeout, ProtocolError.
 
     ``before``: the sensor as an earlier session of this run found it, None if this is the first.
     """
 
-    def __init__(self, options: Options, model: str, cancelled: Callable[[], bool] = lambda: False,
+    def __init__(self, options: GocatorOptions, model: str, cancelled: Callable[[], bool] = lambda: False,
                  before: jobs.Before | None = None) -> None:
         self.options, self._model, self._cancelled, self.before = options, model, cancelled, before
         self.control = ControlChannel(options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s)

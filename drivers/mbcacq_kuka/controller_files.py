@@ -12,8 +12,8 @@ from mbcacq.devices import ConfigError
 from mbcacq_kuka.controller_guide import eki_guide, rsi_guide
 
 if TYPE_CHECKING:
-    from mbcacq_kuka.eki.options import Options as EkiOptions
-    from mbcacq_kuka.rsi.options import Options as RsiOptions
+    from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
+    from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
 
 _MARGIN_DEG = 0.001    # REAL has 32 bits: a target on the limit must not be refused for its last digit
 _EKI_PORTS = range(54600, 54616)

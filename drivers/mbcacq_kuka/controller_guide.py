@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mbcacq_kuka.eki.options import Options as EkiOptions
-    from mbcacq_kuka.rsi.options import Options as RsiOptions
+    from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
+    from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
 
 _HEAD = """Files for the controller: {what}
 plan: {plan}

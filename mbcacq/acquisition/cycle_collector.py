@@ -14,7 +14,7 @@ REGULAR = 0.9    # share of equal steps that makes a fixed rate
 PERIOD_S = 0.04  # keeps the loss at a power cut well below 0.1 s
 
 
-class CyclePump:
+class CycleCollector:
     """A thread that turns ``robot.cycles()`` into events. ``mark`` and ``since_mark`` give the cycles of a time span."""
 
     def __init__(self, robot: Robot, bus: EventBus) -> None:
@@ -27,7 +27,7 @@ class CyclePump:
         self._last_time, self._steps = np.nan, []       # robot time between neighbouring cycles
         self._thread = threading.Thread(target=self._work, name="cycle-pump", daemon=True)
 
-    def __enter__(self) -> CyclePump:
+    def __enter__(self) -> CycleCollector:
         self._thread.start()
         return self
 

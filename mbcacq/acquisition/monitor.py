@@ -12,7 +12,7 @@ from mbcacq.devices import Robot
 PERIOD_S = 0.05
 
 
-class RobotWatch:
+class RobotMonitor:
     """Context manager. As soon as the robot reports what stopped it, ``interrupt`` is called from a thread, so that the wait ends; what
     stopped the robot is then raised in place of whatever the interrupted wait raised."""
 

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from mbcacq.acquisition.cycle_collector import CyclePump
+from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.devices import MotionLimits, Robot, RobotState, SafetyStop
 from mbcacq.model.cell import Cell
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration
@@ -18,7 +18,7 @@ MOVED = 1e-4                      # rad; less is no motion that could change the
 class Mover:
     """Moves the arm and remembers from which side each axis arrived."""
 
-    def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, pump: CyclePump) -> None:
+    def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, pump: CycleCollector) -> None:
         self._robot, self._joint_limits, self._limits, self._pump = robot, cell.robot.limits, limits, pump
         self._arms = arms_beyond(cell)
         self.direction = np.zeros(cell.robot.n, dtype=int)

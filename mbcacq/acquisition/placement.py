@@ -17,7 +17,7 @@ TOUCHED_MM = 5.0    # nominal arms repeat a place seen from another pose better 
 
 
 @dataclass
-class Placement:
+class PlacementCheck:
     """Remembers where balls were seen, in the base frame of the nominal arm.
 
     tolerance_mm: how far a ball may be from its planned place. known: station -> ball -> (3,) mm, as measured before the run was resumed.

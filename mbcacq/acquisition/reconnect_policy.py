@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from mbcacq.acquisition.monitor import RobotWatch
+from mbcacq.acquisition.monitor import RobotMonitor
 from mbcacq.devices import Aborted, ConnectError, DeviceTimeout, IdentityError, MbcacqError, Robot, Scan, Scanner, Sensor
 
 PAUSE_S = 1.0
 SILENT_TRIES = 2   # exposures that brought nothing, on a connection that stands
 
 
-class PatientScanner:
+class ReconnectingScanner:
     """Captures, and connects anew for up to ``reconnect_s`` when the scanner is gone. ``say(text)`` is told what happens.
 
     Another exposure is always safe: the arm stands, and nothing of the lost one is used. What is not retried: a refused exposure, a
@@ -39,7 +39,7 @@ class PatientScanner:
     def _again(self, exposure_us: float | None, error: MbcacqError) -> Scan:
         serial = self._scanner.describe().serial
         gone_at, deadline, silent = time.monotonic(), time.monotonic() + self._patience_s, 0
-        with RobotWatch(self._robot, self._scanner.stop) as watch:
+        with RobotMonitor(self._robot, self._scanner.stop) as watch:
             while True:
                 try:
                     self._scanner.close()

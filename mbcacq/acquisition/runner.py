@@ -12,13 +12,13 @@ import numpy as np
 
 from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
-from mbcacq.acquisition.cycle_collector import CyclePump
+from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
 from mbcacq.acquisition.expected_view import mean_centres, predicted_centres
-from mbcacq.acquisition.monitor import RobotWatch
+from mbcacq.acquisition.monitor import RobotMonitor
 from mbcacq.acquisition.mover import Mover
-from mbcacq.acquisition.placement import Placement
-from mbcacq.acquisition.reconnect_policy import PatientScanner, read_sensor
+from mbcacq.acquisition.placement import PlacementCheck
+from mbcacq.acquisition.reconnect_policy import ReconnectingScanner, read_sensor
 from mbcacq.devices import Aborted, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.motion_limits import motion_limits
@@ -66,8 +66,8 @@ class Runner:
     known: Mapping[str, Mapping[int, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._placement = Placement(self.loaded.cell, self.loaded.plan.station_tolerance_mm, self.known)
-        self._scanner = PatientScanner(self.devices.scanner, self.devices.robot, self.loaded.plan.scanner.reconnect_s,
+        self._placement = PlacementCheck(self.loaded.cell, self.loaded.plan.station_tolerance_mm, self.known)
+        self._scanner = ReconnectingScanner(self.devices.scanner, self.devices.robot, self.loaded.plan.scanner.reconnect_s,
                                        lambda text: self._say("warning", text))
         self._limits = motion_limits(self.loaded)
 
@@ -101,7 +101,7 @@ class Runner:
 
     def _measure(self) -> str:
         robot = self.devices.robot
-        with CyclePump(robot, self.bus) as pump, ExitStack() as stack:
+        with CycleCollector(robot, self.bus) as pump, ExitStack() as stack:
             stack.callback(robot.stop)  # before the pump is waited for, which may hang on a slow disk
             self.confirm(robot.state().q)
             mover = Mover(robot, self.loaded.cell, self._limits, pump)
@@ -144,18 +144,18 @@ class Runner:
     def _pause(self, pose: PlannedPose) -> None:
         if self.pause is not None:
             self._state("paused")
-            with RobotWatch(self.devices.robot, self.pause.stop):
+            with RobotMonitor(self.devices.robot, self.pause.stop):
                 self.pause.wait(pose, len(self.poses))
 
     def _place(self, pose: PlannedPose) -> None:
         self._state("waiting")
         artefact = self.loaded.cell.artefact(pose.artefact)
         positioner = self.devices.positioner
-        with RobotWatch(self.devices.robot, positioner.stop):
+        with RobotMonitor(self.devices.robot, positioner.stop):
             positioner.go_to(pose.station, f"place '{artefact.name or artefact.id}' at station {pose.station}")
         self.bus.emit(events.StationReached, pose.station, pose.artefact)
 
-    def _observe_first(self, pose: PlannedPose, path: Transit, mover: Mover, pump: CyclePump) -> bool:
+    def _observe_first(self, pose: PlannedPose, path: Transit, mover: Mover, pump: CycleCollector) -> bool:
         """Have the artefact placed, and look whether it is; a person is asked again, after the arm went back the way it came."""
         asks = getattr(self.devices.positioner, "asks", False)
         for left in reversed(range(PLACINGS if asks else 1)):
@@ -170,7 +170,7 @@ class Runner:
                 self._pass([*reversed(path.approach), self.way_home[-1]], mover)
         raise AssertionError("unreachable")
 
-    def _observe(self, pose: PlannedPose, mover: Mover, pump: CyclePump, first: bool = False) -> bool:
+    def _observe(self, pose: PlannedPose, mover: Mover, pump: CycleCollector, first: bool = False) -> bool:
         """Measure one pose, ``first`` at its station. Returns whether enough balls were found. Raises Misplaced."""
         about = (pose.number, pose.station, pose.phase, pose.step_name)
         for left in (1, 0):

@@ -11,8 +11,8 @@ import numpy as np
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import Noise, Options
-from mbcacq.estimation.parameters import Layout
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.solver import Solution, Weights
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
@@ -55,8 +55,8 @@ class CalibrationFit:
     """
 
     observations: Observations
-    options: Options
-    layout: Layout
+    options: CalibrationOptions
+    layout: ParameterLayout
     state: CellState
     preliminary: CellState
     coefficients: tuple[np.ndarray, ...]
@@ -76,7 +76,7 @@ class CalibrationFit:
     extra: dict = field(default_factory=dict)
 
     @classmethod
-    def of(cls, obs: Observations, options: Options, lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights,
+    def of(cls, obs: Observations, options: CalibrationOptions, lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights,
            preliminary: CellState, found: Sequence[Undetermined]) -> Self:
         """Collect a converged solution."""
         normal, rows, layout = solution.normal, lineariser.rows, lineariser.layout

@@ -13,7 +13,7 @@ from mbcacq.calibration.methods import RIVALS
 from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import Options
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
 from mbcacq.model.observations import Observations
 
@@ -43,7 +43,7 @@ class Row:
 def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> list[Row]:
     """One row a method of :data:`mbcacq.calibration.methods.RIVALS`, in that order; a method that these data do not determine has no
     figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
-    obs = select_phases(observations, Options())
+    obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError("every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
                                "undetermined; nothing can be compared. Take several different poses at each station")

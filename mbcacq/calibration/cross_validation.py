@@ -17,7 +17,7 @@ from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import place_stations
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import Noise, Options
+from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, solve
 from mbcacq.geometry import se3
@@ -54,14 +54,14 @@ class HeldOut:
         return asdict(self) | {"per_fit_mm": list(self.per_fit_mm)}
 
 
-def held_out(observations: Observations, options: Options | None = None, split: str = "random", *, size: int | None = None,
+def held_out(observations: Observations, options: CalibrationOptions | None = None, split: str = "random", *, size: int | None = None,
              fits: int | None = None, seed: int = 0) -> HeldOut:
     """Fit again and again without some poses, and predict those.
 
     size: poses held out of each random fit (default 30 %, at most 300). fits: 3 random ones, 5 blocks, or every station once.
     Raises ConfigError for an unknown split, CalibrationError where too little is left to fit.
     """
-    options = options or Options()
+    options = options or CalibrationOptions()
     if split not in SPLITS:
         raise ConfigError(f"there is no held-out split '{split}'; give one of {', '.join(SPLITS)}")
     obs = select_phases(observations, options)
@@ -87,8 +87,8 @@ def held_out(observations: Observations, options: Options | None = None, split: 
 
 def prediction_error(obs: Observations, state: CellState) -> np.ndarray:
     """(M,) mm distance of measured and predicted centres."""
-    layout = parameters.build(obs, Options(kinematics=False, balls=False))
-    _, residual = Lineariser(obs, layout, Options()).residual(parameters.Estimate(state))
+    layout = parameters.build(obs, CalibrationOptions(kinematics=False, balls=False))
+    _, residual = Lineariser(obs, layout, CalibrationOptions()).residual(parameters.Estimate(state))
     return np.linalg.norm(residual[:, :3], axis=1)
 
 
@@ -96,7 +96,7 @@ def about_best_station(obs: Observations, state: CellState) -> tuple[np.ndarray,
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
     placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
     start = CellState(state.chain, state.T_flange_scanner, placed, state.balls)
-    options = Options(kinematics=False, balls=False, hold=tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE))
+    options = CalibrationOptions(kinematics=False, balls=False, hold=tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE))
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
     solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))

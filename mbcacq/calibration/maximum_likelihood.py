@@ -15,9 +15,9 @@ from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined, hold_undetermined
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import Noise, Options
+from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import distances, screen
-from mbcacq.estimation.parameters import Estimate, Layout
+from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Solution, Weights, solve, system
 from mbcacq.model.observations import Observations
@@ -29,12 +29,12 @@ CONTRADICTION_MM = 25.0   # median misfit of the nominal arm beyond which the da
 THIN = 200   # poses that settle geometry and noise before all of a large recording are looked at
 
 
-def calibrate(observations: Observations, options: Options | None = None) -> Calibration:
+def calibrate(observations: Observations, options: CalibrationOptions | None = None) -> Calibration:
     """Identify the cell from a recording.
 
     Raises CalibrationError naming what the poses leave undetermined, ConfigError for options that do not fit.
     """
-    options = options or Options()
+    options = options or CalibrationOptions()
     try:
         return _calibrate(observations, options)
     except np.linalg.LinAlgError as error:
@@ -42,7 +42,7 @@ def calibrate(observations: Observations, options: Options | None = None) -> Cal
                                "that are not millimetres, and for poses or balls taken for others") from error
 
 
-def _calibrate(observations: Observations, options: Options) -> Calibration:
+def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:
     if options.method == "paper":
         from mbcacq.calibration.staged import calibrate_paper
 
@@ -78,7 +78,7 @@ class Adjustment:
         return self.solution.estimate.state
 
 
-def adjust(obs: Observations, options: Options, first: Adjustment | None = None) -> Adjustment:
+def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | None = None) -> Adjustment:
     """Everything from the start to the settled noise; ``first``, an adjustment of some of the poses, saves most of it."""
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     if first is None:
@@ -123,7 +123,7 @@ def thin(obs: Observations, size: int) -> Observations:
     return obs.select(keep)
 
 
-def fit_hand_eye(obs: Observations, options: Options) -> CellState:
+def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     """Hand-eye and stations with the arm as it is nominally, robustly; also the start of everything else."""
     if options.start is not None:
         return options.start
@@ -147,7 +147,7 @@ def fit_hand_eye(obs: Observations, options: Options) -> CellState:
     return solution.estimate.state
 
 
-def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: Options,
+def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions,
                  tolerance: float) -> tuple[Solution, Weights]:
     """Solve and screen by turns until no verdict changes."""
     solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
@@ -165,7 +165,7 @@ def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Nois
 
 
 def settle_noise(lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights,
-                 options: Options, rounds: int = NOISE_ROUNDS) -> tuple[Solution, Noise, Weights]:
+                 options: CalibrationOptions, rounds: int = NOISE_ROUNDS) -> tuple[Solution, Noise, Weights]:
     """Estimate the noise, refit, screen again, by turns."""
     prior = variance_components.noise_prior(lineariser.obs.cell, variance_components.first_noise(lineariser.obs.cell), options.noise)
     for _ in range(rounds):
@@ -176,7 +176,7 @@ def settle_noise(lineariser: Lineariser, solution: Solution, noise: Noise, weigh
     return solution, noise, weights
 
 
-def _back_to_nominal(estimate: Estimate, layout: Layout, obs: Observations) -> Estimate:
+def _back_to_nominal(estimate: Estimate, layout: ParameterLayout, obs: Observations) -> Estimate:
     """Held kinematic parameters return to their nominal values."""
     nominal = obs.cell.robot.chain
     errors = estimate.state.chain.rows - nominal.rows

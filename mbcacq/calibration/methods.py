@@ -14,7 +14,7 @@ from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
-from mbcacq.estimation.options import Options
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -31,7 +31,7 @@ def nominal(obs: Observations) -> CellState:
 
 def hand_eye_only(obs: Observations) -> CellState:
     """Nominal arm; hand-eye and stations by maximum likelihood."""
-    return calibrate(obs, Options(kinematics=False)).state
+    return calibrate(obs, CalibrationOptions(kinematics=False)).state
 
 
 def opencv(name: str) -> Callable[[Observations], CellState]:
@@ -71,7 +71,7 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
 
 def published(pairs: str) -> Callable[[Observations], CellState]:
     """The paper's method, with one of the readings of its distance constraint (:data:`mbcacq.estimation.options.PAIRS`)."""
-    return lambda obs: calibrate(obs, Options(method="paper", pairs=pairs)).state
+    return lambda obs: calibrate(obs, CalibrationOptions(method="paper", pairs=pairs)).state
 
 
 def distances_only(obs: Observations) -> CellState:
@@ -82,7 +82,7 @@ def distances_only(obs: Observations) -> CellState:
 
     _scanner_of_several_balls(obs)
     first = hand_eye_only(obs)
-    found = method.identify(obs, first, method.constraint(obs, "all"), parameters.build(obs, Options(balls=False)), Options(),
+    found = method.identify(obs, first, method.constraint(obs, "all"), parameters.build(obs, CalibrationOptions(balls=False)), CalibrationOptions(),
                             Measured(scanner_noise(obs)))
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.identifiability import Undetermined
-from mbcacq.estimation.options import Options
-from mbcacq.estimation.parameters import Layout
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
@@ -20,7 +20,7 @@ RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)   # ten times the errors of an ar
 LEAST_TURN = np.radians(4.0)
 
 
-def refuse_degenerate(obs: Observations, options: Options) -> None:
+def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError where it can be said before solving: too few balls, poses or orientations."""
     per_station = obs.cell.measurement != TARGET_IN_BASE
     if per_station:
@@ -55,7 +55,7 @@ def _refuse_few_balls(obs: Observations) -> None:
                            "stations undetermined; show at least three balls that are not on one line")
 
 
-def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: Options) -> None:
+def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError if something is undetermined that would matter elsewhere in the workspace."""
     harmful = [u for u in found if not u.harmless]
     if not harmful or not options.refuse:
@@ -73,7 +73,7 @@ def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, option
     raise CalibrationError(f"the poses do not determine {named}; {advice}, or hold what is not needed")
 
 
-def refuse_poor(layout: Layout, C: np.ndarray, expected_mm: float, obs: Observations, options: Options) -> None:
+def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError where everything is determined in principle, but so badly that the result would be worth nothing.
 
     C: (g, g) covariance of the free parameters; expected_mm: rms uncertainty of a point over the workspace.
@@ -99,7 +99,7 @@ def orientation_range(obs: Observations) -> float:
     return float(np.linalg.norm(se3.rotation_log(turn), axis=1).max())
 
 
-def refuse_runaway(chain: Chain, nominal: Chain, options: Options) -> None:
+def refuse_runaway(chain: Chain, nominal: Chain, options: CalibrationOptions) -> None:
     """Raise CalibrationError where MD-H parameters went where no arm is built: a method without a noise model cannot tell that itself."""
     errors = np.abs(chain.rows - nominal.rows)
     far = errors > np.array([RUNAWAY_RAD, RUNAWAY_MM, RUNAWAY_MM, RUNAWAY_RAD, RUNAWAY_RAD])

@@ -24,7 +24,7 @@ CLEAR = 1.645   # one-sided 95 %
 
 
 @dataclass(frozen=True)
-class Place:
+class VerifiedPair:
     """One pair of balls at one station. errors in mm, measured minus certified; expected_mm: standard uncertainty of ``after_mm``."""
 
     station: str
@@ -40,7 +40,7 @@ class Verification:
     """Sphere spacing errors at every place, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
     independent: none of the poses took part in the calibration. figures: after the manner of VDI/VDE 2634 Part 3, see :func:`judge`."""
 
-    places: tuple[Place, ...]
+    places: tuple[VerifiedPair, ...]
     limit_mm: float | None = None
     independent: bool = True
     figures: tuple[dict, ...] = ()
@@ -86,7 +86,7 @@ def verify(observations: Observations, calibration: Calibration | CellState, *, 
         if isinstance(calibration, Calibration):
             (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
             expected = float(distance_uncertainty(calibration, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
-        places.append(Place(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
+        places.append(VerifiedPair(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
     if not isinstance(calibration, Calibration):
         return Verification(tuple(places), limit_mm)
     used = bool(np.isin(obs.pose_id, calibration.observations.pose_id).any())

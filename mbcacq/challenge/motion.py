@@ -22,7 +22,7 @@ Record = Callable[..., Any]
 
 
 @dataclass(frozen=True)
-class Challenge:
+class MotionChallenge:
     """number: its seed. faults: as the fake arm is told. seconds: of each motion; liveliness: share of the speed limits."""
 
     number: int
@@ -32,8 +32,8 @@ class Challenge:
 
 
 @dataclass(frozen=True)
-class Result:
-    challenge: Challenge
+class MotionResult:
+    challenge: MotionChallenge
     truth: list[dict[str, Any]]
     matters: list[bool]
     verdict: str
@@ -46,17 +46,17 @@ class Result:
         return asdict(self)
 
 
-def draw(number: int) -> Challenge:
+def draw(number: int) -> MotionChallenge:
     """The envelope of a number, always the same."""
     rng = np.random.default_rng([number, 4711])
     kind = rng.uniform()
     many = 0 if kind < CLEAN else 1 if kind < ONE else 2 if kind < TWO else 3
     names = rng.choice(CATALOGUE, many, replace=False)
     faults = tuple({"name": str(name), "strength": float(rng.uniform(0.5, 2.0))} for name in names)
-    return Challenge(number, faults, float(rng.choice([10.0, 12.0, 16.0])), float(rng.uniform(0.3, 0.7)))
+    return MotionChallenge(number, faults, float(rng.choice([10.0, 12.0, 16.0])), float(rng.uniform(0.3, 0.7)))
 
 
-def take(challenge: Challenge, robot: RobotModel, record: Record) -> Result:
+def take(challenge: MotionChallenge, robot: RobotModel, record: Record) -> MotionResult:
     """record: the fake arm's recorder (``mbcacq_fakes.dynamics.recorded.recorded``)."""
     trajectories, truth = recordings(challenge, robot, record, challenge.faults)
     diagnosis = diagnose_trajectories(trajectories, proof=False)
@@ -68,10 +68,10 @@ def take(challenge: Challenge, robot: RobotModel, record: Record) -> Result:
         without = base_alone(recordings(challenge, robot, record, muted)[0])
         matters.append(any(bool((without[kind] < 0.9 * before[kind]).any()) for kind in before))
     named, extra, told, sigmas = judge(truth, matters, diagnosis)
-    return Result(challenge, truth, matters, diagnosis["verdict"], told, named, extra, sigmas)
+    return MotionResult(challenge, truth, matters, diagnosis["verdict"], told, named, extra, sigmas)
 
 
-def recordings(challenge: Challenge, robot: RobotModel, record: Record,
+def recordings(challenge: MotionChallenge, robot: RobotModel, record: Record,
                faults: Sequence[dict[str, Any]]) -> tuple[list[Trajectory], list[dict[str, Any]]]:
     made = [record(robot, faults, challenge.number, motion, challenge.seconds, challenge.liveliness) for motion in range(MOTIONS)]
     return [Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque, name=f"{challenge.number}-{k}")

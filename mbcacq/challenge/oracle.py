@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.linearized import variance_components
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of, outliers
-from mbcacq.diagnosis.problem import Setup, prepare
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.diagnosis.search.effect_set import NOTHING, Model
+from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.validation import folds, predictive_score
 from mbcacq.effects.effect import Candidate
@@ -52,26 +52,26 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     each = [true_members(setup, effect) for effect in truth]
     beside = [m for effect in truth for m in elastic(setup, effect)]
     known = bool(truth) and all(each)
-    model, rest = Model((*beside, *chain.from_iterable(each))), Model(tuple(beside))
+    model, rest = EffectSet((*beside, *chain.from_iterable(each))), EffectSet(tuple(beside))
     linear = setup.linear
     sigma = variance_components.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
-    better = outliers(Screen(linear, sigma), model)
+    better = outliers(CandidateScoring(linear, sigma), model)
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
         sigma = variance_components.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
-    others = [Model((*beside, *chain.from_iterable(each[:j] + each[j + 1:]))) for j in range(len(each))] if len(each) > 1 else []
+    others = [EffectSet((*beside, *chain.from_iterable(each[:j] + each[j + 1:]))) for j in range(len(each))] if len(each) > 1 else []
     before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
     return Achievable(before, after, known, tuple(less))
 
 
-def true_members(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
+def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
     """The catalogue's candidates that are the concealed effect; of several variants the one that fits best for its size."""
     if effect["name"] == "payload":
         stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
         return [(c, None) for c in payload.beside(setup.situation, stiffness)]
     chosen = []
-    screen = Screen(setup.linear, setup.first)
+    screen = CandidateScoring(setup.linear, setup.first)
     for group in wanted(effect):
         fitting = [c for c in setup.candidates if c.name == effect["name"] and set(c.where) == group]
         scored = []
@@ -86,7 +86,7 @@ def true_members(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, 
     return chosen
 
 
-def elastic(setup: Setup, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
+def elastic(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
     """The elastic joints through which alone a wrong tool shows: they are no part of what it adds."""
     if effect["name"] != "payload":
         return []
@@ -100,7 +100,7 @@ def wanted(effect: dict[str, Any]) -> list[set[str]]:
     return [set(where)] if effect["name"] == "wrist_coupling" else [{w} for w in where]
 
 
-def true_hypers(setup: Setup, candidate: Candidate, effect: dict[str, Any]) -> list[float | None]:
+def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str, Any]) -> list[float | None]:
     if candidate.hyper is None:
         return [None]
     value = effect.get(candidate.hyper.name)
@@ -119,7 +119,7 @@ def without_effect(with_it: Observations, without_it: Observations) -> Achievabl
     return Achievable(held_out(prepare(with_it).linear, NOTHING, sigma), held_out(clean.linear, NOTHING, sigma), False)
 
 
-def held_out(linear: Linear, model: Model, sigma: Noise, by_pose: bool = False) -> float:
+def held_out(linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate, by_pose: bool = False) -> float:
     """chi2 per degree of freedom on stations left out in turn. by_pose: on poses, for what happens to one station alone."""
     fold = np.arange(linear.obs.n_poses) % FOLDS if by_pose else folds.split(linear, FOLDS)[0]
     total = predictive_score.EMPTY

@@ -14,20 +14,20 @@ from scipy.stats import chi2, ncx2, norm
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger, plain
-from mbcacq.challenge.scenarios import Envelope
+from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_place
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.linearized import variance_components
-from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of, with_members
 from mbcacq.diagnosis.nonparametric.model_comparison import likelihood
-from mbcacq.diagnosis.problem import Setup, prepare
+from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search import hyperparameters
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.diagnosis.search.effect_set import NOTHING, Model
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, Prices
+from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, SelectionCriteria
 
 LEVEL = 0.01        # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
 ALLOWED = 0.02      # rate of false alarms over the whole catalogue
@@ -48,7 +48,7 @@ def searched(k: int, share: float) -> float:
 
 
 @dataclass(frozen=True)
-class Cell:
+class PowerCell:
     """One cell with one drawn effect: found at each strength by the diagnosis, by the test that knows everything of it but its size and the
     noise (``informed``), and by one that knows name and place and estimates order or moment as well (``estimating``). searched: see there.
     """
@@ -59,13 +59,13 @@ class Cell:
     searched: float
 
 
-def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> Cell:
+def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> PowerCell:
     """The whole diagnosis, proof included, and the tests that know which effect it is and where, on the same recordings, at these multiples
     of the strength that such a test would need if it knew the noise too.
 
     One cell, one drawn place and shape of the effect, noise as in any challenge.
     """
-    envelope = Envelope(0, name, seed, (name,), seed + 1, 1.0)
+    envelope = Scenario(0, name, seed, (name,), seed + 1, 1.0)
     gauge, one = challenger.gauge, {"name": name, "strength": 1.0, "seed": seed + 1}
     gain = gauge.gain(envelope, [one])
     k, share = sought(challenger, envelope, one)
@@ -77,37 +77,37 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
         truth = plain(told["effects"][0])
         found.append(bool(tells(diagnose(observations).as_json(), truth)))
         setup = prepare(observations)
-        model = Model(tuple(true_members(setup, truth)))
+        model = EffectSet(tuple(true_members(setup, truth)))
         informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(LEVEL, k)))
         best, values = estimated(setup, model)
         estimating.append(bool(likelihood_ratio(setup, best) > chi2.isf(LEVEL / values, k)))
-    return Cell(found, informed, estimating, searched(k, share))
+    return PowerCell(found, informed, estimating, searched(k, share))
 
 
-def estimated(setup: Setup, model: Model) -> tuple[Model, float]:
+def estimated(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, float]:
     """The model with orders and moments as these data would have them, and the number of independent choices of all of them."""
-    screen, members, choices = Screen(setup.linear, plain_noise(setup)), list(model.members), 1.0
+    screen, members, choices = CandidateScoring(setup.linear, plain_noise(setup)), list(model.members), 1.0
     for j, (candidate, _) in enumerate(members):
         if candidate.hyper is not None:
             others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1:]])
             members[j] = candidate, best_hyper(others, candidate).hyper
             same = sum(c.key == candidate.key for c, _ in members[:j + 1])
             choices *= max(hyperparameters.values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
-    return Model(tuple(members)), choices
+    return EffectSet(tuple(members)), choices
 
 
-def plain_noise(setup: Setup) -> Noise:
+def plain_noise(setup: DiagnosisProblem) -> NoiseEstimate:
     """With geometry alone."""
     return variance_components.estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
 
 
-def likelihood_ratio(setup: Setup, model: Model) -> float:
+def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
     """Twice the log of the likelihood with the true effects over that without, each under the noise that it leaves: chi2 of k where there
     is no such effect.
     """
     linear = setup.linear
-    plainly = Screen(linear, plain_noise(setup))
-    there = Screen(linear, variance_components.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
+    plainly = CandidateScoring(linear, plain_noise(setup))
+    there = CandidateScoring(linear, variance_components.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
     return likelihood(there, with_members(there, model), setup.first) - likelihood(plainly, plainly, setup.first)
 
 
@@ -119,14 +119,14 @@ def tells(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
     return any(name == truth["name"] and set(where.split("+")) <= set(truth["where"]) for name, where in apart)
 
 
-def sought(challenger: Challenger, envelope: Envelope, one: dict) -> tuple[int, float]:
+def sought(challenger: Challenger, envelope: Scenario, one: dict) -> tuple[int, float]:
     """Coefficients of the true model, and its share of all that may be: all places of all effects alike, of several joints or orders their
     choices.
     """
     observations, told = simulated_cells.observe(challenger.loaded, challenger.poses, envelope, [one])
     setup = prepare(observations)
     members = true_members(setup, plain(told["effects"][0]))
-    prices, present, tries = Prices(setup.candidates), [], 1.0
+    prices, present, tries = SelectionCriteria(setup.candidates), [], 1.0
     for candidate, hyper in members:
         tries *= prices.tries(candidate, hyper, present)
         present.append(candidate)

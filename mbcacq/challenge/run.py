@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import Any
 
 from mbcacq.challenge import oracle, simulated_cells
-from mbcacq.challenge.scenarios import OUTSIDE, Envelope
+from mbcacq.challenge.scenarios import OUTSIDE, Scenario
 from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
@@ -23,7 +23,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 class Outcome:
     """envelope as drawn, what was concealed as the fake cell was told, the truth it told afterwards, the diagnosis and its score."""
 
-    envelope: Envelope
+    envelope: Scenario
     concealed: list[dict[str, Any]]
     truth: list[dict[str, Any]]
     diagnosis: dict[str, Any]
@@ -52,7 +52,7 @@ class Challenger:
         poses = expand(loaded)
         return cls(loaded, poses, Gauge(loaded, poses), protocols, folder)
 
-    def take(self, envelope: Envelope) -> Outcome:
+    def take(self, envelope: Scenario) -> Outcome:
         """Conceal, record, diagnose without looking, open, score."""
         concealed = self.gauge.conceal(envelope)
         observations, told = self._record(envelope, concealed)
@@ -74,7 +74,7 @@ class Challenger:
             self._keep(outcome, observations)
         return outcome
 
-    def _record(self, envelope: Envelope, concealed: list[dict[str, Any]]):
+    def _record(self, envelope: Scenario, concealed: list[dict[str, Any]]):
         if not self.protocols:
             return simulated_cells.observe(self.loaded, self.poses, envelope, concealed)
         if self.folder is not None:
@@ -117,12 +117,12 @@ def _begin(plan: Path, protocols: bool, folder: Path | None) -> None:
     _challenger = Challenger.of(plan, protocols, folder)
 
 
-def _take(envelope: Envelope) -> Outcome:
+def _take(envelope: Scenario) -> Outcome:
     assert _challenger is not None
     return _challenger.take(envelope)
 
 
-def take_all(plan: Path, envelopes: Sequence[Envelope], protocols: bool = False, folder: Path | None = None, jobs: int = 1,
+def take_all(plan: Path, envelopes: Sequence[Scenario], protocols: bool = False, folder: Path | None = None, jobs: int = 1,
              progress: Callable[[Outcome], None] = lambda outcome: None) -> list[Outcome]:
     """All challenges, in the order of their envelopes; in ``jobs`` processes. Raises what stopped one."""
     out = []
@@ -132,7 +132,7 @@ def take_all(plan: Path, envelopes: Sequence[Envelope], protocols: bool = False,
     return out
 
 
-def _each(plan: Path, envelopes: Sequence[Envelope], protocols: bool, folder: Path | None, jobs: int) -> Iterator[Outcome]:
+def _each(plan: Path, envelopes: Sequence[Scenario], protocols: bool, folder: Path | None, jobs: int) -> Iterator[Outcome]:
     if jobs == 1:
         challenger = Challenger.of(plan, protocols, folder)
         yield from map(challenger.take, envelopes)

@@ -30,7 +30,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Envelope:
+class Scenario:
     """kind: 'none', 'two', or the name of the effect. seed: of the cell. names: of the effects; effect_seed: of their place and shape.
 
     excess: by how much they should raise chi2 per degree of freedom, once geometry has absorbed what it can. outliers: share of
@@ -50,7 +50,7 @@ class Envelope:
         return asdict(self)
 
 
-def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, missing: Sequence[str] = ()) -> list[Envelope]:
+def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, missing: Sequence[str] = ()) -> list[Scenario]:
     """``count`` envelopes, the kinds in turn (so that each occurs equally often), all else at random from ``seed``."""
     rng = np.random.default_rng([seed, 20])
     order = [kinds[i % len(kinds)] for i in range(count)]
@@ -60,7 +60,7 @@ def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, mis
         excess = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
         pair = tuple(str(v) for v in rng.choice(CATALOGUED[:-1], 2, replace=False))
         names = {NONE: (), TWO: pair}.get(kind, (kind,))
-        out.append(Envelope(number, kind, cell, names, effect, excess, outliers, tuple(missing)))
+        out.append(Scenario(number, kind, cell, names, effect, excess, outliers, tuple(missing)))
     return out
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.scenarios import Envelope
+from mbcacq.challenge.scenarios import Scenario
 from mbcacq.devices import load_driver
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -17,7 +17,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 Concealed = list[dict[str, Any]]
 
 
-def observe(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope,
+def observe(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario,
             concealed: Concealed) -> tuple[Observations, dict[str, Any]]:
     """What the run would record, as observations, and the truth. concealed: as in a plan's ``fake: hidden``."""
     from mbcacq.workflow.run import solver_cell
@@ -31,7 +31,7 @@ def observe(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope
     return without(observations, envelope.missing), recorded.truth
 
 
-def run(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Envelope, concealed: Concealed,
+def run(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed,
         folder: Path) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.plan import path

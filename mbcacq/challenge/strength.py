@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.challenge.scenarios import Envelope
+from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import Concealed, observe
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.linearized.whitening import Noise
-from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 LARGEST = 30.0      # times its plain size: beyond this an effect that the plan cannot see stays weak
@@ -30,17 +30,17 @@ class Gauge:
     poses: Sequence[PlannedPose]
 
     @cached_property
-    def screen(self) -> Screen:
+    def screen(self) -> CandidateScoring:
         from mbcacq.design.simulated_observations import planned_state
 
-        quiet = Envelope(0, "none", 1, (), 1, 0.0)
+        quiet = Scenario(0, "none", 1, (), 1, 0.0)
         observations, _ = observe(self.loaded, self.poses, quiet, [])
         urad = self.loaded.plan.fake.get("repeatability_urad")
         joint = TRUE_JOINT if urad is None else 1e-6 * float(urad)
         point = np.array(self.loaded.plan.scanner.noise_mm or (0.005, 0.005, 0.009)) / np.sqrt(self.poses[0].exposures)
-        return Screen(Linear(observations, planned_state(self.loaded)), Noise(point, np.full(self.loaded.cell.robot.n, joint)))
+        return CandidateScoring(LinearProblem(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint)))
 
-    def gain(self, envelope: Envelope, concealed: Concealed) -> float:
+    def gain(self, envelope: Scenario, concealed: Concealed) -> float:
         """chi2 that the concealed effects add beyond what geometry absorbs, against the same effects at strength nought."""
         plain = replace(envelope, outliers=0.0, missing=())
         with_it, _ = observe(self.loaded, self.poses, plain, concealed)
@@ -49,7 +49,7 @@ class Gauge:
         taken = self.screen.Q.T @ moved
         return float(moved @ moved - taken @ taken)
 
-    def conceal(self, envelope: Envelope) -> Concealed:
+    def conceal(self, envelope: Scenario) -> Concealed:
         """The effects of an envelope, each as strong as is wanted, as a plan's ``fake: hidden`` takes them."""
         out = []
         for i, name in enumerate(envelope.names):

@@ -41,12 +41,12 @@ def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_
       mbcacq calibrate runs/today
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
     """
-    from mbcacq.calibration import Options, calibrate, verify
+    from mbcacq.calibration import CalibrationOptions, calibrate, verify
     from mbcacq.calibration.cross_validation import held_out as leave_out
     from mbcacq.errors import ConfigError
     from mbcacq.recording import find_gaps, load
 
-    options = Options(method=method, pairs=pairs, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release,
+    options = CalibrationOptions(method=method, pairs=pairs, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release,
                       noise=noise, robust=not keep_outliers, refuse=not even_if_undetermined)
     observations = load(data)
     calibration = calibrate(observations, options)

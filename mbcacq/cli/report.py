@@ -59,11 +59,11 @@ def _result(run: Path) -> dict[str, Any] | None:
 
 
 def _calibrate(observations: Any) -> tuple[Any, dict[str, Any]]:
-    from mbcacq.calibration import Options, calibrate, verify
+    from mbcacq.calibration import CalibrationOptions, calibrate, verify
 
     click.echo("calibrating ...", err=True)
     phase = observations.phase
-    calibration = calibrate(observations, Options(refuse=phase is None or "position" in phase))
+    calibration = calibrate(observations, CalibrationOptions(refuse=phase is None or "position" in phase))
     return calibration, calibration.to_dict() | {"verification": verify(observations, calibration).to_dict()}
 
 

@@ -17,16 +17,16 @@ Needs no test framework. docs/conformance.md tells what each check asks for.
 from mbcacq.conformance.bounded import Hang, bounded
 from mbcacq.conformance.checks import CHECKS
 from mbcacq.conformance.faults import ACTIONS, Channel, Fault, as_read, counted, ended
-from mbcacq.conformance.injection import Case, Verdict, cases, inject, survey
+from mbcacq.conformance.injection import Case, InjectionVerdict, cases, inject, survey
 from mbcacq.conformance.proxy import Proxy, TcpProxy
 from mbcacq.conformance.proxy_pty import PtyProxy
 from mbcacq.conformance.proxy_udp import UdpProxy
-from mbcacq.conformance.run import Result, check, run
+from mbcacq.conformance.run import CheckResult, check, run
 from mbcacq.conformance.steps import Skip
-from mbcacq.conformance.test_stand import Bench, Stand
+from mbcacq.conformance.test_stand import Stand, TestStand
 from mbcacq.conformance.trace import Replay, Trace
 
 __all__ = [
-    "ACTIONS", "CHECKS", "Bench", "Case", "Channel", "Fault", "Hang", "Proxy", "PtyProxy", "Replay", "Result", "Skip", "Stand",
-    "TcpProxy", "Trace", "UdpProxy", "Verdict", "as_read", "bounded", "cases", "check", "counted", "ended", "inject", "run", "survey",
+    "ACTIONS", "CHECKS", "TestStand", "Case", "Channel", "Fault", "Hang", "Proxy", "PtyProxy", "Replay", "CheckResult", "Skip", "Stand",
+    "TcpProxy", "Trace", "UdpProxy", "InjectionVerdict", "as_read", "bounded", "cases", "check", "counted", "ended", "inject", "run", "survey",
 ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from mbcacq.conformance.bounded import Hang, bounded, outcome
 from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER
 from mbcacq.conformance.steps import comes_back, rests
-from mbcacq.conformance.test_stand import Bench, Stand
+from mbcacq.conformance.test_stand import Stand, TestStand
 
 _CALM_S = 0.05    # a fault at the very last message takes effect after the work
 RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"
@@ -27,7 +27,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class InjectionVerdict:
     """result: RECOVERED, NAMED, UNREACHED (the message never came), or what is wrong: 'hang', 'wrong', 'not at rest', 'stays broken'."""
 
     case: Case
@@ -40,7 +40,7 @@ class Verdict:
         return self.result in (RECOVERED, NAMED, UNREACHED)
 
 
-def survey(bench: Bench) -> dict[tuple[str, str], int]:
+def survey(bench: TestStand) -> dict[tuple[str, str], int]:
     """Messages by (link, sender) of the undisturbed work. Raises what the work raises."""
     with bench.open() as stand:
         _work(stand)
@@ -60,12 +60,12 @@ def cases(counts: dict[tuple[str, str], int], most: int = 24, actions: tuple[str
                 yield Case(link, sender, index, action)
 
 
-def inject(bench: Bench, case: Case, delay_s: float = 1.0) -> Verdict:
+def inject(bench: TestStand, case: Case, delay_s: float = 1.0) -> InjectionVerdict:
     """Connect, use twice, close, with that one fault; then look whether the device rests and the next driver works."""
     began = time.monotonic()
 
-    def verdict(result: str, detail: str = "") -> Verdict:
-        return Verdict(case, result, detail, time.monotonic() - began)
+    def verdict(result: str, detail: str = "") -> InjectionVerdict:
+        return InjectionVerdict(case, result, detail, time.monotonic() - began)
 
     with bench.open() as stand:
         proxy = stand.proxies[case.link]

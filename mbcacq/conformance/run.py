@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from mbcacq.conformance.checks import CHECKS, Check
 from mbcacq.conformance.steps import Skip
-from mbcacq.conformance.test_stand import Bench
+from mbcacq.conformance.test_stand import TestStand
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
 
 
 @dataclass(frozen=True)
-class Result:
+class CheckResult:
     bench: str
     check: str
     status: str
@@ -25,23 +25,23 @@ class Result:
         return f"{self.bench}: {self.check.replace('_', ' ')}: {self.status}" + (f" ({self.detail})" if self.detail else "")
 
 
-def run(bench: Bench, checks: tuple[Check, ...] = CHECKS) -> Iterator[Result]:
+def run(bench: TestStand, checks: tuple[Check, ...] = CHECKS) -> Iterator[CheckResult]:
     """One result a check, each on a stand of its own."""
     for each in checks:
         yield check(bench, each)
 
 
-def check(bench: Bench, each: Check) -> Result:
+def check(bench: TestStand, each: Check) -> CheckResult:
     """One check. Never raises what the driver did wrong."""
     name, began = each.__name__, time.monotonic()
     if name in bench.excused:
-        return Result(bench.name, name, SKIPPED, bench.excused[name])
+        return CheckResult(bench.name, name, SKIPPED, bench.excused[name])
     try:
         with bench.open() as stand:
             each(bench, stand)
     except Skip as reason:
-        return Result(bench.name, name, SKIPPED, str(reason), time.monotonic() - began)
+        return CheckResult(bench.name, name, SKIPPED, str(reason), time.monotonic() - began)
     except Exception as error:
         detail = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
-        return Result(bench.name, name, FAILED, detail, time.monotonic() - began)
-    return Result(bench.name, name, PASSED, "", time.monotonic() - began)
+        return CheckResult(bench.name, name, FAILED, detail, time.monotonic() - began)
+    return CheckResult(bench.name, name, PASSED, "", time.monotonic() - began)

@@ -36,7 +36,7 @@ class Stand:
 
 
 @dataclass(frozen=True)
-class Bench:
+class TestStand:
     """name: of the driver, and how it is connected. kind: robot, scanner, positioner or sensor. open: sets a Stand up.
 
     limit_s: what no single step of a check may exceed, here and on the device's own account (generous). excused: check -> why this

@@ -15,7 +15,7 @@ from mbcacq.conformance.faults import DEVICE, DRIVER
 _AGAIN_S = 0.05
 
 
-class Line(NamedTuple):
+class TraceLine(NamedTuple):
     link: str
     sender: str
     data: bytes
@@ -24,13 +24,13 @@ class Line(NamedTuple):
 class Trace:
     """Lines in the order in which they passed; give ``note`` to every channel of a stand."""
 
-    def __init__(self, lines: list[Line] | None = None) -> None:
+    def __init__(self, lines: list[TraceLine] | None = None) -> None:
         self.lines = lines or []
         self._lock = threading.Lock()
 
     def note(self, link: str, sender: str, data: bytes) -> None:
         with self._lock:
-            self.lines.append(Line(link, sender, data))
+            self.lines.append(TraceLine(link, sender, data))
 
     def save(self, path: Path | str) -> None:
         """One line a message: link, sender, bytes in hex."""
@@ -45,7 +45,7 @@ class Trace:
             link, sender, data = row.split(" ")
             if sender not in (DEVICE, DRIVER):
                 raise ValueError(f"{path}: '{sender}' is neither {DEVICE} nor {DRIVER}")
-            lines.append(Line(link, sender, bytes.fromhex(data)))
+            lines.append(TraceLine(link, sender, bytes.fromhex(data)))
         return cls(lines)
 
 
@@ -107,7 +107,7 @@ class Replay:
         except OSError:
             pass
 
-    def _send(self, link: socket.socket, line: Line) -> None:
+    def _send(self, link: socket.socket, line: TraceLine) -> None:
         self._last[line.link] = line.data
         if line.link in self._datagrams:
             _drain(link)
@@ -117,7 +117,7 @@ class Replay:
             if line.link not in self._datagrams:
                 raise
 
-    def _receive(self, link: socket.socket, line: Line) -> bytes:
+    def _receive(self, link: socket.socket, line: TraceLine) -> bytes:
         if line.link in self._datagrams:
             return self._datagram(link, line)
         link.settimeout(self._timeout_s)
@@ -129,7 +129,7 @@ class Replay:
             data += part
         return data
 
-    def _datagram(self, link: socket.socket, line: Line) -> bytes:
+    def _datagram(self, link: socket.socket, line: TraceLine) -> bytes:
         """One that is not answered is sent again: nobody may have listened yet, or it was one of several in a queue."""
         deadline, patience_s = time.monotonic() + self._timeout_s, _AGAIN_S
         while not self._closing.is_set() and time.monotonic() < deadline:

@@ -23,7 +23,7 @@ FEWEST = 4                              # balls that a view must show, or all wh
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateView:
     """A view of a station with the pose it leads to."""
 
     station: str
@@ -43,11 +43,11 @@ def random_views(count: int, steepest_deg: float, rng: np.random.Generator) -> l
             for k, (t, a, r, s) in enumerate(zip(tilt, azimuth, roll, shift, strict=True))]
 
 
-def candidates(loaded: LoadedPlan, stations: list[str], per_station: int, steepest_deg: float, seed: int) -> list[Candidate]:
+def candidates(loaded: LoadedPlan, stations: list[str], per_station: int, steepest_deg: float, seed: int) -> list[CandidateView]:
     """Random views that can be taken: within the limits less a margin, wrist bent, enough balls in view and not hidden, nothing near."""
     rng = np.random.default_rng(seed)
     solver, clearance = InverseKinematics.of(loaded.cell.robot), Clearance(loaded)
-    out: list[Candidate] = []
+    out: list[CandidateView] = []
     for station in stations:
         single = single_aims(loaded, station)
         for aim in single:
@@ -64,7 +64,7 @@ def single_aims(loaded: LoadedPlan, station: str) -> list[int | None]:
 
 
 def _at_station(loaded: LoadedPlan, station: str, aim: int | None, views: list[View], solver: InverseKinematics,
-                clearance: Clearance) -> list[Candidate]:
+                clearance: Clearance) -> list[CandidateView]:
     cell, robot = loaded.cell, loaded.cell.robot
     place = next(s for s in cell.stations if s.id == station)
     artefact = cell.artefact(place.artefact)
@@ -90,7 +90,7 @@ def _at_station(loaded: LoadedPlan, station: str, aim: int | None, views: list[V
             continue
         if clearance.at(q, station).distance < loaded.plan.clearance_mm + 5:
             continue
-        out.append(Candidate(station, aim, view, PlannedPose(
+        out.append(CandidateView(station, aim, view, PlannedPose(
             number=len(out), step=0, step_name="design", phase="position", station=station, artefact=artefact.id, q=q, balls=balls,
             exposures=loaded.plan.exposures, line=0)))
     return out

@@ -21,7 +21,7 @@ HYPER_TRIED = 7
 
 
 @dataclass(frozen=True)
-class Visibility:
+class EffectDetectability:
     """One effect at one place. sigmas: its usual size over its standard uncertainty. absorbed: share of its trace in the measured
     balls that geometry and stations take up. usual: the size that was assumed (coefficients)."""
 
@@ -39,10 +39,10 @@ class Visibility:
 
 
 @dataclass(frozen=True)
-class Sight:
+class Detectability:
     """Effects by visibility, pairs (effect, effect, correlation) alike, and what no plan can show without further records: name -> why."""
 
-    effects: tuple[Visibility, ...]
+    effects: tuple[EffectDetectability, ...]
     alike: tuple[tuple[str, str, float], ...]
     missing: dict[str, str]
 
@@ -52,28 +52,28 @@ class Sight:
 
 
 def visibility(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None,
-               starts: Sequence[float] | None = None) -> Sight:
+               starts: Sequence[float] | None = None) -> Detectability:
     """All poses take part, those of the verification too: a diagnosis uses them all."""
-    from mbcacq.diagnosis.linearized.linear_problem import Linear
-    from mbcacq.diagnosis.linearized.whitening import Noise
-    from mbcacq.diagnosis.search.candidate_scoring import Screen
+    from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+    from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
+    from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
     from mbcacq.effects.catalogue import candidates
-    from mbcacq.effects.context import Situation
+    from mbcacq.effects.context import Context
 
     observations = planned_observations(loaded, poses, transits, starts)
-    linear = Linear(observations, planned_state(loaded))
+    linear = LinearProblem(observations, planned_state(loaded))
     noise = planned_noise(loaded, poses)
-    screen = Screen(linear, Noise(noise.point, noise.joint, noise.turn))
-    found, missing = candidates(Situation(observations, planned_state(loaded), linear.prediction))
+    screen = CandidateScoring(linear, NoiseEstimate(noise.point, noise.joint, noise.turn))
+    found, missing = candidates(Context(observations, planned_state(loaded), linear.prediction))
     effects, left = [], {}
     for candidate in found:
         tried = [_trace(screen, candidate, h) for h in _hyper(candidate)]
         size, absorbed, row = sorted(tried, key=lambda t: t[0])[len(tried) // 2]
         where = "+".join(candidate.where)
-        effects.append(Visibility(candidate.name, where, size, absorbed))
+        effects.append(EffectDetectability(candidate.name, where, size, absorbed))
         if size >= SEEN:
             left[f"{candidate.name}:{where}"] = row
-    return Sight(tuple(_best(effects)), _alike(left, len(screen.Q)), missing)
+    return Detectability(tuple(_best(effects)), _alike(left, len(screen.Q)), missing)
 
 
 def _trace(screen, candidate, hyper: float | None) -> tuple[float, float, np.ndarray]:
@@ -100,9 +100,9 @@ def _hyper(candidate) -> list[float | None]:
     return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, HYPER_TRIED).astype(int))]]
 
 
-def _best(effects: list[Visibility]) -> list[Visibility]:
+def _best(effects: list[EffectDetectability]) -> list[EffectDetectability]:
     """The most visible variant of each effect and place, least visible first."""
-    best: dict[tuple[str, str], Visibility] = {}
+    best: dict[tuple[str, str], EffectDetectability] = {}
     for effect in effects:
         key = (effect.name, effect.where)
         if key not in best or best[key].sigmas < effect.sigmas:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import Calibration, Noise, Options
+from mbcacq.calibration import Calibration, CalibrationOptions, Noise
 from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.sufficiency import refuse_degenerate
 from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
@@ -28,7 +28,7 @@ MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))      # mean of |error| over its stand
 
 
 @dataclass(frozen=True)
-class Prospect:
+class ExpectedAccuracy:
     """parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
     over the whole reach of the arm. bar_mm: expected mean error of a certified distance at the verification poses (None: there are
     none); bar_cell_mm: the share of it that is the calibration's, without the noise of measuring the distance. places: (station, mm)
@@ -59,17 +59,17 @@ class Prospect:
         }
 
 
-def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
+def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> ExpectedAccuracy:
     """Linearised at the planned cell. Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where
     the poses can determine nothing."""
     observations = planned_observations(loaded, poses)
-    refuse_degenerate(select_phases(observations, Options()), Options())
+    refuse_degenerate(select_phases(observations, CalibrationOptions()), CalibrationOptions())
     calibration = foreseen(loaded, observations, planned_noise(loaded, poses))
     sound = all(u.harmless for u in calibration.undetermined)
     places = verify(observations, calibration).places if sound else ()
     used = _arm_parameters(calibration)
     lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
-    return Prospect(
+    return ExpectedAccuracy(
         parameters=len(used) + len(lost), determined=len(used), undetermined=calibration.undetermined,
         indices=of_calibration(calibration), workspace_mm=expected_accuracy(calibration) if sound else None,
         bar_mm=MEAN_OF_NORMAL * float(np.mean([p.expected_mm for p in places])) if places else None,
@@ -81,7 +81,7 @@ def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Prospect:
 
 def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Calibration:
     """The calibration that a recording of the planned cell would give: no residual, but the true covariance."""
-    options = Options(refuse=False)
+    options = CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
     state = planned_state(loaded)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))

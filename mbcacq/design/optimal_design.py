@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import Options
+from mbcacq.calibration import CalibrationOptions
 from mbcacq.calibration.verification import ball_positions, verification_poses
-from mbcacq.design.candidate_views import Candidate, candidates
+from mbcacq.design.candidate_views import CandidateView, candidates
 from mbcacq.design.exchange_algorithm import Criterion, choose
-from mbcacq.design.expected_accuracy import Prospect, prospect
+from mbcacq.design.expected_accuracy import ExpectedAccuracy, prospect
 from mbcacq.design.plan_rewriter import Chosen, with_views
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state, trial
 from mbcacq.errors import CalibrationError, ConfigError
@@ -20,7 +20,7 @@ from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.parameters import Layout
+from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.whitening import Whitening
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
@@ -52,7 +52,7 @@ def design(loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg
         tried = f"of about {PER_STATION * len(stations)} random views at {len(stations)} stations only {len(found)} can be taken"
         raise ConfigError(f"{loaded.path}: {tried}, fewer than the {count} asked for; move the stations, or ask for fewer")
     kept = [p for p in poses if p.phase in ("translation", "orientation")]
-    problem = Problem(loaded, kept, found, poses)
+    problem = DesignProblem(loaded, kept, found, poses)
     picked = choose(problem.base, problem.blocks, problem.groups, count, problem.criterion(criterion))
     chosen: Chosen = {}
     for k in sorted(picked, key=lambda k: _order(stations, found[k])):
@@ -95,7 +95,7 @@ def compare(plans: Sequence[tuple[LoadedPlan, Sequence[PlannedPose]]], seed: int
     out = []
     for loaded, poses in plans:
         try:
-            outlook: Prospect | None = prospect(loaded, poses)
+            outlook: ExpectedAccuracy | None = prospect(loaded, poses)
         except CalibrationError:
             outlook = None
         found = outlook and simulated_error(loaded, poses, seed=seed)
@@ -110,14 +110,14 @@ def compare(plans: Sequence[tuple[LoadedPlan, Sequence[PlannedPose]]], seed: int
     return out
 
 
-class Problem:
+class DesignProblem:
     """The choice as matrices. base: (G, G) information of the kept poses and vague knowledge of all; blocks: (P, 6, G); groups: (P,)."""
 
-    def __init__(self, loaded: LoadedPlan, kept: Sequence[PlannedPose], found: Sequence[Candidate], poses: Sequence[PlannedPose]):
+    def __init__(self, loaded: LoadedPlan, kept: Sequence[PlannedPose], found: Sequence[CandidateView], poses: Sequence[PlannedPose]):
         self._loaded, self._poses = loaded, poses
         self._state, self._noise = planned_state(loaded), planned_noise(loaded, [*kept, *(c.pose for c in found)])
         everything = planned_observations(loaded, [*kept, *(c.pose for c in found)])
-        self._options = Options(balls=False, refuse=False)
+        self._options = CalibrationOptions(balls=False, refuse=False)
         self.layout = parameters.build(everything, self._options)
         used, place = np.unique(everything.station, return_inverse=True)
         rows = pose_information(everything, self._state, self.layout, self._noise)
@@ -146,10 +146,10 @@ class Problem:
         return Criterion(g, target)
 
 
-def pose_information(obs: Observations, state: CellState, layout: Layout, noise: Noise) -> np.ndarray:
+def pose_information(obs: Observations, state: CellState, layout: ParameterLayout, noise: Noise) -> np.ndarray:
     """(P, 6, g + 6): whitened rows of each pose, in the order of ``obs``, by arm and hand-eye and by its own station, brought down to the
     six that a rigid view can have."""
-    lineariser = Lineariser(obs, layout, Options(balls=False, refuse=False))
+    lineariser = Lineariser(obs, layout, CalibrationOptions(balls=False, refuse=False))
     linear = lineariser(parameters.Estimate(state))
     weights = np.ones(obs.n_centres), np.ones(obs.n_poses)
     X = Whitening(lineariser.rows, linear.J, noise, *weights)(linear.X)[..., :-1]
@@ -161,7 +161,7 @@ def pose_information(obs: Observations, state: CellState, layout: Layout, noise:
     return out
 
 
-def distance_rows(loaded: LoadedPlan, poses: Sequence[PlannedPose], layout: Layout) -> np.ndarray:
+def distance_rows(loaded: LoadedPlan, poses: Sequence[PlannedPose], layout: ParameterLayout) -> np.ndarray:
     """(k, g): change of each certified distance of the verification poses, as measured through the arm, by the parameters."""
     obs = verification_poses(planned_observations(loaded, poses))
     state = planned_state(loaded)
@@ -180,7 +180,7 @@ def distance_rows(loaded: LoadedPlan, poses: Sequence[PlannedPose], layout: Layo
     return np.array(rows).reshape(-1, layout.size)
 
 
-def _order(stations: list[str], candidate: Candidate) -> tuple:
+def _order(stations: list[str], candidate: CandidateView) -> tuple:
     """Station by station, ball by ball, one wrist branch after the other, around the artefact."""
     return stations.index(candidate.station), candidate.aim or 0, candidate.view.wrist, candidate.view.azimuth_deg
 

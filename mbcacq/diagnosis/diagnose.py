@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.diagnosis import outlier_readmission
 from mbcacq.diagnosis.linearized.variance_components import MANY_POSES
-from mbcacq.diagnosis.model_fit import Finding, find
+from mbcacq.diagnosis.model_fit import ModelFit, find
 from mbcacq.diagnosis.problem import prepare, thin
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation import cross_validation
@@ -50,7 +50,7 @@ def _diagnose(obs: Observations, folds: int | None, progress, workers: int) -> D
     return result
 
 
-def usual_folds(obs: Observations, full: Finding) -> int:
+def usual_folds(obs: Observations, full: ModelFit) -> int:
     if obs.n_poses >= MANY_POSES:
         return 3 if obs.n_poses < 2000 else 2
     if full.smooth is None and 0 < full.model.score < WEAK:

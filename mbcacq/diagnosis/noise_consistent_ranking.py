@@ -12,26 +12,26 @@ from itertools import chain
 import numpy as np
 
 from mbcacq.diagnosis.linearized import variance_components
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of, with_members
 from mbcacq.diagnosis.nonparametric.model_comparison import likelihood
-from mbcacq.diagnosis.search.beam_search import Search
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.diagnosis.search.effect_set import NOTHING, Model
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
 
 NEARLY = 10.0  # chi2 that a candidate may lack under the noise of nothing
 TRIED = 3  # candidates given a second look
 CLOSE = 25.0  # worth by which a rival under the noise of another may be behind
 
 
-def second_look(search: Search, linear: Linear, sigma: Noise, first: Noise) -> Model:
+def second_look(search: BeamSearch, linear: LinearProblem, sigma: NoiseEstimate, first: NoiseEstimate) -> EffectSet:
     """What was missed by little, under the noise half way between its own and that without it: single effects, and the best set.
 
     There the gain is the likelihood ratio to second order; under the noise without the effect (a score test) it is too small, under its
     own (Wald) too large.
     """
-    screen = Screen(linear, sigma)
+    screen = CandidateScoring(linear, sigma)
     best = NOTHING
     nearly = [((s.candidate, s.hyper),) for s in search.expand(screen, NOTHING, NEARLY)[:TRIED]]
     together = replace(search, allowance=NEARLY).grow(screen).members
@@ -40,20 +40,20 @@ def second_look(search: Search, linear: Linear, sigma: Noise, first: Noise) -> M
         if model is None or model.score < -NEARLY:
             continue
         own = variance_components.estimate(linear, *columns_of(linear, model, None), sigma, first)
-        model = search.solve(Screen(linear, between(sigma, own)), members)
+        model = search.solve(CandidateScoring(linear, between(sigma, own)), members)
         if model is not None and model.score > (best.score if best.members else -search.allowance):
             best = model
     return best
 
 
-def between(a: Noise, b: Noise) -> Noise:
+def between(a: NoiseEstimate, b: NoiseEstimate) -> NoiseEstimate:
     """Geometric mean."""
-    return Noise(np.sqrt(a.point * b.point), np.sqrt(a.joint * b.joint), float(np.sqrt(a.turn * b.turn)))
+    return NoiseEstimate(np.sqrt(a.point * b.point), np.sqrt(a.joint * b.joint), float(np.sqrt(a.turn * b.turn)))
 
 
-def contested(search: Search, linear: Linear, model: Model, sigma: Noise, first: Noise) -> tuple[Model, Noise]:
+def contested(search: BeamSearch, linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate, first: NoiseEstimate) -> tuple[EffectSet, NoiseEstimate]:
     """The most probable of a model and those that have another candidate in the place of one of its members, with its noise."""
-    screen = Screen(linear, sigma)
+    screen = CandidateScoring(linear, sigma)
     best = probability(screen, model, first), model, sigma
     for other in chain.from_iterable(exchanges(search, screen, model, j) for j in range(len(model.members))):
         there, solved = under_own_noise(search, linear, other, sigma, first)
@@ -62,13 +62,13 @@ def contested(search: Search, linear: Linear, model: Model, sigma: Noise, first:
     return best[1:]
 
 
-def under_own_noise(search: Search, linear: Linear, model: Model, start: Noise, first: Noise) -> tuple[Screen, Model | None]:
+def under_own_noise(search: BeamSearch, linear: LinearProblem, model: EffectSet, start: NoiseEstimate, first: NoiseEstimate) -> tuple[CandidateScoring, EffectSet | None]:
     """The screen of the noise that a model leaves, and the model solved there; None where physics forbids that."""
-    there = Screen(linear, variance_components.estimate(linear, *columns_of(linear, model, None), start, first))
+    there = CandidateScoring(linear, variance_components.estimate(linear, *columns_of(linear, model, None), start, first))
     return there, search.solve(there, model.members)
 
 
-def exchanges(search: Search, screen: Screen, model: Model, j: int) -> list[Model]:
+def exchanges(search: BeamSearch, screen: CandidateScoring, model: EffectSet, j: int) -> list[EffectSet]:
     """The best models with another candidate in the place of member j."""
     rest = search.solve(screen, model.members[:j] + model.members[j + 1:])
     if rest is None or search.is_protected(model, j):
@@ -83,6 +83,6 @@ def exchanges(search: Search, screen: Screen, model: Model, j: int) -> list[Mode
     return out
 
 
-def probability(screen: Screen, model: Model, first: Noise) -> float:
+def probability(screen: CandidateScoring, model: EffectSet, first: NoiseEstimate) -> float:
     """Twice the log of the posterior of a set of names and its noise, up to a constant."""
     return likelihood(screen, with_members(screen, model), first) - (model.gain - model.worth)

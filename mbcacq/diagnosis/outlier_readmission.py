@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.linearized import variance_components
-from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of, outliers
-from mbcacq.diagnosis.problem import Setup
-from mbcacq.diagnosis.search.beam_search import Search
-from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NOTHING
 
 MANY = 0.015  # share of the centres from which they are no longer taken for accidents unasked
@@ -19,7 +19,7 @@ WHOLE_POSES = 3  # as many poses without any centre left
 TRIED, LEFT = 3, 0.5  # best candidates tried; share of the set aside that may remain so
 
 
-def readmitted(setup: Setup) -> Setup:
+def readmitted(setup: DiagnosisProblem) -> DiagnosisProblem:
     """The recording with those centres back that one candidate alone explains; as it was where none explains half of them."""
     linear = setup.linear
     aside = int(np.sum(~linear.keep))
@@ -27,8 +27,8 @@ def readmitted(setup: Setup) -> Setup:
     if aside <= MANY * len(linear.keep) and int(np.sum(seen == 0)) < WHOLE_POSES:
         return setup
     sigma = variance_components.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
-    everything = Linear(linear.obs, linear.state, np.ones(len(linear.keep), bool))
-    screen, search = Screen(everything, sigma), Search([c for c in setup.candidates if not c.several])
+    everything = LinearProblem(linear.obs, linear.state, np.ones(len(linear.keep), bool))
+    screen, search = CandidateScoring(everything, sigma), BeamSearch([c for c in setup.candidates if not c.several])
     best, fewest = None, LEFT * aside
     for scored in search.expand(screen, NOTHING)[:TRIED]:
         model = search.solve(screen, ((scored.candidate, scored.hyper),))

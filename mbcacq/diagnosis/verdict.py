@@ -6,31 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import Finding
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.output import next_measurements
 from mbcacq.diagnosis.output.alternatives import rivals, unseen
-from mbcacq.diagnosis.output.contributions import Worth
+from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_list, named_effects, unknown_effects, where_it_is
 from mbcacq.diagnosis.output.plot_data import evidence_of
-from mbcacq.diagnosis.problem import Setup
+from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
-from mbcacq.diagnosis.search.beam_search import Search
+from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.effect_set import NOTHING
-from mbcacq.diagnosis.validation.cross_validation import Proof
-from mbcacq.diagnosis.validation.predictive_score import NOISE_LIKE, Quality, better, on_train
+from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.predictive_score import NOISE_LIKE, PredictiveScore, better, on_train
 
 # Share of the held-out excess that a name must remove to be told beside a mismatch without one: a larger, and a smaller one.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 WEAK = 20.0  # score up to which a name may be chance, and is proven with more of the data: it might not be found in three quarters of them
 
 
-def conclude(setup: Setup, full: Finding, proof: Proof) -> Diagnosis:
+def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
     if proof.empty:
         kept = full.model.without(proof.empty)
-        full = replace(full, model=Search(setup.candidates).solve(full.before, kept.members, permit=True))
+        full = replace(full, model=BeamSearch(setup.candidates).solve(full.before, kept.members, permit=True))
     before, left_before = on_train(full.before, NOTHING, None)
     after, left_after = on_train(full.before, full.model, full.smooth)
-    worth = Worth(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
+    worth = Contributions(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full), mismatch_list(full, worth, before)
     first, last = proof.decides
@@ -78,7 +78,7 @@ def worth_telling(effects: list[EffectFound], verdict: str) -> list[EffectFound]
     return [e for e in effects if e.held_out_gain >= LEAST.get(verdict, -np.inf)]
 
 
-def in_words(before: Quality, after: Quality) -> dict[str, float]:
+def in_words(before: PredictiveScore, after: PredictiveScore) -> dict[str, float]:
     return {
         "before_rms_mm": before.rms,
         "after_rms_mm": after.rms,
@@ -87,21 +87,21 @@ def in_words(before: Quality, after: Quality) -> dict[str, float]:
     }
 
 
-def expected_rms(full: Finding, fallback: float) -> float:
+def expected_rms(full: ModelFit, fallback: float) -> float:
     """3D rms (mm) that the estimated noise alone makes at one centre."""
     linear, noise = full.before.linear, full.noise
     joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
-def verdict_of(full: Finding) -> str:
+def verdict_of(full: ModelFit) -> str:
     """Names that survive beside what has no name explain in part, if they explain most of it."""
     structure = full.smooth is not None or (full.leftover is not None and full.leftover.structure and not full.cells)
     if not full.model.members:
         return "unexplained" if structure else "none"
     if not structure:
         return "explained"
-    worth = Worth(full)
+    worth = Contributions(full)
     if full.smooth is None:
         rest = full.leftover.judged.best()
         return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"
@@ -111,7 +111,7 @@ def verdict_of(full: Finding) -> str:
     return "partly_explained" if worth.of(names) > worth.of(groups) else "unexplained"
 
 
-def notes(setup: Setup, full: Finding) -> list[str]:
+def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
     keep = full.before.linear.keep
     dropped = int(np.sum(~keep))

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from mbcacq.doctor.line import Line, from_error
+from mbcacq.doctor.line import CheckupLine, from_error
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
 
-__all__ = ["Line", "checkup", "from_error"]
+__all__ = ["CheckupLine", "checkup", "from_error"]
 
 
-def checkup(loaded: LoadedPlan | None, arm: bool = False) -> Iterator[Line]:
+def checkup(loaded: LoadedPlan | None, arm: bool = False) -> Iterator[CheckupLine]:
     """This computer; with a plan also its ports and its devices. arm: connect a robot too that is not on this computer's loopback, which
     can switch its drives on."""
     from mbcacq.doctor import computer, installed, network

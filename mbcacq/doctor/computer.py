@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbcacq.doctor.line import Line
+from mbcacq.doctor.line import CheckupLine
 
 LIBRARIES = {   # distribution: module; None: only its presence is asked for
     "numpy": "numpy", "scipy": "scipy", "pydantic": "pydantic", "rerun-sdk": "rerun", "coal": "coal", "ruckig": "ruckig",
@@ -23,7 +23,7 @@ LEAST_SHARED = 64 << 20
 ICD = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
 
 
-def lines() -> Iterator[Line]:
+def lines() -> Iterator[CheckupLine]:
     yield _python()
     yield from _libraries()
     yield from _disk()
@@ -31,28 +31,28 @@ def lines() -> Iterator[Line]:
     yield _vulkan()
 
 
-def _python() -> Line:
+def _python() -> CheckupLine:
     here = f"Python {sys.version.split()[0]} in {sys.prefix}"
     if sys.prefix == sys.base_prefix:
-        return Line("warning", "python", f"{here}, in no environment of its own", "python3 -m venv .venv, and install mbcacq there")
-    return Line("ok", "python", here)
+        return CheckupLine("warning", "python", f"{here}, in no environment of its own", "python3 -m venv .venv, and install mbcacq there")
+    return CheckupLine("ok", "python", here)
 
 
-def _libraries() -> Iterator[Line]:
+def _libraries() -> Iterator[CheckupLine]:
     good = []
     for name, module in LIBRARIES.items():
         problem = _problem(name, module)
         if problem:
-            yield Line("error", f"library {name}", problem, f"{sys.executable} -m pip install '{name}'")
+            yield CheckupLine("error", f"library {name}", problem, f"{sys.executable} -m pip install '{name}'")
         else:
             good.append(f"{name} {importlib.metadata.version(name)}")
     installed = [name for name in OPEN3D if not _problem(name, None)]
     if len(installed) != 1:
         both = "open3d and open3d-cpu are both installed and overwrite each other" if installed else "open3d is not installed"
-        yield Line("error", "library open3d", both, f"{sys.executable} -m pip uninstall open3d open3d-cpu, then pip install open3d-cpu")
+        yield CheckupLine("error", "library open3d", both, f"{sys.executable} -m pip uninstall open3d open3d-cpu, then pip install open3d-cpu")
     else:
         good.append(f"{installed[0]} {importlib.metadata.version(installed[0])}")
-    yield Line("ok", "libraries", ", ".join(good))
+    yield CheckupLine("ok", "libraries", ", ".join(good))
 
 
 def _problem(name: str, module: str | None) -> str:
@@ -67,38 +67,38 @@ def _problem(name: str, module: str | None) -> str:
     return ""
 
 
-def _disk() -> Iterator[Line]:
+def _disk() -> Iterator[CheckupLine]:
     here = Path("runs") if Path("runs").is_dir() else Path(".")
     free = shutil.disk_usage(here).free
     text = f"{free / 2**30:.1f} GiB free for recordings in {here.resolve()}"
     if free < LEAST_DISK:
-        yield Line("error", "disk", text, "free some space, or record elsewhere with --out")
+        yield CheckupLine("error", "disk", text, "free some space, or record elsewhere with --out")
     elif free < GOOD_DISK:
-        yield Line("warning", "disk", text, "a long plan with dense scans may need more; free some space, or record elsewhere with --out")
+        yield CheckupLine("warning", "disk", text, "a long plan with dense scans may need more; free some space, or record elsewhere with --out")
     else:
-        yield Line("ok", "disk", text)
+        yield CheckupLine("ok", "disk", text)
     shared = Path("/dev/shm")
     if shared.is_dir() and shutil.disk_usage(shared).free < LEAST_SHARED:
         left = shutil.disk_usage(shared).free >> 20
-        yield Line("error", "shared memory", f"{left} MiB free in /dev/shm", "delete what dead programs left there, or mount it larger")
+        yield CheckupLine("error", "shared memory", f"{left} MiB free in /dev/shm", "delete what dead programs left there, or mount it larger")
 
 
-def _priority() -> Line:
+def _priority() -> CheckupLine:
     """A robot's cycle that waits behind other programs answers late."""
     cores = os.cpu_count() or 1
     if sys.platform != "linux":
-        return Line("ok", "cycle", f"{cores} processor cores")
+        return CheckupLine("ok", "cycle", f"{cores} processor cores")
     import resource
 
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
-        return Line("ok", "cycle", f"{cores} processor cores; the robot's cycle may take real-time priority")
-    return Line("warning", "cycle", f"{cores} processor cores, but this user may not take real-time priority for the robot's cycle",
+        return CheckupLine("ok", "cycle", f"{cores} processor cores; the robot's cycle may take real-time priority")
+    return CheckupLine("warning", "cycle", f"{cores} processor cores, but this user may not take real-time priority for the robot's cycle",
                 "put '@realtime - rtprio 80' into /etc/security/limits.d/mbcacq.conf, join the group realtime, log in again")
 
 
-def _vulkan() -> Line:
+def _vulkan() -> CheckupLine:
     drivers = [path.name for folder in ICD if Path(folder).is_dir() for path in Path(folder).glob("*.json")]
     if sys.platform != "linux" or (ctypes.util.find_library("vulkan") and drivers):
-        return Line("ok", "pictures", f"Vulkan drivers: {', '.join(sorted(drivers)) or 'the system has its own'}")
-    return Line("warning", "pictures", "no Vulkan driver: mbcacq view --screenshot will not work without a screen",
+        return CheckupLine("ok", "pictures", f"Vulkan drivers: {', '.join(sorted(drivers)) or 'the system has its own'}")
+    return CheckupLine("warning", "pictures", "no Vulkan driver: mbcacq view --screenshot will not work without a screen",
                 "apt-get install mesa-vulkan-drivers")

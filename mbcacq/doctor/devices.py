@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbcacq.devices import ConfigError, Device, MbcacqError
-from mbcacq.doctor.line import Line, from_error
+from mbcacq.doctor.line import CheckupLine, from_error
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
 
 
-def lines(loaded: LoadedPlan, arm: bool) -> Iterator[Line]:
+def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
     from mbcacq.acquisition.cell_devices import create_devices
     from mbcacq.devices.addresses import on_loopback_only
 
@@ -25,7 +25,7 @@ def lines(loaded: LoadedPlan, arm: bool) -> Iterator[Line]:
         return
     if not arm and not on_loopback_only(loaded.plan.robot.options):
         del devices["robot"]
-        yield Line("warning", "robot", "not asked: connecting it could switch its drives on",
+        yield CheckupLine("warning", "robot", "not asked: connecting it could switch its drives on",
                    "mbcacq doctor PLAN --arm asks it too; it is not moved")
     if not devices:
         return
@@ -33,7 +33,7 @@ def lines(loaded: LoadedPlan, arm: bool) -> Iterator[Line]:
         yield from pool.map(_ask, devices, devices.values())
 
 
-def _ask(role: str, device: Device) -> Line:
+def _ask(role: str, device: Device) -> CheckupLine:
     try:
         with device:
             about = device.describe()
@@ -42,10 +42,10 @@ def _ask(role: str, device: Device) -> Line:
                 units = {field.name: field.unit for field in about.fields}
                 read = ", ".join(f"{name} {value:g} {units.get(name, '')}".rstrip() for name, value in device.read().items())
                 text = f"{text}: {read}"
-            return Line("ok", role, text)
+            return CheckupLine("ok", role, text)
     except MbcacqError as error:
         line = from_error(role, error)
         nobody = isinstance(error, ConfigError) and getattr(device, "asks", False)
         return replace(line, level="warning") if nobody else line    # doctor itself may well run without a terminal
     except Exception as error:
-        return Line("error", role, f"unexpected {type(error).__name__}: {error}", "report it: a driver must name what is wrong")
+        return CheckupLine("error", role, f"unexpected {type(error).__name__}: {error}", "report it: a driver must name what is wrong")

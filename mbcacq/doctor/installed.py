@@ -6,31 +6,31 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from mbcacq.devices.installed import Installed, survey
-from mbcacq.doctor.line import Line
+from mbcacq.doctor.line import CheckupLine
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
 
 
-def lines(loaded: LoadedPlan | None) -> Iterator[Line]:
+def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
     wanted = None if loaded is None else _named(loaded)
     good: list[Installed] = []
     for driver in survey():
         if wanted is not None and (driver.kind, driver.name) not in wanted:
             continue
         if driver.problem:
-            yield Line("error", f"driver {driver.name}", f"{driver.kind}: {driver.problem}",
+            yield CheckupLine("error", f"driver {driver.name}", f"{driver.kind}: {driver.problem}",
                        f"reinstall {driver.package or 'its package'}, with what it needs")
         else:
             good.append(driver)
     for kind, name in sorted((wanted or set()) - {(d.kind, d.name) for d in survey()}):
-        yield Line("error", f"driver {name}", f"the plan names a driver '{name}' among the {kind} that is not installed",
+        yield CheckupLine("error", f"driver {name}", f"the plan names a driver '{name}' among the {kind} that is not installed",
                    "correct the name (mbcacq drivers lists them), or install its package")
     untried = sorted({d.name for d in good if d.kind != "fakes" and not d.tried})
     if good:
-        yield Line("ok", "drivers", ", ".join(sorted({d.name for d in good})))
+        yield CheckupLine("ok", "drivers", ", ".join(sorted({d.name for d in good})))
     if untried and wanted is not None:
-        yield Line("warning", "hardware", f"not yet tried on hardware: {', '.join(untried)}",
+        yield CheckupLine("warning", "hardware", f"not yet tried on hardware: {', '.join(untried)}",
                    "first run in T1, with --step and a hand on the enabling switch")
 
 

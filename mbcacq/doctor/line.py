@@ -9,7 +9,7 @@ Level = Literal["ok", "warning", "error"]
 
 
 @dataclass(frozen=True)
-class Line:
+class CheckupLine:
     """level: 'error' keeps a run from succeeding. topic: stable name for programs. cure: what to do, '' where all is well."""
 
     level: Level
@@ -21,7 +21,7 @@ class Line:
         return asdict(self)
 
 
-def from_error(topic: str, error: BaseException) -> Line:
+def from_error(topic: str, error: BaseException) -> CheckupLine:
     """Our errors end with what to do about them, behind the last semicolon."""
     what, _, cure = str(error).rpartition("; ")
-    return Line("error", topic, what or str(error), cure if what else "see docs/reference/errors.md")
+    return CheckupLine("error", topic, what or str(error), cure if what else "see docs/reference/errors.md")

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbcacq.doctor.line import Line
+from mbcacq.doctor.line import CheckupLine
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 EVERYWHERE = ("0.0.0.0", "::", "")
 
 
-def lines(loaded: LoadedPlan) -> Iterator[Line]:
+def lines(loaded: LoadedPlan) -> Iterator[CheckupLine]:
     options = loaded.plan.robot.options
     if "bind" not in options:
         return
@@ -33,27 +33,27 @@ def lines(loaded: LoadedPlan) -> Iterator[Line]:
         yield _refused(error, address, port)
         return
     if address in EVERYWHERE:
-        yield Line("warning", "network", f"the robot's telegrams are awaited on every interface, port {port}",
+        yield CheckupLine("warning", "network", f"the robot's telegrams are awaited on every interface, port {port}",
                    "give the address of the card the controller is wired to as robot: options: bind")
     elif interface and Path(f"/sys/class/net/{interface}/wireless").exists():
-        yield Line("warning", "network", f"{where} is a wireless interface; telegrams will come late",
+        yield CheckupLine("warning", "network", f"{where} is a wireless interface; telegrams will come late",
                    "wire the controller to a network card")
     else:
-        yield Line("ok", "network", f"{where} can be listened on")
+        yield CheckupLine("ok", "network", f"{where} can be listened on")
 
 
-def _refused(error: Exception, address: str, port: int) -> Line:
+def _refused(error: Exception, address: str, port: int) -> CheckupLine:
     number = getattr(error, "errno", None)
     have = ", ".join(f"{held} on {name}" for name, held in sorted(addresses().items())) or "no address"
     if number == errno.EADDRINUSE:
-        return Line("error", "network", f"{address}:{port} is taken by another program",
+        return CheckupLine("error", "network", f"{address}:{port} is taken by another program",
                     "end it (a fake cell, a second mbcacq, KUKA's TestServer), or choose another port on both sides")
     if number == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return Line("error", "network", f"{address} is no address of this computer, which has {have}",
+        return CheckupLine("error", "network", f"{address} is no address of this computer, which has {have}",
                     f"give the card wired to the controller this address (ip addr add {address}/24 dev CARD), or correct bind")
     if number == errno.EACCES:
-        return Line("error", "network", f"{address}:{port} may not be listened on by this user", "choose a port above 1023")
-    return Line("error", "network", f"{address}:{port} cannot be listened on ({error})", "correct bind and port in the plan")
+        return CheckupLine("error", "network", f"{address}:{port} may not be listened on by this user", "choose a port above 1023")
+    return CheckupLine("error", "network", f"{address}:{port} cannot be listened on ({error})", "correct bind and port in the plan")
 
 
 def addresses() -> dict[str, str]:

@@ -7,7 +7,7 @@ import pkgutil
 from types import ModuleType
 
 from mbcacq.effects import pose
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing
 
 
@@ -21,7 +21,7 @@ def effects() -> dict[str, ModuleType]:
     return found
 
 
-def candidates(situation: Situation) -> tuple[list[Candidate], dict[str, str]]:
+def candidates(situation: Context) -> tuple[list[Candidate], dict[str, str]]:
     """All candidates that these data allow, and the effects dropped: name -> what is missing."""
     out, dropped = [], {}
     for name, module in effects().items():

@@ -15,7 +15,7 @@ from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True)
-class Situation:
+class Context:
     """Observations with the geometry fitted to them."""
 
     obs: Observations

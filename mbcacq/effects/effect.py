@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq.estimation.terms import Part
 
-__all__ = ["Candidate", "Hyper", "Missing", "Parameters", "Part", "number", "scalar_report", "vector"]
+__all__ = ["Candidate", "Hyperparameter", "Missing", "Parameters", "Part", "number", "scalar_report", "vector"]
 
 
 class Missing(Exception):
@@ -22,7 +22,7 @@ class Missing(Exception):
 
 
 @dataclass(frozen=True)
-class Hyper:
+class Hyperparameter:
     """A bounded non-linear parameter: values to try first, their scale for refinement, effective number of independent values."""
 
     name: str
@@ -53,7 +53,7 @@ class Candidate:
     build: Callable[[float | None], list[Part]]
     report: Callable[[np.ndarray, np.ndarray, float | None], Parameters]
     typical: np.ndarray
-    hyper: Hyper | None = None
+    hyper: Hyperparameter | None = None
     separable: tuple[tuple[str, int, int], ...] = ()
     functions: Callable[[np.ndarray], np.ndarray] | None = None
     positive: bool = False

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.parameters import Layout
+from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -36,7 +36,7 @@ class Undetermined:
         return f"{alone}; without effect on what is measured" if self.harmless else alone
 
 
-def hold_undetermined(layout: Layout, information: np.ndarray, obs: Observations, state: CellState) -> tuple[Layout, list[Undetermined]]:
+def hold_undetermined(layout: ParameterLayout, information: np.ndarray, obs: Observations, state: CellState) -> tuple[ParameterLayout, list[Undetermined]]:
     """Hold one parameter after another until the reduced information (g, g) determines the rest."""
     found: list[Undetermined] = []
     scale, names = layout.gather("scale"), np.array(layout.names)
@@ -64,7 +64,7 @@ def hold_undetermined(layout: Layout, information: np.ndarray, obs: Observations
     return layout, found
 
 
-def workspace_information(obs: Observations, state: CellState, layout: Layout, postures: int = PROBES, seed: int = 1) -> np.ndarray:
+def workspace_information(obs: Observations, state: CellState, layout: ParameterLayout, postures: int = PROBES, seed: int = 1) -> np.ndarray:
     """(g, g): mean square displacement in mm of measured points, over postures within the joint limits, per unit of the free parameters;
     what a rigid motion of everything would explain is taken out, since the base is wherever the stations put it."""
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def typical_points(obs: Observations) -> np.ndarray:
     return middle + np.vstack([np.zeros(3), np.diag(spread)]) if spread.max() > 1e-9 else middle[None]
 
 
-def base_columns(layout: Layout, state: CellState, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def base_columns(layout: ParameterLayout, state: CellState, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Derivative (P K, 3, g) of points in the base by the free parameters, and the points (P K, 3): the K scanner points xyz (K, 3) at each
     of P postures q (P, n), or points of its own for each posture, xyz (P, K, 3)."""
     frames = state.chain.frames(q)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
-from mbcacq.estimation.options import Options
-from mbcacq.estimation.parameters import Estimate, Layout
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linearization:
     """At one estimate. residual: (M, R). X: (P, B R, g + 7) columns of the g free parameters, of the pose's own station (6), and the
     residual (1); J: (P, B R, n) of the joints."""
 
@@ -28,7 +28,7 @@ class Linear:
 class Lineariser:
     """Evaluates residuals and columns of one recording; keeps what does not depend on the estimate."""
 
-    def __init__(self, observations: Observations, layout: Layout, options: Options):
+    def __init__(self, observations: Observations, layout: ParameterLayout, options: CalibrationOptions):
         self.obs, self.layout, self.options = observations, layout, options
         width = 3 if observations.rotation is None else 6
         self.rows = PoseRows(observations, width)
@@ -42,7 +42,7 @@ class Lineariser:
         prediction = forward_model.predict(self.obs, estimate.state, moved)
         return prediction, forward_model.residual(self.obs, prediction)
 
-    def __call__(self, estimate: Estimate) -> Linear:
+    def __call__(self, estimate: Estimate) -> Linearization:
         obs, rows = self.obs, self.rows
         prediction, residual = self.residual(estimate)
         order = rows.order
@@ -68,7 +68,7 @@ class Lineariser:
         for one in self.options.terms:
             X[..., free:free + one.size] = rows.pad(terms.columns(obs, prediction, one))
             free += one.size
-        return Linear(prediction, residual, X, columns[..., -n:])
+        return Linearization(prediction, residual, X, columns[..., -n:])
 
     def _ball_columns(self) -> np.ndarray | None:
         """(M, 3) column of each centre's ball coordinates among the free ball parameters (-1 where held), or None if all are held."""

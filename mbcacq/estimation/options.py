@@ -16,7 +16,7 @@ PAIRS = ("one", "four", "all")
 
 
 @dataclass(frozen=True)
-class Options:
+class CalibrationOptions:
     """How :func:`mbcacq.calibration.maximum_likelihood` works.
 
     method: 'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage).

@@ -22,7 +22,7 @@ def chi2_quantile(dof: np.ndarray, z: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Distances:
+class OutlierDistances:
     """Squared distances in sigma. centre: (M,) of each centre from where its pose, joints shifted to fit, expects it; pose: (P,) of each
     pose from the model."""
 
@@ -32,7 +32,7 @@ class Distances:
     pose_dof: np.ndarray
 
 
-def distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> Distances:
+def distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
     """joint: (P, B R, n) columns of the joints; residual: (M, R). Every centre and pose is judged, left out or not."""
     whiten = Whitening(rows, joint, noise, weights.centre, np.ones(rows.n_poses))
     sigma = noise.row_sigma(rows.width)
@@ -50,10 +50,10 @@ def distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: No
     by_pose[rows.order] = used + np.sum(u[..., 0] ** 2, axis=1)
     dof = np.zeros(rows.n_poses)
     dof[rows.order] = rows.pad(np.repeat(weights.centre[:, None], rows.width, axis=1)).sum(axis=1)
-    return Distances(np.sum(left**2, axis=1), by_pose, rows.width, dof)
+    return OutlierDistances(np.sum(left**2, axis=1), by_pose, rows.width, dof)
 
 
-def screen(d: Distances, weights: Weights, pose: np.ndarray) -> Weights:
+def screen(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:
     """New weights, 0 or 1. pose: (M,) the pose of each centre. The worst of a pose is judged before its companions, which it spoils."""
     n_poses = len(d.pose)
     count = np.bincount(pose, minlength=n_poses)

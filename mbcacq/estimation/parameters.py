@@ -12,7 +12,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import Options
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
@@ -25,7 +25,7 @@ PLAUSIBLE_HAND_EYE = np.array([30.0, 30.0, 30.0, 0.2, 0.2, 0.2])
 
 
 @dataclass(frozen=True)
-class Block:
+class ParameterBlock:
     """k parameters of one kind. names, units: (k,); free: (k,) bool; sigma: (k,) prior about ``centre``, inf = none; scale: (k,) plausible
     size; why: reason of each held one."""
 
@@ -37,17 +37,17 @@ class Block:
     scale: np.ndarray
     why: dict[str, str] = field(default_factory=dict)
 
-    def hold(self, index: int, why: str) -> Block:
+    def hold(self, index: int, why: str) -> ParameterBlock:
         free = self.free.copy()
         free[index] = False
         return replace(self, free=free, why={**self.why, self.names[index]: why})
 
 
 @dataclass(frozen=True)
-class Layout:
+class ParameterLayout:
     """The blocks of a problem: chain (5 n, row by row), hand_eye (6), balls (3 K), then one per term."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[ParameterBlock, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -73,11 +73,11 @@ class Layout:
             start += count
         return out
 
-    def hold(self, name: str, why: str) -> Layout:
+    def hold(self, name: str, why: str) -> ParameterLayout:
         """The layout with one more parameter held. Raises ConfigError if there is no such parameter."""
         for i, b in enumerate(self.blocks):
             if name in b.names:
-                return Layout((*self.blocks[:i], b.hold(b.names.index(name), why), *self.blocks[i + 1:]))
+                return ParameterLayout((*self.blocks[:i], b.hold(b.names.index(name), why), *self.blocks[i + 1:]))
         raise ConfigError(f"there is no parameter '{name}'; give one of {', '.join(n for b in self.blocks[:2] for n in b.names)}")
 
     @property
@@ -86,7 +86,7 @@ class Layout:
         return {name: b.why[name] for b in self.blocks for name, free in zip(b.names, b.free, strict=True) if not free and name in b.why}
 
 
-def build(observations: Observations, options: Options) -> Layout:
+def build(observations: Observations, options: CalibrationOptions) -> ParameterLayout:
     """The layout for a recording: which parameters are free, with gauge and redundancy removed by what is known of every arm.
 
     theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i and i+1 are
@@ -94,13 +94,13 @@ def build(observations: Observations, options: Options) -> Layout:
     """
     cell = observations.cell
     blocks = [_chain(cell, options), _hand_eye(observations), _balls(observations, options)]
-    layout = Layout((*blocks, *(_term(t) for t in options.terms)))
+    layout = ParameterLayout((*blocks, *(_term(t) for t in options.terms)))
     for name in options.hold:
         layout = layout.hold(name, "held on request")
     return layout
 
 
-def _chain(cell: Cell, options: Options) -> Block:
+def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     chain, n = cell.robot.chain, cell.robot.n
     names = tuple(f"{p}_{i + 1}" for i in range(n) for p in PARAMETERS)
     why: dict[str, str] = {}
@@ -122,12 +122,12 @@ def _chain(cell: Cell, options: Options) -> Block:
     free = np.array([name not in why for name in names])
     scale = np.tile([PLAUSIBLE[p] for p in PARAMETERS], n)
     units = ("rad", "mm", "mm", "rad", "rad") * n
-    return Block("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
+    return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
 
 
-def _hand_eye(obs: Observations) -> Block:
+def _hand_eye(obs: Observations) -> ParameterBlock:
     names = tuple(f"hand_eye.{c}" for c in HAND_EYE)
-    block = Block("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
+    block = ParameterBlock("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
     if obs.cell.measurement == TARGET_IN_BASE:
         blind = not obs.sees_target_turn
         reason = "only the target's position is measured"
@@ -139,7 +139,7 @@ def _hand_eye(obs: Observations) -> Block:
     return block
 
 
-def _balls(obs: Observations, options: Options) -> Block:
+def _balls(obs: Observations, options: CalibrationOptions) -> ParameterBlock:
     cell = obs.cell
     ids = cell.ball_ids
     names = tuple(f"ball_{b}.{c}" for b in ids for c in "xyz")
@@ -147,12 +147,12 @@ def _balls(obs: Observations, options: Options) -> Block:
     seen = np.isin(np.arange(len(ids)), obs.ball)
     several = np.bincount(cell.ball_artefact, minlength=len(cell.artefacts))[cell.ball_artefact] > 1
     free = seen & several & (sigma > 0) & options.balls
-    return Block("balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3))
+    return ParameterBlock("balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3))
 
 
-def _term(term) -> Block:
+def _term(term) -> ParameterBlock:
     scale = np.where(np.isfinite(term.sigma), term.sigma, 1.0)
-    return Block(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale)
+    return ParameterBlock(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale)
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Estimate:
     state: CellState
     coefficients: tuple[np.ndarray, ...] = ()
 
-    def moved(self, layout: Layout, step: np.ndarray, station_step: np.ndarray) -> Estimate:
+    def moved(self, layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> Estimate:
         """After a step (g,) of the free parameters and (S, 6) local twists of the stations."""
         chain_step, mount_step, ball_step, *term_steps = layout.spread(step)
         state = self.state

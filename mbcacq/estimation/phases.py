@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.errors import CalibrationError, ConfigError
-from mbcacq.estimation.options import Options
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
 
-def select_phases(obs: Observations, options: Options) -> Observations:
+def select_phases(obs: Observations, options: CalibrationOptions) -> Observations:
     """The poses to fit: of the phases asked for, else all but 'verification' where there are others."""
     if obs.phase is None:
         keep = np.ones(obs.n_poses, bool)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.estimation.linearization import Linear, Lineariser
+from mbcacq.estimation.linearization import Lineariser, Linearization
 from mbcacq.estimation.normal_equations import Normal, Prior
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.parameters import Estimate, Layout
+from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.whitening import Whitening
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
@@ -30,7 +30,7 @@ class Solution:
     """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows."""
 
     estimate: Estimate
-    linear: Linear
+    linear: Linearization
     whitening: Whitening
     X: np.ndarray
     normal: Normal
@@ -98,7 +98,7 @@ def damped(normal: Normal, scale: np.ndarray, damping: float) -> np.ndarray:
     return scale * np.linalg.solve(H, scale * normal.gradient)
 
 
-def prior_rows(cell: Cell, layout: Layout, estimate: Estimate, stations: np.ndarray) -> Prior:
+def prior_rows(cell: Cell, layout: ParameterLayout, estimate: Estimate, stations: np.ndarray) -> Prior:
     """Certificates, priors of terms, and the placements that were given, at an estimate."""
     balls = (estimate.state.balls - cell.ball_centres).reshape(-1)
     offsets = [np.zeros(len(layout.blocks[0].names)), np.zeros(6), balls, *estimate.coefficients]

@@ -22,7 +22,7 @@ class Open(BaseModel):
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
-class Robot(Open):
+class ResultRobot(Open):
     name: str
     sign: list[float] = Field(description="sense of each axis, +1 or -1")
     limits: list[tuple[float, float]] | None = Field(None, description="smallest and largest angle of each axis, rad")
@@ -31,7 +31,7 @@ class Robot(Open):
     errors: Rows = Field(description="calibrated minus nominal")
 
 
-class Station(Open):
+class ResultStation(Open):
     id: str
     artefact: str
     T_base_station: Transform
@@ -43,7 +43,7 @@ class Ball(Open):
     centre_mm: tuple[float, float, float]
 
 
-class Parameter(Open):
+class ResultParameter(Open):
     name: str
     value: float
     error: float = Field(description="value minus nominal")
@@ -53,7 +53,7 @@ class Parameter(Open):
     reason: str = ""
 
 
-class Noise(Open):
+class ResultNoise(Open):
     scanner_mm: tuple[float, float, float] = Field(description="sigma of one centre along x, y, z of the scanner")
     joint_rad: list[float] = Field(description="repeatability of each axis")
 
@@ -67,25 +67,25 @@ class Fit(Open):
     rank: int
 
 
-class Result(Open):
+class ResultFile(Open):
     """Result of a calibration. Lengths mm, angles rad; T_outer_inner are 4 x 4 row lists that act on column vectors."""
 
     format: Literal["mbcacq-result/1"]
     method: str
-    robot: Robot
+    robot: ResultRobot
     T_flange_scanner: Transform
-    stations: list[Station]
+    stations: list[ResultStation]
     balls: list[Ball]
-    parameters: list[Parameter]
+    parameters: list[ResultParameter]
     names: list[str] = Field(description="free parameters, in the order of the covariance")
     covariance: list[list[float]] = Field(description="hand_eye entries are a local twist (scanner frame) behind T_flange_scanner")
-    noise: Noise
+    noise: ResultNoise
     fit: Fit
 
 
 def result_schema() -> dict[str, Any]:
     """JSON Schema (2020-12) of result.json."""
-    schema = Result.model_json_schema()
+    schema = ResultFile.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "mbcacq-result/1"}
 
 
@@ -104,7 +104,7 @@ def load_result(path: str | Path) -> dict[str, Any]:
     if not isinstance(data, dict) or data.get("format") != "mbcacq-result/1":
         raise ConfigError(f"{file}: is not a calibration result of format 'mbcacq-result/1'; give the one that mbcacq calibrate writes")
     try:
-        Result.model_validate(data)
+        ResultFile.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(p) for p in first["loc"])

@@ -20,7 +20,7 @@ ROUNDING = np.radians(1e-3)   # a controller prints that much more than its limi
 
 
 @dataclass(frozen=True)
-class Placement:
+class ScanPlacement:
     """T_base_scanner (4, 4) mm. The sigmas are (3,) mm along the base axes at the middle of the scan, k = 1: of the calibrated
     parameters, of the joints' repeatability, and both together; worst_mm: the largest 3D one over the scan. The base is where the
     held parameters (theta_1, d_1) put it; noise of the scanner's single points is not in it.
@@ -34,7 +34,7 @@ class Placement:
     worst_mm: float
 
 
-def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, Placement]:
+def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ScanPlacement]:
     """Points (N, 3) mm in the scanner frame, seen from joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
 
     Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result tells them), or a damaged result.
@@ -56,7 +56,7 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     known, joints = base_covariance(result, state.chain, state.T_flange_scanner, q, places)
     total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
     sigma = [np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints)]
-    return out, Placement(T, *sigma, float(total[0]), float(total.max()))
+    return out, ScanPlacement(T, *sigma, float(total[0]), float(total.max()))
 
 
 def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
-from mbcacq.plan.findings import Finding, finding
+from mbcacq.plan.findings import PlanFinding, finding
 from mbcacq.plan.occlusion import check_sight
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
@@ -20,7 +20,7 @@ NEAR_AXIS_MM = 30.0
 SAME = np.radians(0.01)
 
 
-def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[Finding]:
+def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[PlanFinding]:
     """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises.
 
     routes: of ``find_paths``, where they are known already."""
@@ -36,14 +36,14 @@ def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
         raise ConfigError(f"{errors[0]}{more}")
 
 
-def check_reach(loaded: LoadedPlan) -> Iterator[Finding]:
+def check_reach(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """Targets that no joint position reaches."""
     for target in expand_reachable(loaded)[1]:
         place, sentence = unreachable_sentence(loaded, target).split(": ", 1)
-        yield Finding("error", "reach", loaded.plan.steps[target.step].name, place, sentence)
+        yield PlanFinding("error", "reach", loaded.plan.steps[target.step].name, place, sentence)
 
 
-def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """Limits and their margin, wrist, elbow and shoulder singularities."""
     robot = loaded.cell.robot
     for pose in poses:
@@ -76,20 +76,20 @@ def _singularities(robot, q: np.ndarray) -> Iterator[tuple[str, str]]:
         yield "shoulder-singular", "the wrist stands above axis A1: small moves sideways turn the whole arm"
 
 
-def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """Distances at the poses and at home."""
     clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
     near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
     if near.distance < needed:
         place = f"{loaded.path}:{loaded.lines.get(('robot', 'home_deg'), 1)}"
-        yield Finding("error", "collision", "", place, f"at home {_touch(near)}; choose another home position")
+        yield PlanFinding("error", "collision", "", place, f"at home {_touch(near)}; choose another home position")
     for pose in poses:
         near = clearance.at(pose.q, pose.station)
         if near.distance < needed:
             yield finding(loaded, pose, "error", "collision", f"at pose {pose.number} {_touch(near)}; change the view, or move the station")
 
 
-def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[Finding]:
+def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[PlanFinding]:
     """Poses to which no free way was found; those that collide by themselves are said elsewhere."""
     _, obstructed = find_paths(loaded, poses) if routes is None else routes
     if not obstructed:
@@ -102,10 +102,10 @@ def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes 
         if pose.number in spoiled or (before is not None and before.number in spoiled):
             continue
         sentence = obstructed_sentence(loaded, poses, blocked).split(": ", 1)[1]
-        yield Finding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))
+        yield PlanFinding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))
 
 
-def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """The same joint position twice at a station tells little more than once."""
     seen: list[tuple[str, np.ndarray]] = []
     for pose in poses:
@@ -114,7 +114,7 @@ def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterat
         seen.append((pose.station, pose.q))
 
 
-def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """A station stands for one place of the artefact. Put back by hand, it stands elsewhere by more than the arm's repeatability."""
     if loaded.plan.positioner.driver != "manual":
         return

@@ -11,7 +11,7 @@ Level = Literal["error", "warning", "info"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class PlanFinding:
     """level: 'error' keeps the plan from being run. code: stable name for programs. place: 'file:line'. poses: numbers concerned."""
 
     level: Level
@@ -28,27 +28,27 @@ class Finding:
         return {**asdict(self), "poses": list(self.poses)}
 
 
-def finding(loaded: LoadedPlan, pose: PlannedPose, level: Level, code: str, sentence: str) -> Finding:
+def finding(loaded: LoadedPlan, pose: PlannedPose, level: Level, code: str, sentence: str) -> PlanFinding:
     """About one pose, named by its step and station."""
     where = f"step '{pose.step_name}' at station '{pose.station}': "
-    return Finding(level, code, pose.step_name, f"{loaded.path}:{pose.line}", where + sentence, (pose.number,))
+    return PlanFinding(level, code, pose.step_name, f"{loaded.path}:{pose.line}", where + sentence, (pose.number,))
 
 
-def merged(findings: list[Finding]) -> list[Finding]:
+def merged(findings: list[PlanFinding]) -> list[PlanFinding]:
     """Findings of one kind about one step as one: the first one's sentence, all poses; worst level first, then in the plan's order."""
-    first: dict[tuple[str, str, str], Finding] = {}
+    first: dict[tuple[str, str, str], PlanFinding] = {}
     for finding in findings:
         key = (finding.level, finding.code, finding.step)
         known = first.get(key)
-        first[key] = finding if known is None else Finding(
+        first[key] = finding if known is None else PlanFinding(
             known.level, known.code, known.step, known.place, known.sentence, known.poses + finding.poses)
     order = {"error": 0, "warning": 1, "info": 2}
     return sorted((_with_count(f) for f in first.values()), key=lambda f: order[f.level])
 
 
-def _with_count(finding: Finding) -> Finding:
+def _with_count(finding: PlanFinding) -> PlanFinding:
     more = len(finding.poses) - 1
     if more < 1:
         return finding
     sentence = f"{finding.sentence} (and {more} more pose{'s' if more > 1 else ''} of this step)"
-    return Finding(finding.level, finding.code, finding.step, finding.place, sentence, finding.poses)
+    return PlanFinding(finding.level, finding.code, finding.step, finding.place, sentence, finding.poses)

@@ -17,7 +17,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Leg:
+class MotionSegment:
     """A joint-straight motion from start to end (n,) rad, the artefact at ``station`` (None: at none yet). pose: towards it; None: home."""
 
     start: np.ndarray
@@ -38,25 +38,25 @@ class Swept:
 
 
 def legs(loaded: LoadedPlan, poses: Sequence[PlannedPose], paths: Sequence[Transit], way_home: Sequence[np.ndarray],
-         done: frozenset[int] = frozenset()) -> Iterator[Leg]:
+         done: frozenset[int] = frozenset()) -> Iterator[MotionSegment]:
     """All motions of a run in order, from home to home; ``done`` poses are passed over."""
     at, station = np.radians(loaded.plan.robot.home_deg), None
     for pose, path in zip(poses, paths, strict=True):
         if pose.number in done:
             continue
         for waypoint in path.leave:
-            yield Leg(at, waypoint, station, pose)
+            yield MotionSegment(at, waypoint, station, pose)
             at = waypoint
         station = pose.station
         for waypoint in (*path.approach, pose.q):
-            yield Leg(at, waypoint, station, pose)
+            yield MotionSegment(at, waypoint, station, pose)
             at = waypoint
     for waypoint in way_home:
-        yield Leg(at, waypoint, station, None)
+        yield MotionSegment(at, waypoint, station, None)
         at = waypoint
 
 
-def refuse_unsafe(loaded: LoadedPlan, way: Sequence[Leg]) -> None:
+def refuse_unsafe(loaded: LoadedPlan, way: Sequence[MotionSegment]) -> None:
     """The last look: joint limits, workspace and clearance along every leg. Raises SafetyStop naming the first that fails."""
     limits, clearance = loaded.cell.robot.limits, Clearance(loaded)
     for leg in way:
@@ -72,7 +72,7 @@ def refuse_unsafe(loaded: LoadedPlan, way: Sequence[Leg]) -> None:
                              "or the stations (mbcacq plan check)")
 
 
-def swept(loaded: LoadedPlan, way: Sequence[Leg]) -> Swept:
+def swept(loaded: LoadedPlan, way: Sequence[MotionSegment]) -> Swept:
     """Box and speed of flange and scanner over all legs."""
     robot, fastest = loaded.cell.robot, motion_limits(loaded).speed
     low, high, speed = np.full(3, np.inf), np.full(3, -np.inf), 0.0

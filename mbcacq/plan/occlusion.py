@@ -8,14 +8,14 @@ import numpy as np
 
 from mbcacq.geometry import se3
 from mbcacq.plan.field_of_view import margin
-from mbcacq.plan.findings import Finding, finding
+from mbcacq.plan.findings import PlanFinding, finding
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 
 STEEPEST = np.radians(70.0)     # between the scanner's axis and the artefact's: more, and it looks at the plate's edge
 HIDDEN = 0.6                    # of the sum of two radii: seen closer together than that, the far ball shows too little
 
 
-def check_sight(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[Finding]:
+def check_sight(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     plan, cell = loaded.plan, loaded.cell
     for pose in poses:
         place = next(s for s in cell.stations if s.id == pose.station)

@@ -13,7 +13,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReportVerdict:
     """level: 'pass', 'fail', 'undecided' (within the measurement's uncertainty of the limit) or 'none' (nothing to judge by)."""
 
     level: str
@@ -48,7 +48,7 @@ class Spacing:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ParameterRow:
     """One identified parameter; nominal and value may be None where only the correction is known. held: reason, or None if free."""
 
     group: str
@@ -139,7 +139,7 @@ class Coverage:
 class Content:
     title: str
     subtitle: str
-    verdict: Verdict
+    verdict: ReportVerdict
     instrument: str = "scanner"
     facts: list[tuple[str, str]] = field(default_factory=list)
     fit: list[tuple[str, str]] = field(default_factory=list)
@@ -147,7 +147,7 @@ class Content:
     spacing: Spacing | None = None
     next: Action | None = None
     headlines: list[tuple[str, str, str]] = field(default_factory=list)
-    parameters: list[Parameter] = field(default_factory=list)
+    parameters: list[ParameterRow] = field(default_factory=list)
     hand_eye: np.ndarray | None = None
     residuals: Residuals | None = None
     noise: list[tuple[str, str]] = field(default_factory=list)

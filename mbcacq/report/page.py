@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.errors import RecordingError
 from mbcacq.report.content import Content
-from mbcacq.report.sources.diagnosis_content import Told
+from mbcacq.report.sources.diagnosis_content import DiagnosisContent
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import readable
 
@@ -28,7 +28,7 @@ def render(content: Content) -> str:
                      held=held(content), d=content.diagnosis)
 
 
-def render_diagnosis(told: Told, title: str) -> str:
+def render_diagnosis(told: DiagnosisContent, title: str) -> str:
     """HTML of a diagnosis by itself."""
     return _template("diagnosis_page.html.j2", d=told, title=title, figures=_of_diagnosis(told))
 
@@ -118,7 +118,7 @@ def _of_devices(content: Content) -> dict[str, Any]:
     return out
 
 
-def _of_diagnosis(told: Told) -> dict[str, Any]:
+def _of_diagnosis(told: DiagnosisContent) -> dict[str, Any]:
     from mbcacq.report.charts import diagnosis_charts
 
     figures: dict[str, Any] = {} if told.map is None else {"map": diagnosis_charts.heat_map(told)}

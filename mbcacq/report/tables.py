@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from mbcacq.report.content import Content, Parameter
+from mbcacq.report.content import Content, ParameterRow
 
 MDH = {"theta": "θ / deg", "d": "d / mm", "a": "a / mm", "alpha": "α / deg", "beta": "β / deg"}
 _KINEMATIC = re.compile(r"(theta|d|a|alpha|beta)_(\d+)")
@@ -19,7 +19,7 @@ class Matrix:
     title: str
     corner: str
     heads: list[str]
-    rows: list[tuple[str, list[Parameter | None]]]
+    rows: list[tuple[str, list[ParameterRow | None]]]
     digits: list[int]
     scale: float = 1.0
     note: str = ""
@@ -39,7 +39,7 @@ def matrices(content: Content) -> list[Matrix]:
     return out
 
 
-def groups(content: Content) -> list[tuple[str, list[Parameter]]]:
+def groups(content: Content) -> list[tuple[str, list[ParameterRow]]]:
     """Free parameters that are in no matrix, by their group, in the order in which they come."""
     rest = [p for p in content.parameters if p.held is None and not _KINEMATIC.fullmatch(p.name) and not _BALL.fullmatch(p.name)]
     return [(name, [p for p in rest if p.group == name]) for name in dict.fromkeys(p.group for p in rest)]
@@ -51,8 +51,8 @@ def held(content: Content) -> list[tuple[str, list[str]]]:
     return [(reason, [p.label for p in content.parameters if p.held == reason]) for reason in reasons]
 
 
-def _table(parameters: list[Parameter], pattern: re.Pattern, place, columns: list[str]) -> list[tuple[str, list[Parameter | None]]]:
-    rows: dict[str, dict[str, Parameter]] = {}
+def _table(parameters: list[ParameterRow], pattern: re.Pattern, place, columns: list[str]) -> list[tuple[str, list[ParameterRow | None]]]:
+    rows: dict[str, dict[str, ParameterRow]] = {}
     for p in parameters:
         if match := pattern.fullmatch(p.name):
             row, column = place(match)

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.report.content import Action, Spacing, Verdict
+from mbcacq.report.content import Action, ReportVerdict, Spacing
 
 SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
 
 
-def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> Verdict:
+def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> ReportVerdict:
     """certificate: standard uncertainty (mm) of a certified distance."""
     fit = result["fit"]
     if spacing is None:
-        return Verdict(
+        return ReportVerdict(
             "none",
             "Calibrated, not verified",
             f"No verification artefact was measured. What the calibration leaves on its own poses: {fit['rms_mm']:.4f} mm rms.",
@@ -27,14 +27,14 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: 
         f"largest {after.max():.3f} mm at place {spacing.place[int(after.argmax())]}"
     )
     if spacing.limit is None:
-        return Verdict("none", "Calibrated and verified", f"{told}. The plan sets no limit.")
+        return ReportVerdict("none", "Calibrated and verified", f"{told}. The plan sets no limit.")
     U = 2 * certificate
     against = f"{told}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified distance {U:.4f} mm (k = 2)."
     if after.max() + U <= spacing.limit:
-        return Verdict("pass", "Passed: every place is within the limit", against)
+        return ReportVerdict("pass", "Passed: every place is within the limit", against)
     if after.max() - U > spacing.limit:
-        return Verdict("fail", "Not passed: the limit is exceeded", against)
-    return Verdict("undecided", "Neither proven nor disproven: within the uncertainty of the limit", against)
+        return ReportVerdict("fail", "Not passed: the limit is exceeded", against)
+    return ReportVerdict("undecided", "Neither proven nor disproven: within the uncertainty of the limit", against)
 
 
 def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -52,7 +52,7 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[
 
 
 def next_action(
-    verdict: Verdict, spacing: Spacing | None, result: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, name: str
+    verdict: ReportVerdict, spacing: Spacing | None, result: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, name: str
 ) -> Action:
     """name: of the run folder or the data, for the commands."""
     factor = max(result["noise"].get("check_factor") or [0.0])
@@ -91,7 +91,7 @@ def next_action(
     return Action("Put the result to use", "Write it for the controller, for ROS or as tables.", f"mbcacq export {name} --results DIR")
 
 
-def _after_diagnosis(diagnosis: Mapping[str, Any], verdict: Verdict) -> Action:
+def _after_diagnosis(diagnosis: Mapping[str, Any], verdict: ReportVerdict) -> Action:
     effects = diagnosis.get("effects") or []
     if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == "unknown":
         first = (diagnosis.get("mismatch") or [{"at": "the arm", "depends_on": "something not recorded"}])[0]

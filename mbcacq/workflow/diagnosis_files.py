@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from mbcacq.diagnosis.output.figures import Evidence, pictures
+from mbcacq.diagnosis.output.figures import PlotData, pictures
 from mbcacq.diagnosis.output.text import words
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import RecordingError
@@ -16,7 +16,7 @@ from mbcacq.report import write_diagnosis_page
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
 
-def write_html(diagnosis: Diagnosis, evidence: Evidence, path: Path) -> None:
+def write_html(diagnosis: Diagnosis, evidence: PlotData, path: Path) -> None:
     """The diagnosis as a page of its own, one self-contained file."""
 
     write_diagnosis_page(diagnosis.as_json(), pictures(diagnosis), path)

@@ -186,7 +186,7 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     its poses leave open is held, and the standard deviations tell the rest.
     Returns the result as written, with 'files' naming all of them. limit_mm: the plan's limit of the sphere spacing error.
     """
-    from mbcacq.calibration import Options, calibrate, verify
+    from mbcacq.calibration import CalibrationOptions, calibrate, verify
     from mbcacq.calibration.accuracy_map import accuracy_map
     from mbcacq.recording import find_gaps, load, log_result
     from mbcacq.recording.datasets.csvfile import write_text
@@ -194,7 +194,7 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     from mbcacq.report import everything_about, report_from_result
 
     observations = load(run)
-    calibration = calibrate(observations, Options(refuse="position" in observations.phase))
+    calibration = calibrate(observations, CalibrationOptions(refuse="position" in observations.phase))
     result = calibration.to_dict() | {
         "verification": verify(observations, calibration, limit_mm=limit_mm).to_dict(),
         "accuracy_map": accuracy_map(calibration).to_dict(), "gaps": find_gaps(run),

@@ -9,7 +9,7 @@ import pytest
 from cells import measure, scanner_cell
 from click.testing import CliRunner
 
-from mbcacq.calibration import Options, calibrate
+from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.compare_methods import compare
 from mbcacq.calibration.methods import RIVALS
 from mbcacq.errors import CalibrationError
@@ -115,7 +115,7 @@ def test_one_posture_a_station_is_nothing_to_compare(cell, recording):
         calibrate(obs)
     for pairs in ("one", "four", "all"):
         with pytest.raises(CalibrationError, match="first hand-eye transform|one axis"):
-            calibrate(obs, Options(method="paper", pairs=pairs))
+            calibrate(obs, CalibrationOptions(method="paper", pairs=pairs))
 
 
 @pytest.mark.parametrize("recording", [no_translations, balls_on_one_line], ids=lambda f: f.__name__)

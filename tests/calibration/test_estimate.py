@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import iiwa, measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration import Options, calibrate, state_from_dict, verify
+from mbcacq.calibration import CalibrationOptions, calibrate, state_from_dict, verify
 from mbcacq.estimation.terms import Part, term
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
@@ -21,7 +21,7 @@ def cell():
 
 def test_truth_is_recovered_without_noise():
     cell = scanner_cell(np.random.default_rng(1), noise=(1e-6, 1e-6, 1e-6), joint_rad=1e-9, stated=False)
-    found = calibrate(cell.observations, Options(balls=False))
+    found = calibrate(cell.observations, CalibrationOptions(balls=False))
     np.testing.assert_allclose(found.errors, cell.errors, atol=2e-4)
     np.testing.assert_allclose(found.state.T_flange_scanner, cell.truth.T_flange_scanner, atol=1e-4)
     np.testing.assert_allclose(found.state.T_base_station, cell.truth.T_base_station, atol=2e-3)
@@ -29,7 +29,7 @@ def test_truth_is_recovered_without_noise():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("options", [Options(), Options(method="paper", pairs="all")], ids=["ml", "paper"])
+@pytest.mark.parametrize("options", [CalibrationOptions(), CalibrationOptions(method="paper", pairs="all")], ids=["ml", "paper"])
 def test_data_without_any_noise_give_no_negative_variance(options):
     """The information then spans more digits than a double has; what is stated for the noise ends at 10 nm and 1 nrad."""
     cell = scanner_cell(np.random.default_rng(1), noise=(0, 0, 0), joint_rad=0, preliminary=True)
@@ -90,7 +90,7 @@ def test_a_stated_noise_that_is_wrong_shows_in_the_check_factor():
 
 def test_seven_axes():
     cell = scanner_cell(np.random.default_rng(6), chain=iiwa(), stations=10, per_station=6, noise=(1e-5,) * 3, joint_rad=1e-8, stated=False)
-    found = calibrate(cell.observations, Options(balls=False))
+    found = calibrate(cell.observations, CalibrationOptions(balls=False))
     np.testing.assert_allclose(found.errors, cell.errors, atol=1e-3)
 
 
@@ -155,7 +155,7 @@ def test_effects_are_estimated_with_everything_else(cell):
     bent = replace(obs, q=obs.q / (1 + np.array([0, 1e-3, 0, 0, 0, 0])))
     used = bent.phase != "verification"
     scale = replace(scale, parts=tuple(replace(p, basis=(bent.q[used, 1:2] if p.index == 1 else np.zeros((used.sum(), 1)))) for p in scale.parts))
-    found = calibrate(bent, Options(terms=(scale,)))
+    found = calibrate(bent, CalibrationOptions(terms=(scale,)))
     std = np.sqrt(found.covariance[-1, -1])
     assert found.names[-1] == "scale"
     assert found.coefficients[0][0] == pytest.approx(1e-3, abs=4 * std)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration import Options, calibrate
+from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.errors import CalibrationError, ConfigError
 
 
@@ -76,7 +76,7 @@ def test_all_poses_at_one_station_are_refused(cell):
     obs = cell.observations
     with pytest.raises(CalibrationError, match="all poses are at one station"):
         calibrate(obs.select(obs.station == 0))
-    hand_eye = calibrate(obs.select(obs.station == 0), Options(kinematics=False))
+    hand_eye = calibrate(obs.select(obs.station == 0), CalibrationOptions(kinematics=False))
     assert np.linalg.norm(hand_eye.state.T_flange_scanner[:3, 3] - obs.cell.T_flange_scanner[:3, 3]) < 10
 
 
@@ -101,9 +101,9 @@ def test_too_few_measurements_are_refused(cell):
     with pytest.raises(CalibrationError, match="18 coordinates for 30 unknowns"):
         calibrate(tracker_cell(np.random.default_rng(6), poses=6).observations)
     with pytest.raises(CalibrationError):
-        calibrate(obs.select(np.isin(np.arange(obs.n_poses), [0, 1])), Options())
+        calibrate(obs.select(np.isin(np.arange(obs.n_poses), [0, 1])), CalibrationOptions())
     with pytest.raises(ConfigError, match="no pose of phase translation"):
-        calibrate(obs, Options(phases=("translation",)))
+        calibrate(obs, CalibrationOptions(phases=("translation",)))
 
 
 def test_contradictory_data_are_refused(cell):
@@ -116,9 +116,9 @@ def test_contradictory_data_are_refused(cell):
 
 def test_unknown_names_are_refused(cell):
     with pytest.raises(ConfigError, match="no parameter 'd_9'"):
-        calibrate(cell.observations, Options(hold=("d_9",)))
+        calibrate(cell.observations, CalibrationOptions(hold=("d_9",)))
     with pytest.raises(ConfigError, match="no calibration method"):
-        Options(method="magic")
+        CalibrationOptions(method="magic")
 
 
 def test_an_absurd_coordinate_is_refused_in_one_sentence(tmp_path):
@@ -144,8 +144,8 @@ def test_parameters_that_run_away_are_named():
     nominal = Chain(*np.ones((6, 6)))
     errors = np.zeros((6, 5))
     errors[3, 4] = np.radians(0.5)
-    refuse_runaway(nominal.with_errors(errors), nominal, Options())
+    refuse_runaway(nominal.with_errors(errors), nominal, CalibrationOptions())
     errors[1, 2] = -7.0
     with pytest.raises(CalibrationError, match="a_2"):
-        refuse_runaway(nominal.with_errors(errors), nominal, Options())
-    refuse_runaway(nominal.with_errors(errors), nominal, Options(refuse=False))
+        refuse_runaway(nominal.with_errors(errors), nominal, CalibrationOptions())
+    refuse_runaway(nominal.with_errors(errors), nominal, CalibrationOptions(refuse=False))

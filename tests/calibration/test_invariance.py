@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from cells import MBC, scanner_cell, tracker_cell
 
-from mbcacq.calibration import Options, calibrate
+from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 
-METHODS = [Options(), Options(method="paper", pairs="four", refuse=False)]
+METHODS = [CalibrationOptions(), CalibrationOptions(method="paper", pairs="four", refuse=False)]
 IDS = ["ml", "paper"]
 
 

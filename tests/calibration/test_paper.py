@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import HAND_EYE, MBC, measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration import Options, calibrate, verify
+from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.calibration.staged import angle_adjustment, distance_constraint, hand_eye, method
 from mbcacq.calibration.staged.error_propagation import scanner_noise
 from mbcacq.calibration.uncertainty import distance_uncertainty
@@ -109,7 +109,7 @@ def test_distances_of_one_scan_are_left_out():
 def test_distance_constraint_identifies_arm_and_hand_eye_without_noise():
     cell = scanner_cell(np.random.default_rng(33), stations=8, per_station=6, noise=(0, 0, 0), joint_rad=0)
     obs = cell.observations
-    free = np.concatenate([b.free for b in method.published_layout(obs, Options()).blocks[:2]])
+    free = np.concatenate([b.free for b in method.published_layout(obs, CalibrationOptions()).blocks[:2]])
     free &= ~np.isin(np.arange(36), [0, 1, 25, 26, 27, 28, 29])  # theta_1, d_1 and the last link, so that the answer is unique
     at = distance_constraint.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
     found = distance_constraint.identify(obs.cell.robot.chain, HAND_EYE, obs.q, obs.pose, obs.xyz, at, free)
@@ -119,7 +119,7 @@ def test_distance_constraint_identifies_arm_and_hand_eye_without_noise():
 
 def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(cell):
     obs = cell.observations
-    published, ours = calibrate(obs, Options(method="paper", pairs="four")), calibrate(obs)
+    published, ours = calibrate(obs, CalibrationOptions(method="paper", pairs="four")), calibrate(obs)
     theirs = verify(obs, published).to_dict()
     assert theirs["after"]["mean_mm"] < theirs["before"]["mean_mm"]
     assert verify(obs, ours).to_dict()["after"]["mean_mm"] < 0.5 * theirs["after"]["mean_mm"]
@@ -134,7 +134,7 @@ def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(c
 
 def test_one_pair_of_balls_is_what_is_printed(cell):
     """64 poses at eight places: 8 x 8 x 7 / 2 pairs of poses, each with ball a in one and b in the other, both ways: 448 distances of one length."""
-    found = {how: calibrate(cell.observations, Options(method="paper", pairs=how)) for how in ("one", "four", "all")}
+    found = {how: calibrate(cell.observations, CalibrationOptions(method="paper", pairs=how)) for how in ("one", "four", "all")}
     assert [c.extra["stages"][-1]["distances"] for c in found.values()] == [448, 6 * 448, 28 * 448]
     obs = cell.observations.select(cell.observations.phase == "position")
     at = method.constraint(obs, "one")
@@ -155,7 +155,7 @@ def test_stated_uncertainty_is_the_scatter_of_repetitions(how, draws):
     exact = measure(ends, cell.truth, rng, (0, 0, 0), 0)
     ratio = []
     for _ in range(draws):
-        found = calibrate(measure(used, cell.truth, rng, (0.005, 0.005, 0.009), 8e-6), Options(method="paper", pairs=how, refuse=False))
+        found = calibrate(measure(used, cell.truth, rng, (0.005, 0.005, 0.009), 8e-6), CalibrationOptions(method="paper", pairs=how, refuse=False))
         places = verify(exact, found.state).places
         a, b = (np.array([np.flatnonzero((exact.station[exact.pose] == s) & (exact.ball == ball))[0] for s in range(8, 12)]) for ball in (8, 9))
         sigma = distance_uncertainty(found, exact.q[exact.pose[a]], exact.xyz[a], exact.q[exact.pose[b]], exact.xyz[b])
@@ -165,14 +165,14 @@ def test_stated_uncertainty_is_the_scatter_of_repetitions(how, draws):
 
 def test_scanner_noise_is_read_off_the_shape_of_the_scans(cell):
     np.testing.assert_allclose(scanner_noise(cell.observations), [0.005, 0.005, 0.009], rtol=0.05)
-    noise = calibrate(cell.observations, Options(method="paper", pairs="all")).noise
+    noise = calibrate(cell.observations, CalibrationOptions(method="paper", pairs="all")).noise
     np.testing.assert_allclose(noise.joint, 8e-6, rtol=0.4)
 
 
 def test_refusals(cell):
     with pytest.raises(CalibrationError, match="scanner on the flange"):
-        calibrate(tracker_cell(np.random.default_rng(1)).observations, Options(method="paper"))
+        calibrate(tracker_cell(np.random.default_rng(1)).observations, CalibrationOptions(method="paper"))
     obs = cell.observations
     two = obs.ball < 2
     with pytest.raises(CalibrationError, match="needs four balls"):
-        calibrate(replace(obs, pose=obs.pose[two], ball=obs.ball[two], xyz=obs.xyz[two]), Options(method="paper"))
+        calibrate(replace(obs, pose=obs.pose[two], ball=obs.ball[two], xyz=obs.xyz[two]), CalibrationOptions(method="paper"))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mbcacq.calibration import Options, calibrate
+from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.cross_validation import held_out
 from mbcacq.calibration.uncertainty import point_covariance, to_base
 from mbcacq.cli.app import app
@@ -98,4 +98,4 @@ def test_one_station_cannot_be_left_out():
     with pytest.raises(Exception, match="one station only"):
         held_out(load(DATA / "ur5-tracker"), split="station")
     with pytest.raises(ConfigError, match="no held-out split"):
-        held_out(load(DATA / "ur5-tracker"), Options(), "half")
+        held_out(load(DATA / "ur5-tracker"), CalibrationOptions(), "half")

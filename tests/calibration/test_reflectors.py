@@ -9,7 +9,7 @@ from cells import measure, tracker_cell
 from mbcacq.calibration import calibrate
 from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import Options
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact
 
@@ -48,7 +48,7 @@ def test_turn_of_the_target_and_place_of_the_reflectors_are_recovered():
 @pytest.mark.parametrize("orientation", [False, True])
 def test_columns_are_derivatives_of_what_is_seen(orientation):
     obs, truth = three_reflectors(np.random.default_rng(5), orientation, poses=12)
-    options = Options()
+    options = CalibrationOptions()
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at, still = parameters.Estimate(truth), np.zeros((1, 6))

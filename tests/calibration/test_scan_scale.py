@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration import Options, calibrate, verify
+from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.cli import tables
 from mbcacq.estimation.scan_scale import scan_scale
 
@@ -23,7 +23,7 @@ def cell():
 @pytest.mark.parametrize("method", ["ml", "paper"])
 def test_a_scale_of_the_scanner_is_told_and_warned_of(cell, method):
     """536 ppm leave the bar of 500 mm about 0.27 mm long, although each bar end is measured in the middle of the view."""
-    options = Options(method=method, pairs="all", refuse=method == "ml")
+    options = CalibrationOptions(method=method, pairs="all", refuse=method == "ml")
     right, wrong = calibrate(cell.observations, options), calibrate(grown(cell.observations, 536), options)
     said, silent = wrong.to_dict()["scan_scale"], right.to_dict()["scan_scale"]
     assert said["ppm"] - silent["ppm"] == pytest.approx(536, abs=2)

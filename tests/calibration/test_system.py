@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cells import iiwa, scanner_cell, tracker_cell
 
-from mbcacq.calibration import Noise, Options
+from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.parameters import Estimate
@@ -29,7 +29,7 @@ def test_columns_of_every_parameter_are_derivatives(kind):
     cell = simulated(kind, rng)
     obs = cell.observations
     effect = term("effect", [Part("joint", 1, 0, rng.normal(size=(obs.n_poses, 2)))])
-    options = Options(terms=(effect,))
+    options = CalibrationOptions(terms=(effect,))
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at = Estimate(cell.truth, (np.zeros(2),))
@@ -55,7 +55,7 @@ def test_whitening_is_the_inverse_covariance_of_each_pose(kind):
     rng = np.random.default_rng(2)
     cell = simulated(kind, rng)
     obs = cell.observations
-    options = Options()
+    options = CalibrationOptions()
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.array([0.01, 0.02, 0.03]), rng.uniform(1e-5, 1e-4, obs.cell.robot.n), 2e-4)
     weights = Weights(rng.uniform(0.5, 1, obs.n_centres), rng.uniform(0.5, 1, obs.n_poses))
@@ -79,7 +79,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     cell = simulated(kind, rng)
     obs = cell.observations
     # Few poses: a handful of parameters, so that the dense system is regular.
-    options = Options(kinematics=False)
+    options = CalibrationOptions(kinematics=False)
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     noise = Noise(np.array([0.01, 0.02, 0.03]), np.full(obs.cell.robot.n, 1e-5), 1e-4)
@@ -106,7 +106,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
 
 def test_redundant_parameters_are_held_by_name():
     rng = np.random.default_rng(4)
-    layout = parameters.build(scanner_cell(rng, stations=1, per_station=2).observations, Options(balls=False))
+    layout = parameters.build(scanner_cell(rng, stations=1, per_station=2).observations, CalibrationOptions(balls=False))
     assert layout.names == ("a_1", "alpha_1", "theta_2", "a_2", "alpha_2", "beta_2", "theta_3", "d_3", "a_3", "alpha_3", "theta_4", "d_4", "a_4",
                             "alpha_4", "theta_5", "d_5", "a_5", "alpha_5", *(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")))
     assert {"theta_1", "d_1", "d_2", "beta_3", "theta_6", "beta_6"} <= set(layout.held)

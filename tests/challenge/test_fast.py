@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.run import Challenger
-from mbcacq.challenge.scenarios import Envelope
+from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.strength import Gauge
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load
@@ -34,14 +34,14 @@ def quick():
 
 
 def test_strength_is_chosen_for_the_wanted_excess(challenger):
-    envelope = Envelope(0, "joint_scale", 11, ("joint_scale",), 12, excess=2.0)
+    envelope = Scenario(0, "joint_scale", 11, ("joint_scale",), 12, excess=2.0)
     concealed = challenger.gauge.conceal(envelope)
     gain = challenger.gauge.gain(envelope, concealed)
     assert gain == pytest.approx(2.0 * challenger.gauge.screen.dof, rel=0.01)
 
 
 def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
-    envelope = Envelope(0, "ball_shift", 11, ("ball_shift",), 12, excess=2.0)
+    envelope = Scenario(0, "ball_shift", 11, ("ball_shift",), 12, excess=2.0)
     outcome = replace(challenger, folder=tmp_path).take(envelope)
     s = outcome.score
     assert s.counts
@@ -58,7 +58,7 @@ def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
 
 
 def test_the_recording_lacks_what_was_not_recorded(challenger):
-    envelope = Envelope(0, "none", 1, (), 1, 0.0, missing=("time_s", "direction", "temperature"))
+    envelope = Scenario(0, "none", 1, (), 1, 0.0, missing=("time_s", "direction", "temperature"))
     observations, truth = simulated_cells.observe(challenger.loaded, challenger.poses, envelope, [])
     assert observations.time_s is None
     assert observations.direction is None
@@ -67,7 +67,7 @@ def test_the_recording_lacks_what_was_not_recorded(challenger):
 
 
 def test_the_twin_of_the_nominal_cell_is_what_the_nominal_model_predicts(tmp_path):
-    from mbcacq.calibration import Options, calibrate
+    from mbcacq.calibration import CalibrationOptions, calibrate
     from mbcacq.cli.simulate import command
     from mbcacq.recording import load
 
@@ -75,7 +75,7 @@ def test_the_twin_of_the_nominal_cell_is_what_the_nominal_model_predicts(tmp_pat
     assert result.exit_code == 0
     observations = load(tmp_path / "twin")
     assert all(s.T_base_station is None for s in observations.cell.stations)
-    found = calibrate(observations, Options(kinematics=False))
+    found = calibrate(observations, CalibrationOptions(kinematics=False))
     np.testing.assert_allclose(found.state.T_flange_scanner, observations.cell.T_flange_scanner, atol=1e-6)
     assert found.rms_mm < 1e-6
     again = CliRunner().invoke(command, [str(PLANS / "quick.yaml"), "--out", str(tmp_path / "twin")])
@@ -94,10 +94,10 @@ def test_noise_scatters_the_twin_by_what_the_plan_states(quick):
 
 def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
     loaded, poses = quick
-    observations, truth = simulated_cells.observe(loaded, poses, Envelope(0, "none", 21, (), 1, 0.0), [])
-    from mbcacq.calibration import Options, calibrate
+    observations, truth = simulated_cells.observe(loaded, poses, Scenario(0, "none", 21, (), 1, 0.0), [])
+    from mbcacq.calibration import CalibrationOptions, calibrate
 
-    cell = calibrate(observations, Options(kinematics=False))
+    cell = calibrate(observations, CalibrationOptions(kinematics=False))
     twin = simulate(loaded, poses, cell.to_dict())
     nominal = simulate(loaded, poses)
     seen = {(int(observations.pose_id[p]), int(b)): x for p, b, x in zip(observations.pose, observations.ball, observations.xyz, strict=True)}

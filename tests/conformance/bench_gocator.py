@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 from mbcacq_fakes.protocols.gocator import FakeGocator
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted
 
 
-def tilted_plane() -> Frame:
+def tilted_plane() -> ScannerFrame:
     y, x = np.mgrid[:12, :20].astype(np.float32)
     xyz = np.stack([x * 0.5 - 4, y * 0.5 - 3, 200 + 0.1 * x - 0.05 * y], axis=2)
     xyz[3:6, 7:11] = np.nan
-    return Frame(xyz, (10 * y + x).astype(np.uint8))
+    return ScannerFrame(xyz, (10 * y + x).astype(np.uint8))
 
 
 @contextmanager
@@ -27,9 +27,9 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
     plane, asked = tilted_plane(), []
     note = trace.note if trace else (lambda *_: None)
 
-    def source(exposure_us: float) -> Frame:
+    def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
-        return Frame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
+        return ScannerFrame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
 
     with ExitStack() as stack:
         sensor = stack.enter_context(FakeGocator(source, health_period_s=0.1))

@@ -11,7 +11,7 @@ import pytest
 from bench_bus import serial_sensor
 from mbcacq_bus.serial import SerialSensor
 
-from mbcacq.conformance import CHECKS, Bench, Channel, Fault, Hang, PtyProxy, TcpProxy, UdpProxy, bounded, check, counted, ended
+from mbcacq.conformance import CHECKS, Channel, Fault, Hang, PtyProxy, TcpProxy, TestStand, UdpProxy, bounded, check, counted, ended
 from mbcacq.devices import DeviceTimeout, MbcacqError
 
 BY_NAME = {each.__name__: each for each in CHECKS}
@@ -108,7 +108,7 @@ def test_a_bad_driver_is_caught(driver, name, words):
                     SerialSensor.stop(sensor)
                     SerialSensor.close(sensor)
 
-    result = check(Bench("bad", "sensor", stand, limit_s=2.0), BY_NAME[name])
+    result = check(TestStand("bad", "sensor", stand, limit_s=2.0), BY_NAME[name])
     assert result.status == "failed"
     assert re.search(words, result.detail), result.detail
 

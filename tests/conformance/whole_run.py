@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mbcacq.conformance import Case, Channel, Proxy, TcpProxy, UdpProxy, Verdict, bounded, counted
+from mbcacq.conformance import Case, Channel, InjectionVerdict, Proxy, TcpProxy, UdpProxy, bounded, counted
 from mbcacq.conformance.bounded import Hang, eventually, sentence
 from mbcacq.conformance.injection import NAMED, RECOVERED, UNREACHED
 from mbcacq.devices import MbcacqError, load_driver
@@ -78,11 +78,11 @@ class WholeRun:
     def close(self) -> None:
         shutil.rmtree(self._folder)
 
-    def inject(self, case: Case) -> Verdict:
+    def inject(self, case: Case) -> InjectionVerdict:
         began = time.monotonic()
 
-        def verdict(result: str, detail: str = "") -> Verdict:
-            return Verdict(case, result, detail, time.monotonic() - began)
+        def verdict(result: str, detail: str = "") -> InjectionVerdict:
+            return InjectionVerdict(case, result, detail, time.monotonic() - began)
 
         name, error = "run", None
         shutil.rmtree(self._folder / name, ignore_errors=True)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from mbcacq.effects import catalogue
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Displacements
 from mbcacq.estimation.terms import accumulate, term
@@ -121,7 +121,7 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
                       start.T_base_station, obs.cell.ball_centres + rng.normal(0, 0.001, (len(obs.cell.ball_ids), 3)))
     if obs.cell.measurement == "artefact_in_scanner":
         state = replace(state, T_base_station=start.T_base_station)
-    situation = Situation(obs, state, forward_model.predict(obs, state))
+    situation = Context(obs, state, forward_model.predict(obs, state))
     terms, values, moved = [], [], Displacements()
     for effect in effects:
         if callable(effect):

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.search.beam_search import Search
-from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NOTHING
 from mbcacq.diagnosis.search.projected_solve import solve_blocks, two
 
@@ -18,7 +18,7 @@ def setup(plan):
 
 @pytest.mark.parametrize("members", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
 def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
-    screen = Screen(setup.linear, setup.first)
+    screen = CandidateScoring(setup.linear, setup.first)
     chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in members]
     here = screen.adopted([(screen.block(c, None), np.zeros(c.k)) for c in chosen])
 
@@ -32,8 +32,8 @@ def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
 
 def test_a_candidate_is_looked_at_only_where_it_could_pay(setup):
     """The filter leaves out what cannot pay, and nothing else: without it the best are the same."""
-    screen = Screen(setup.linear, setup.first)
-    search = Search(setup.candidates)
+    screen = CandidateScoring(setup.linear, setup.first)
+    search = BeamSearch(setup.candidates)
 
     kept = search.expand(screen, NOTHING)
     all_of_them = search.expand(screen, NOTHING, short=1e9)

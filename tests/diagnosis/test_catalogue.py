@@ -5,7 +5,7 @@ import numpy as np
 
 from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.effects import catalogue
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.estimation import forward_model
 
 CONTRACT = {
@@ -22,7 +22,7 @@ def test_every_effect_of_the_contract_has_a_file():
 def test_scans_multiply_the_same_functions_as_built_columns(plan):
     obs = made.observe(plan, 31)
     state = geometry_fit.start(obs)
-    situation = Situation(obs, state, forward_model.predict(obs, state))
+    situation = Context(obs, state, forward_model.predict(obs, state))
     scanned = [c for c in catalogue.candidates(situation)[0] if c.separable]
     assert scanned
     for candidate in scanned:
@@ -37,7 +37,7 @@ def test_scans_multiply_the_same_functions_as_built_columns(plan):
 
 def test_what_the_gravity_moment_says_about_a_joint_is_its_torque(plan):
     state = geometry_fit.start(plan)
-    s = Situation(plan, state, forward_model.predict(plan, state))
+    s = Context(plan, state, forward_model.predict(plan, state))
     for i in range(s.n):
         about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]
         np.testing.assert_allclose(about_axis, s.gravity_torque[:, i], atol=1e-9)

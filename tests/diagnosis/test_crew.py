@@ -8,7 +8,7 @@ import pytest
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.validation import cross_validation
-from mbcacq.diagnosis.validation.workers import Crew
+from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.errors import CalibrationError
 
 pytestmark = pytest.mark.filterwarnings("ignore:This process.*fork:DeprecationWarning")  # the runner of these tests has threads
@@ -39,7 +39,7 @@ def alone(monkeypatch):
 
 
 def test_answers_come_in_order_and_the_pieces_remember(alone):
-    with Crew(Piece, 5, workers=2) as crew:
+    with WorkerPool(Piece, 5, workers=2) as crew:
         assert crew.ask("square", 100) == [(100 + k * k, 1) for k in range(5)]
         assert crew.ask("square", 0) == [(k * k, 2) for k in range(5)]
         homes = crew.ask("where")
@@ -49,19 +49,19 @@ def test_answers_come_in_order_and_the_pieces_remember(alone):
 
 def test_beside_other_threads_nothing_is_forked(monkeypatch):
     monkeypatch.setattr("threading.active_count", lambda: 2)
-    with Crew(Piece, 3, workers=2) as crew:
+    with WorkerPool(Piece, 3, workers=2) as crew:
         assert set(crew.ask("where")) == {os.getpid()}
 
 
 def test_what_goes_wrong_in_a_process_is_raised_where_it_was_asked(alone):
-    with Crew(lambda k: Piece(k + 3), 1, workers=2) as crew, pytest.raises(CalibrationError, match="does not determine"):
+    with WorkerPool(lambda k: Piece(k + 3), 1, workers=2) as crew, pytest.raises(CalibrationError, match="does not determine"):
         crew.ask("fail")
-    with Crew(lambda k: Piece(k + 3), 2, workers=2) as crew, pytest.raises(CalibrationError, match="does not determine"):
+    with WorkerPool(lambda k: Piece(k + 3), 2, workers=2) as crew, pytest.raises(CalibrationError, match="does not determine"):
         crew.ask("fail")
 
 
 def test_a_killed_process_is_told_and_none_stays_behind(alone):
-    with Crew(Piece, 2, workers=2) as crew, pytest.raises(CalibrationError, match="--workers 1"):
+    with WorkerPool(Piece, 2, workers=2) as crew, pytest.raises(CalibrationError, match="--workers 1"):
         crew.ask("die")
     assert not any(process.is_alive() for process in crew.processes)
 

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.stats import chi2, kstest
 
 from mbcacq.challenge.power import estimated, likelihood_ratio
-from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.diagnosis.search.effect_set import EffectSet
 
 SOUGHT = ("joint_scale:A2:q2:", "joint_scale:A5:q5:", "base_compliance:base:gravity_torque_2:", "ball_shift:ball4:x:", "joint_compliance:A3:gravity_torque_3:")
 
@@ -18,9 +18,9 @@ def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):
     tail = []
     for seed in range(16):
         setup = prepare(made.observe(plan, 900 + seed))
-        setup = replace(setup, first=Noise(setup.first.point * 1.2, setup.first.joint * 1.5))
+        setup = replace(setup, first=NoiseEstimate(setup.first.point * 1.2, setup.first.joint * 1.5))
         sought = [c for c in setup.candidates if c.key in SOUGHT]
-        tail += [chi2.sf(max(likelihood_ratio(setup, Model(((c, None),))), 0.0), c.k) for c in sought]
+        tail += [chi2.sf(max(likelihood_ratio(setup, EffectSet(((c, None),))), 0.0), c.k) for c in sought]
 
     assert len(tail) == 16 * len(SOUGHT)
     assert kstest(tail, "uniform").pvalue > 0.01
@@ -33,7 +33,7 @@ def test_one_that_estimates_order_or_moment_counts_how_many_it_could_have_chosen
         setup = prepare(made.observe(plan, 920 + seed))
         for key in ("gear_transmission_error:A3:q3:", "mount_shift:mount:pose:"):
             candidate = next(c for c in setup.candidates if c.key == key)
-            best, choices = estimated(setup, Model(((candidate, 60.0),)))
+            best, choices = estimated(setup, EffectSet(((candidate, 60.0),)))
             tail.append(choices * chi2.sf(max(likelihood_ratio(setup, best), 0.0), candidate.k))
 
     assert best.members[0][1] != 60.0
@@ -45,4 +45,4 @@ def test_it_finds_a_plain_effect(plan):
     setup = prepare(made.observe(plan, 950, [("joint_scale", ("A5",), [1.5e-4], None)]))
     candidate = next(c for c in setup.candidates if c.key == SOUGHT[1])
 
-    assert likelihood_ratio(setup, Model(((candidate, None),))) > 100
+    assert likelihood_ratio(setup, EffectSet(((candidate, None),))) > 100

@@ -11,8 +11,8 @@ from mbcacq.diagnosis import diagnose, model_fit, noise_consistent_ranking, outl
 from mbcacq.diagnosis.linearized.variance_components import estimate
 from mbcacq.diagnosis.nonparametric import model_comparison
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of
-from mbcacq.diagnosis.search.beam_search import Search
-from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NOTHING
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.effects.pose import steps
@@ -57,12 +57,12 @@ def test_an_effect_that_hides_in_the_noise_gets_a_second_look(plan):
     observed = made.observe(plan, 139, [("backlash", ("A1",), [6e-6], None)])
     setup = model_fit.prepare(observed)
     sigma = estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
-    search = Search(setup.candidates)
+    search = BeamSearch(setup.candidates)
 
     looked = noise_consistent_ranking.second_look(search, setup.linear, sigma, setup.first)
 
     candidate = next(c for c in setup.candidates if c.name == "backlash" and c.depends_on == "direction_1")
-    plain = Screen(setup.linear, sigma).test(candidate)
+    plain = CandidateScoring(setup.linear, sigma).test(candidate)
     assert [c.key for c, _ in looked.members] == [candidate.key]
     assert looked.gain > 1.02 * plain.gain
 
@@ -72,7 +72,7 @@ def test_a_name_that_predicts_nothing_beside_a_true_one_is_taken_back(plan):
     setup = model_fit.prepare(observed)
     full = model_fit.find(setup)
     false = next(c for c in setup.candidates if c.name == "joint_scale" and c.where == ("A6",))
-    search = Search(setup.candidates)
+    search = BeamSearch(setup.candidates)
     claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, None)), permit=True))
 
     proof = cross_validation.prove(setup, claimed)
@@ -88,7 +88,7 @@ def test_a_joint_that_predicts_nothing_beside_another_is_taken_back(plan):
     setup = model_fit.prepare(observed)
     full = model_fit.find(setup)
     false = next(c for c in setup.candidates if c.name == "gear_transmission_error" and c.where == ("A6",))
-    search = Search(setup.candidates)
+    search = BeamSearch(setup.candidates)
     claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, 3.0)), permit=True))
 
     proof = cross_validation.prove(setup, claimed)
@@ -137,8 +137,8 @@ def test_one_thing_without_a_name_is_not_strung_together_of_many(plan):
     two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
     for effects, strung in (([twist], True), (two, False)):
         setup = model_fit.prepare(made.observe(plan, 168, effects))
-        screen = Screen(setup.linear, estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first))
-        names = Search(setup.candidates, situation=setup.situation).grow(screen)
+        screen = CandidateScoring(setup.linear, estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first))
+        names = BeamSearch(setup.candidates, situation=setup.situation).grow(screen)
 
         assert len(names.members) > 1
         assert model_comparison.overshadowed(screen, setup.chart, names) == strung

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mbcacq.challenge import simulated_cells as concealed
-from mbcacq.challenge.scenarios import Envelope
+from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.diagnosis.verdict import verdict_of
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.pose import payload
 from mbcacq.geometry import gravity
 from mbcacq.plan import expand, load
@@ -25,7 +25,7 @@ def seeing():
 
 
 def observed(seeing, seed, hidden):
-    return concealed.observe(*seeing, Envelope(0, "payload", seed, ("payload",), 1, 1.0), [hidden])[0]
+    return concealed.observe(*seeing, Scenario(0, "payload", seed, ("payload",), 1, 1.0), [hidden])[0]
 
 
 def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
@@ -72,7 +72,7 @@ def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
     from mbcacq.estimation import forward_model
 
     state = geometry_fit.start(plan)
-    s = Situation(plan, state, forward_model.predict(plan, state))
+    s = Context(plan, state, forward_model.predict(plan, state))
     arm, mass, com = plan.cell.robot, 4.2, np.array([30.0, -20, 90])
     none = np.zeros(s.n)
 
@@ -85,6 +85,6 @@ def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
     from mbcacq.estimation import forward_model
 
     state = geometry_fit.start(plan)
-    s = Situation(plan, state, forward_model.predict(plan, state))
+    s = Context(plan, state, forward_model.predict(plan, state))
     assert payload.candidates(s) == []
     assert payload.beside(s, {}) == []

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from mbcacq.diagnosis.search.effect_prior import Strengths
-from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, FEWEST, Prices
+from mbcacq.diagnosis.search.effect_prior import EffectPrior
+from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, FEWEST, SelectionCriteria
 
 
 def elastic(joint, name="joint_compliance", positive=False, sight=1.0, k=1):
@@ -16,13 +16,13 @@ def elastic(joint, name="joint_compliance", positive=False, sight=1.0, k=1):
 
 
 def alone(gain):
-    return Strengths(np.array([gain]), np.ones(1))
+    return EffectPrior(np.array([gain]), np.ones(1))
 
 
 @pytest.mark.parametrize("joints", [4, 6])
 def test_the_best_pair_passes_by_chance_as_seldom_as_the_best_single_one(joints):
     candidates = [elastic(j) for j in range(1, joints + 1)]
-    prices, rng = Prices(candidates), np.random.default_rng(2)
+    prices, rng = SelectionCriteria(candidates), np.random.default_rng(2)
     gains = np.sort(rng.normal(size=(400000, joints)) ** 2, axis=1)
     needed = prices.cost_together([(candidates[0], None), (candidates[1], None)], [alone(0.0), alone(0.0)])
     single = prices.threshold(candidates[0], None, [])
@@ -43,8 +43,8 @@ def test_of_what_only_yields_forwards_half_as_much_chance_passes(together):
 
     def needed(candidates):
         if together == 1:
-            return Prices(candidates).threshold(candidates[0], None, [])
-        return Prices(candidates).cost_together([(c, None) for c in candidates[:2]], [alone(0.0), alone(0.0)])
+            return SelectionCriteria(candidates).threshold(candidates[0], None, [])
+        return SelectionCriteria(candidates).cost_together([(c, None) for c in candidates[:2]], [alone(0.0), alone(0.0)])
 
     def passed(z, least):
         return np.mean(np.sort(z**2, axis=1)[:, -together:].sum(axis=1) > least)
@@ -57,7 +57,7 @@ def test_of_what_only_yields_forwards_half_as_much_chance_passes(together):
 def test_all_places_of_all_kinds_together_pass_by_chance_as_seldom_as_stated():
     """The best of a hundred effects of noise, at sixty joints of one kind and forty of another."""
     many = [elastic(j) for j in range(60)] + [elastic(j, "joint_scale") for j in range(40)]
-    prices = Prices(many)
+    prices = SelectionCriteria(many)
     gains = np.random.default_rng(5).normal(size=(40000, 100)) ** 2
     needed = np.array([prices.threshold(c, None, []) for c in many])
 
@@ -68,7 +68,7 @@ def test_all_places_of_all_kinds_together_pass_by_chance_as_seldom_as_stated():
 def test_effects_of_few_and_of_many_coefficients_need_the_same_multiple_of_what_a_test_needs_that_knows_them():
     """Nine in ten found by a chi2 test that is wrong once in a hundred: 1.3 times as strong, whatever the number of coefficients."""
     many = [elastic(j, name, k=k) for name, k, places in (("a", 1, 54), ("b", 2, 10), ("c", 3, 28), ("d", 6, 1)) for j in range(places)]
-    prices = Prices(many)
+    prices = SelectionCriteria(many)
 
     def strength(k, limit):
         return brentq(lambda gain: ncx2.sf(limit, k, gain) - 0.9, 1e-3, 1e4) ** 0.5
@@ -82,8 +82,8 @@ def test_effects_of_few_and_of_many_coefficients_need_the_same_multiple_of_what_
 def test_places_that_see_little_leave_their_chance_to_the_others_and_no_more():
     sights = (0.9, 0.8, 0.1, 0.1)
     candidates = [elastic(j, sight=s) for j, s in enumerate(sights)]
-    needed = np.array([Prices(candidates).threshold(c, None, []) for c in candidates])
-    alike = Prices([elastic(j) for j in range(4)]).threshold(elastic(0), None, [])
+    needed = np.array([SelectionCriteria(candidates).threshold(c, None, []) for c in candidates])
+    alike = SelectionCriteria([elastic(j) for j in range(4)]).threshold(elastic(0), None, [])
     gains = np.random.default_rng(7).normal(size=(400000, 4)) ** 2
 
     assert needed[0] < alike - 0.7
@@ -93,7 +93,7 @@ def test_places_that_see_little_leave_their_chance_to_the_others_and_no_more():
 
 def test_two_weak_joints_pass_together_where_neither_passes_alone():
     one, two = elastic(2), elastic(3)
-    prices = Prices([elastic(j) for j in range(1, 5)])
+    prices = SelectionCriteria([elastic(j) for j in range(1, 5)])
     owns = [alone(9.0), alone(9.0)]
 
     assert prices.cost(one, None, [], owns[0]) > 9.0
@@ -102,7 +102,7 @@ def test_two_weak_joints_pass_together_where_neither_passes_alone():
 
 def test_what_is_of_different_kinds_is_not_tested_as_one():
     other = elastic(2, "backlash")
-    prices = Prices([elastic(2), other])
+    prices = SelectionCriteria([elastic(2), other])
 
     assert prices.cost_together([(elastic(2), None), (other, None)], [alone(9.0), alone(9.0)]) == np.inf
     assert prices.cost_together([(elastic(2), None)], [alone(9.0)]) == np.inf
@@ -111,11 +111,11 @@ def test_what_is_of_different_kinds_is_not_tested_as_one():
 def test_what_is_strong_where_little_is_seen_passes_too():
     """A scanner that only turned on its bracket moves the middle of its view by nothing."""
     turned = SimpleNamespace(name="mount_shift", where=("mount",), k=6, hyper=None, typical=np.ones(6), positive=False, sight=1.0)
-    prices = Prices([turned])
+    prices = SelectionCriteria([turned])
     seen = np.array([1, 1, 1, 0.02, 0.02, 0.02])
 
     def score(gains):
-        own = Strengths(np.array(gains), seen)
+        own = EffectPrior(np.array(gains), seen)
         return own.gain - prices.cost(turned, None, [], own)
 
     assert score([0.5, 0.2, 1.0, 30.0, 10.0, 20.0]) > 20

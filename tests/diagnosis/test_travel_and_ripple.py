@@ -9,14 +9,14 @@ from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.diagnosis.nonparametric import joint_travel
 from mbcacq.diagnosis.verdict import verdict_of
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import Displacements
 
 
 def situation(obs):
     state = geometry_fit.start(obs)
-    return Situation(obs, state, forward_model.predict(obs, state))
+    return Context(obs, state, forward_model.predict(obs, state))
 
 
 def test_travel_is_counted_in_the_order_of_time_and_a_standing_joint_remembers(plan):

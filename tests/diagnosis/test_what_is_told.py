@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from mbcacq.diagnosis.nonparametric import model_comparison
-from mbcacq.diagnosis.nonparametric.evidence_atlas import Atlas
+from mbcacq.diagnosis.nonparametric.evidence_atlas import EvidenceMap
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import EffectFound
-from mbcacq.diagnosis.search.beam_search import Search
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.verdict import worth_telling
 
 
@@ -43,8 +43,8 @@ def test_a_long_recording_counts_what_is_hardly_seen_like_the_rest(setup):
     covariance = np.diag(shift.typical**2) * [1, 1, 1, 1e4, 1e4, 1e4]
     coefficients = 5 * np.sqrt(np.diag(covariance))
 
-    short = Search(setup.candidates).strengths(shift, coefficients, covariance)
-    long = Search(setup.candidates, thorough=False).strengths(shift, coefficients, covariance)
+    short = BeamSearch(setup.candidates).strengths(shift, coefficients, covariance)
+    long = BeamSearch(setup.candidates, thorough=False).strengths(shift, coefficients, covariance)
 
     assert long.gain == pytest.approx(short.gain)
     assert np.ptp(long.seen) == 0 < np.ptp(short.seen)
@@ -55,10 +55,10 @@ def test_a_long_recording_counts_what_is_hardly_seen_like_the_rest(setup):
 def overshadowing(monkeypatch, at, depends_on, share):
     """A single group of the map, far more probable than an elastic joint 2 that removes this share of what the group removes."""
     group = SimpleNamespace(at=at, depends_on=depends_on, gain=1000.0, weighed=1000.0)
-    monkeypatch.setattr(model_comparison, "Atlas", lambda *_: SimpleNamespace(judge=lambda _: SimpleNamespace(best=lambda: group)))
+    monkeypatch.setattr(model_comparison, "EvidenceMap", lambda *_: SimpleNamespace(judge=lambda _: SimpleNamespace(best=lambda: group)))
     screen = SimpleNamespace(test=lambda *_: SimpleNamespace(gain=share * group.gain))
     elastic = SimpleNamespace(name="joint_compliance", where=("A2",), depends_on="gravity_torque_2", k=1)
-    return model_comparison.overshadowed(screen, None, Model(((elastic, None),), worth=share * group.gain))
+    return model_comparison.overshadowed(screen, None, EffectSet(((elastic, None),), worth=share * group.gain))
 
 
 def test_a_name_gives_way_to_a_group_that_is_plainly_more_probable(monkeypatch):
@@ -73,9 +73,9 @@ def test_a_large_effect_is_not_overshadowed_by_its_own_place(monkeypatch):
 
 def test_a_column_that_these_data_do_not_see_is_nothing_and_no_fraction_of_it(plan):
     setup = prepare(made.observe(plan, 17, [("joint_compliance", ("A2",), [2e-5], None)]))
-    screen = Screen(setup.linear, setup.first)
-    cell = Atlas(screen, setup.chart).judge(screen).best()
+    screen = CandidateScoring(setup.linear, setup.first)
+    cell = EvidenceMap(screen, setup.chart).judge(screen).best()
     for layer in setup.chart.layers:
         layer.functions[:] = 0.0
 
-    assert np.all(Atlas(screen, setup.chart).group(cell).columns == 0.0)
+    assert np.all(EvidenceMap(screen, setup.chart).group(cell).columns == 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gocator_bench import Line, options, read_frame, read_trace
 from mbcacq_fakes.protocols.gocator import FakeGocator
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
 
@@ -20,16 +20,16 @@ def trace() -> list[Line]:
 
 
 @pytest.fixture
-def frame() -> Frame:
+def frame() -> ScannerFrame:
     """12 x 20 points of a tilted plane with a hole, and a grey ramp."""
     y, x = np.mgrid[:12, :20].astype(np.float32)
     xyz = np.stack([x * 0.5 - 4, y * 0.5 - 3, 200 + 0.1 * x - 0.05 * y], axis=2)
     xyz[3:6, 7:11] = np.nan
-    return Frame(xyz, (10 * y + x).astype(np.uint8))
+    return ScannerFrame(xyz, (10 * y + x).astype(np.uint8))
 
 
 @pytest.fixture
-def fake(frame: Frame) -> Iterator[FakeGocator]:
+def fake(frame: ScannerFrame) -> Iterator[FakeGocator]:
     with FakeGocator(lambda exposure_us: frame) as sensor:
         yield sensor
 

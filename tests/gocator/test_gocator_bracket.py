@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gocator_bench import options
 from mbcacq_fakes.protocols.gocator import FakeGocator
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.driver import Gocator
 
@@ -15,13 +15,13 @@ from mbcacq.devices import ConfigError, ProtocolError, Scan
 REFLECTIVITY = np.where(np.arange(20) < 12, 0.02, 0.25)    # grey values a microsecond: dark left, bright right
 
 
-def seen(exposure_us: float) -> Frame:
+def seen(exposure_us: float) -> ScannerFrame:
     """What reflects too little or too much light gives no point; each exposure is shifted in z by itself, to tell them apart."""
     y, x = np.mgrid[:12, :20].astype(np.float32)
     grey = np.clip(REFLECTIVITY * exposure_us, 0, 255) * np.ones((12, 1))
     xyz = np.stack([x, y, np.full_like(x, 200 + exposure_us / 1000)], axis=2)
     xyz[(grey < 5) | (grey >= 255)] = np.nan
-    return Frame(xyz, grey.astype(np.uint8))
+    return ScannerFrame(xyz, grey.astype(np.uint8))
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from gocator_bench import read_frame
 from mbcacq_fakes.protocols.gocator import FakeGocator, encode
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, quantise
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 
 SNAPSHOT = bytes.fromhex("06 00 00 00 28 45")
 
@@ -109,7 +109,7 @@ def test_far_frames_get_coarser_steps_that_still_reach():
 def test_exposure_reaches_the_source_and_the_message(frame):
     asked = []
 
-    def source(exposure_us: float) -> Frame:
+    def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
         return frame
 
@@ -121,7 +121,7 @@ def test_exposure_reaches_the_source_and_the_message(frame):
 
 
 def test_time_stamps_follow_the_worlds_clock(frame):
-    moment = Frame(frame.xyz, frame.intensity, time_s=12.5)
+    moment = ScannerFrame(frame.xyz, frame.intensity, time_s=12.5)
     with FakeGocator(lambda e: moment, clock=lambda: 12.25) as sensor:
         stamp = shoot(sensor)[0]
     assert struct.unpack_from("<QQ", stamp, 14) == (0, 12_800_000)    # 12.5 s * 1.024 ticks a us

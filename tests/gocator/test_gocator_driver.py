@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 from gocator_bench import options
 from mbcacq_fakes.protocols.gocator import FakeGocator
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq import devices
 from mbcacq.conformance.bounded import eventually
 
 
-def big_frame() -> Frame:
+def big_frame() -> ScannerFrame:
     """2 megapixels of a wavy surface with a missing patch."""
     y, x = np.mgrid[:1250, :1650].astype(np.float32)
     xyz = np.stack([x * 0.05 - 41, y * 0.05 - 31, 210 + 8 * np.sin(x / 90) * np.cos(y / 70)], axis=2)
     xyz[200:500, 300:800] = np.nan
-    return Frame(xyz, ((3 * x + 5 * y) % 256).astype(np.uint8))
+    return ScannerFrame(xyz, ((3 * x + 5 * y) % 256).astype(np.uint8))
 
 
-def truth_at(frame: Frame, scan: devices.Scan) -> tuple[np.ndarray, np.ndarray]:
+def truth_at(frame: ScannerFrame, scan: devices.Scan) -> tuple[np.ndarray, np.ndarray]:
     return frame.xyz.reshape(-1, 3)[scan.pixel], frame.intensity.reshape(-1)[scan.pixel]
 
 
@@ -56,7 +56,7 @@ def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mo
 
 
 def test_scan_carries_time_exposure_measurements_and_health(frame):
-    moment = Frame(frame.xyz, frame.intensity, time_s=3.25, measurements={7: 12.3456, 9: float("nan")})
+    moment = ScannerFrame(frame.xyz, frame.intensity, time_s=3.25, measurements={7: 12.3456, 9: float("nan")})
     with FakeGocator(lambda e: moment, clock=lambda: 3.0) as sensor, Gocator("eye", "", options(sensor)) as scanner:
         for _ in range(100):
             scan = scanner.capture(2750)
@@ -73,7 +73,7 @@ def test_scan_carries_time_exposure_measurements_and_health(frame):
 def test_exposure_reaches_the_world_and_stays(frame):
     asked = []
 
-    def source(exposure_us: float) -> Frame:
+    def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
         return frame
 
@@ -86,7 +86,7 @@ def test_exposure_reaches_the_world_and_stays(frame):
 def test_exposure_changes_while_running_in_trigger_mode(frame):
     asked = []
 
-    def source(exposure_us: float) -> Frame:
+    def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
         return frame
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 from mbcacq_fakes.protocols.gocator.files import Files
-from mbcacq_fakes.protocols.gocator.replies import Refused
+from mbcacq_fakes.protocols.gocator.replies import CommandRefused
 from mbcacq_gocator.configuration import Configuration
 
 from mbcacq.devices import ConfigError, ProtocolError
@@ -61,7 +61,7 @@ def test_loading_a_job_restores_its_settings():
     b'<!DOCTYPE Configuration SYSTEM "file:///etc/passwd"><Configuration/>'])
 def test_harmful_uploads_are_refused_and_change_nothing(upload):
     store = Files(("a.job",), {})
-    with pytest.raises(Refused) as refused:
+    with pytest.raises(CommandRefused) as refused:
         store.write("_live.cfg", upload)
     assert refused.value.status == -984
     assert store.read("_live.cfg") == TEMPLATE

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from mbcacq_fakes.effects import make
-from mbcacq_fakes.world.arm import Arm, Masses
+from mbcacq_fakes.world.arm import Masses, TrueArm
 from mbcacq_fakes.world.description import ArtefactFacts, CellFacts
 from mbcacq_fakes.world.hooks import Moments, Moved
 from mbcacq_fakes.world.rigid import invert
@@ -21,7 +21,7 @@ HAND_EYE = np.array([[0, -1, 0, 1.2], [-1, 0, 0, -0.5], [0, 0, -1, 264.8], [0, 0
 BALLS = np.array([[-31.8, 7.2, 0.5], [10.3, 23.8, 4.4], [6.0, -12.8, 1.2], [-10.0, -27.9, -2.8], [24.9, -2.6, -7.0], [31.2, 15.6, -10.1],
                   [-8.7, 6.3, 7.4], [-21.9, -9.6, 6.4]])
 MBC = ArtefactFacts("mbc", tuple(range(1, 9)), BALLS, np.full(8, 12.0), 0.0)
-ARM = Arm.from_rows(SIGN, ROWS)
+ARM = TrueArm.from_rows(SIGN, ROWS)
 
 
 def spread_q(n, seed=0):

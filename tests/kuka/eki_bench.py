@@ -8,7 +8,7 @@ import termios
 import time
 from importlib.resources import files
 
-from mbcacq_fakes.protocols.krc.eki_process import Controller
+from mbcacq_fakes.protocols.krc.eki_process import EkiController
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 
 FOLDER = files("mbcacq_kuka") / "controller"
@@ -36,7 +36,7 @@ def settings(system="kss", **more):
 
 class Bench:
     def __init__(self, system="kss", **more):
-        self.controller = Controller(settings(system, **more))
+        self.controller = EkiController(settings(system, **more))
         self.variables = self.controller.program.globals
         self.sockets = []
         self.ticks(6)

@@ -4,11 +4,11 @@ from importlib.resources import files
 
 import pytest
 from defusedxml.ElementTree import fromstring
-from mbcacq_kuka.rsi.options import Options
+from mbcacq_kuka.rsi.options import RsiOptions
 
 FOLDER = files("mbcacq_kuka") / "controller"
 PROGRAMS = ("rsi4/mbcacq_rsi.src", "rsi4/mbcacq_rsi.dat", "rsi3/mbcacq_rsi.src")
-DEFAULTS = Options(limits_deg=((-1.0, 1.0),) * 6)
+DEFAULTS = RsiOptions(limits_deg=((-1.0, 1.0),) * 6)
 
 
 def read(name):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mbcacq.calibration import Options, calibrate
+from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.recording import load
 
 
@@ -26,7 +26,7 @@ def test_eki_and_rsi_calibrate_the_same_cell(benchmark, tmp_path):
     results, moved = {}, {}
     for seed, driver in enumerate(("kuka_rsi", "kuka_eki"), 5):
         run = load(benchmark.record("quick.yaml", driver, seed, tmp_path / driver))
-        results[driver], moved[driver] = calibrate(run, Options(refuse=False)).to_dict(), run.q
+        results[driver], moved[driver] = calibrate(run, CalibrationOptions(refuse=False)).to_dict(), run.q
     np.testing.assert_allclose(moved["kuka_rsi"], moved["kuka_eki"], atol=2e-4)  # both stand where the plan says
     assert np.abs(moved["kuka_rsi"] - moved["kuka_eki"]).max() > 0
     _, value, n = benchmark.difference(results["kuka_rsi"], results["kuka_eki"])

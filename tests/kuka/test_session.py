@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mbcacq_kuka.rsi.motion import Motion
-from mbcacq_kuka.rsi.options import Options
-from mbcacq_kuka.rsi.session import Session
-from mbcacq_kuka.rsi.shared import MOVE, STOP, Command, Shared
+from mbcacq_kuka.rsi.motion import RsiMotion
+from mbcacq_kuka.rsi.options import RsiOptions
+from mbcacq_kuka.rsi.session import RsiSession
+from mbcacq_kuka.rsi.shared import MOVE, STOP, RsiCommand, Shared
 
 START = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 LIMITS = ((-180.0, 180.0), (-150.0, 10.0), (-120.0, 160.0), (-350.0, 350.0), (-125.0, 125.0), (-350.0, 350.0))
@@ -22,7 +22,7 @@ class Bench:
 
     def __init__(self, **options):
         self.shared = Shared.create()
-        self.session = Session(self.shared, Options(limits_deg=LIMITS, **options).settings())
+        self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, **options).settings())
         self.ipoc, self.delay, self.sent = 1000, 0, []
         self.q = START
         for _ in range(8):
@@ -47,10 +47,10 @@ class Bench:
         return correction
 
     def move(self, target):
-        self.shared.send(Command(MOVE, target, (SPEED,) * 6, (ACCELERATION,) * 6, (JERK,) * 6, 0.01, 0.1))
+        self.shared.send(RsiCommand(MOVE, target, (SPEED,) * 6, (ACCELERATION,) * 6, (JERK,) * 6, 0.01, 0.1))
 
     def stop(self):
-        self.shared.send(Command(STOP))
+        self.shared.send(RsiCommand(STOP))
 
 
 @pytest.fixture
@@ -129,8 +129,8 @@ def test_no_disturbance_makes_the_arm_jump(bench, events, target):
 
 def test_a_distance_at_which_two_profiles_of_the_planner_meet():
     """7.200000000000005 deg with these limits is a case ruckig 0.19 cannot solve."""
-    motion = Motion((7.200000000000005, *START[1:]), T, LIMITS)
-    motion.move(Command(MOVE, START, (90.0,) * 6, (360.0,) * 6, (3600.0,) * 6))
+    motion = RsiMotion((7.200000000000005, *START[1:]), T, LIMITS)
+    motion.move(RsiCommand(MOVE, START, (90.0,) * 6, (360.0,) * 6, (3600.0,) * 6))
     path = [motion.position]
     while motion.moving:
         path.append(motion.step())
@@ -173,7 +173,7 @@ def test_silence_is_final(bench):
 def test_the_first_nearly_empty_telegram_of_old_controllers_is_answered_with_its_ipoc():
     shared = Shared.create()
     try:
-        session = Session(shared, Options(limits_deg=LIMITS).settings())
+        session = RsiSession(shared, RsiOptions(limits_deg=LIMITS).settings())
         answer = session.answer(b'<Rob Type="KUKA"><IPOC>77</IPOC></Rob>', SOURCE, 0.0)
         assert answer.endswith(b'A6="0.000000"/><IPOC>77</IPOC></Sen>')
         assert shared.fault() is None

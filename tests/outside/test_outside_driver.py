@@ -12,7 +12,7 @@ import pytest
 import yaml
 from conftest import PACKAGE, install
 
-from mbcacq.conformance import CHECKS, Bench, Channel, Stand, TcpProxy, check, ended
+from mbcacq.conformance import CHECKS, Channel, Stand, TcpProxy, TestStand, check, ended
 from mbcacq.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -114,7 +114,7 @@ def bench():
 
             yield Stand(make, use, {"line": proxy}, lambda: make("T-2000"), hasty={"timeout_s": 0.3})
 
-    return Bench("acme_probe", "sensor", opened)
+    return TestStand("acme_probe", "sensor", opened)
 
 
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)

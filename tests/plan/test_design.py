@@ -14,7 +14,7 @@ from mbcacq.design.candidate_views import candidates
 from mbcacq.design.effect_detectability import visibility
 from mbcacq.design.exchange_algorithm import Criterion, choose, updated
 from mbcacq.design.expected_accuracy import foreseen, prospect
-from mbcacq.design.optimal_design import Problem, design
+from mbcacq.design.optimal_design import DesignProblem, design
 from mbcacq.design.plan_findings import insight
 from mbcacq.design.plan_rewriter import with_views
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state, trial
@@ -170,7 +170,7 @@ def test_the_small_matrices_say_what_the_full_calibration_says(published):
     """Information blocks of six rows a pose against the complete problem, balls held."""
     loaded, poses = published
     kept = [p for p in poses if p.phase != "verification"]
-    problem = Problem(loaded, kept, [], poses)
+    problem = DesignProblem(loaded, kept, [], poses)
     C = np.linalg.inv(problem.base)[:problem.layout.size, :problem.layout.size]
     full = foreseen(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
     arm = [i for i, name in enumerate(full.names) if not name.startswith("ball_")]

@@ -11,12 +11,12 @@ world = pytest.importorskip("mbcacq_fakes.world.scanner")
 
 def frames(rng, runs):
     from mbcacq_fakes.world.artefact import carrier
-    from mbcacq_fakes.world.description import ArtefactFacts, View
-    from mbcacq_fakes.world.noise import Noise
+    from mbcacq_fakes.world.description import ArtefactFacts, ScannerView
+    from mbcacq_fakes.world.noise import ScannerNoise
     from mbcacq_fakes.world.rays import Grid
 
     mbc = clouds.artefact()
-    scanner = world.Scanner(Grid.with_pitch(View(), 0.25), Noise.for_centres(np.zeros(3)))
+    scanner = world.Scanner(Grid.with_pitch(ScannerView(), 0.25), ScannerNoise.for_centres(np.zeros(3)))
     facts = ArtefactFacts(mbc.id, mbc.ball_ids, mbc.centres, mbc.diameters, 0.0)
     for _ in range(runs):
         T = np.eye(4)

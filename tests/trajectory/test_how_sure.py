@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from mbcacq.diagnosis.motion.noise import covariance
-from mbcacq.diagnosis.motion.normal_store import Ledger
-from mbcacq.effects.motion.effect import Group, Run
+from mbcacq.diagnosis.motion.normal_store import NormalStore
+from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 
 STEP, LENGTH = 0.004, 3000
 TIME = STEP * np.arange(LENGTH)
@@ -15,12 +15,12 @@ COLUMN = np.sin(2.1 * TIME + 0.3 * np.sin(0.7 * TIME))[:, None]
 
 def run():
     still = np.zeros((LENGTH, 1))
-    return Run(STEP, still, still, still, still, still)
+    return MotionSignals(STEP, still, still, still, still, still)
 
 
 def ledger(noise):
-    group = Group("q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True)
-    return Ledger(group, (run(),))
+    group = ChannelGroup("q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True)
+    return NormalStore(group, (run(),))
 
 
 def fitted(noise, prior=None):

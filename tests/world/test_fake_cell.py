@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mbcacq_fakes.cell.fake_cell import FakeCell
-from mbcacq_fakes.world.arm import Arm
+from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.rigid import carry, invert
 from small_cell import BALLS, HAND_EYE, POSE_STATION, facts, fit_sphere, poses_q
 
@@ -69,7 +69,7 @@ def test_a_driven_cell_shows_the_truth():
     plan, poses = loaded()
     with FakeCell(plan, poses, seed=2) as cell:
         truth = cell.truth()
-        true_arm = Arm.from_rows(facts().sign, facts().rows + truth["errors"])
+        true_arm = TrueArm.from_rows(facts().sign, facts().rows + truth["errors"])
         robot, scanner = drivers(cell, plan.plan)
         with robot, scanner:
             for pose in (poses[0], poses[3]):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from mbcacq_fakes.world import artefact, rays
-from mbcacq_fakes.world.description import ArtefactFacts, View
-from mbcacq_fakes.world.noise import Noise
+from mbcacq_fakes.world.description import ArtefactFacts, ScannerView
+from mbcacq_fakes.world.noise import ScannerNoise
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.rigid import carry, nudge
-from mbcacq_fakes.world.scanner import Scanner, Scene
+from mbcacq_fakes.world.scanner import FringeScanner, Scene
 from small_cell import BALLS, fit_sphere
 
 NOISE_MM = np.array([0.005, 0.005, 0.009])
@@ -21,7 +21,7 @@ def scene(tilt_deg=15.0):
 
 @pytest.fixture(scope="module")
 def scanner():
-    return Scanner(Grid.with_pitch(View(), 0.25), Noise.for_centres(NOISE_MM))
+    return FringeScanner(Grid.with_pitch(ScannerView(), 0.25), ScannerNoise.for_centres(NOISE_MM))
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_a_12_mm_ball_has_about_1500_points_and_fades_at_grazing_incidence(scann
 def test_noise_grows_with_incidence(scanner):
     view = scene(0.0)
     rng, steep, flat = np.random.default_rng(3), [], []
-    quiet = Scanner(scanner.grid, Noise(np.zeros(3), 16.0, 0.012, np.zeros(3)))
+    quiet = FringeScanner(scanner.grid, ScannerNoise(np.zeros(3), 16.0, 0.012, np.zeros(3)))
     for _ in range(10):
         points = quiet.measure(view, rng)
         for k, centre in enumerate(view.centres):
@@ -131,7 +131,7 @@ def test_darkness_and_glare_lose_points(scanner):
 
 
 def test_two_megapixels_are_possible():
-    grid = Grid.with_pixels(View(), 2e6)
+    grid = Grid.with_pixels(ScannerView(), 2e6)
     assert grid.rows * grid.columns == pytest.approx(2e6, rel=0.01)
-    points = Scanner(grid, Noise.for_centres(NOISE_MM)).measure(scene(), np.random.default_rng(9))
+    points = FringeScanner(grid, ScannerNoise.for_centres(NOISE_MM)).measure(scene(), np.random.default_rng(9))
     assert min((points.ball == k).sum() for k in range(8)) > 10000

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mbcacq_fakes.world.arm import Arm, Masses, paper_errors
+from mbcacq_fakes.world.arm import Masses, TrueArm, paper_errors
 from scipy.linalg import expm
 
 # KUKA KR 10 R1100-2, kuka_agilus_support: axis lines at zero in $ROBROOT, and flange poses (tool0) at joint angles in deg.
@@ -26,7 +26,7 @@ MASSES = Masses(np.array([8.416, 17.837, 6.075, 5.162, 1.613, 0.734]),
 
 @pytest.fixture(scope="module")
 def arm():
-    return Arm.from_rows(SIGN, ROWS)
+    return TrueArm.from_rows(SIGN, ROWS)
 
 
 def test_axis_lines_are_the_vendors(arm):
@@ -74,7 +74,7 @@ def test_table_1_arm_is_the_product_of_its_link_matrices():
         for s, angle, (theta, d, a, alpha, beta) in zip(SIGN, angles, rows, strict=True):
             T = T @ rot(2, s * angle + theta) @ shift(2, d) @ shift(0, a) @ rot(0, alpha) @ rot(1, beta)
         expected.append(T)
-    np.testing.assert_allclose(Arm.from_rows(SIGN, rows).flange(q), expected, atol=1e-9)
+    np.testing.assert_allclose(TrueArm.from_rows(SIGN, rows).flange(q), expected, atol=1e-9)
     assert np.degrees(paper_errors()[0, 0]) == pytest.approx(0.021)
     assert np.degrees(paper_errors()[1, 4]) == pytest.approx(0.008)
     assert paper_errors()[5, 1] == 0.102

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.devices import DeviceFault, IdentityError
-from mbcacq_kuka.eki.options import MODES, Options
+from mbcacq_kuka.eki.options import MODES, EkiOptions
 from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.eki.telegrams import INTERFACE, Hello, State
 
 _FRAME_MM, _FRAME_DEG = 0.01, 0.01
 
 
-def check_cell(name: str, model: str, options: Options, hello: Hello, state: State) -> None:
+def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: State) -> None:
     """Everything that is known after connecting. Raises IdentityError, DeviceFault (stopped)."""
     where = f"robot '{name}': the controller at {options.address}"
     if hello.interface != INTERFACE:
@@ -48,7 +48,7 @@ def check_cell(name: str, model: str, options: Options, hello: Hello, state: Sta
     check_stops(where, state)
 
 
-def check_flange(where: str, options: Options, hello: Hello, state: State) -> None:
+def check_flange(where: str, options: EkiOptions, hello: Hello, state: State) -> None:
     """The controller's own forward kinematics must agree with the plan's robot: finds wrong machine data and wrong models."""
     if options.kinematics is None:
         return

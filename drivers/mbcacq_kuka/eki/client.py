@@ -23,7 +23,7 @@ class Request(IntEnum):
     CONNECT, START, RESET, CANCEL, CHANGE_MODE, NONE, DRIVES_ON, DRIVES_OFF, CYCLE = range(9)
 
 
-class Event(IntEnum):
+class EkiEvent(IntEnum):
     (STARTED, STOPPED, CANCELLED, RESET_OK, ERROR, CONNECTED, SWITCH_OK, INVALID, NONE, DRIVES_ON, DRIVES_OFF, CYCLE_SET,
      STATUS) = range(13)
 
@@ -93,22 +93,22 @@ class EkiClient:
             sock.close()
 
     def drives_on(self) -> None:
-        self._request(Request.DRIVES_ON, (Event.DRIVES_ON,))
+        self._request(Request.DRIVES_ON, (EkiEvent.DRIVES_ON,))
 
     def drives_off(self) -> None:
-        self._request(Request.DRIVES_OFF, (Event.DRIVES_OFF,))
+        self._request(Request.DRIVES_OFF, (EkiEvent.DRIVES_OFF,))
 
     def start(self, control_mode: int = 1, cycle_ms: int = 4) -> None:
         """Start the RSI program: the controller begins to send RSI telegrams. control_mode 1: joint position."""
-        self._request(Request.START, (Event.STARTED,), control_mode, {4: 1, 12: 2}[cycle_ms])
+        self._request(Request.START, (EkiEvent.STARTED,), control_mode, {4: 1, 12: 2}[cycle_ms])
 
     def cancel(self) -> None:
         """End the RSI program."""
-        self._request(Request.CANCEL, (Event.CANCELLED, Event.STOPPED))
+        self._request(Request.CANCEL, (EkiEvent.CANCELLED, EkiEvent.STOPPED))
 
     def reset(self) -> None:
         """Take back a fault and return to the beginning of the program."""
-        self._request(Request.RESET, (Event.RESET_OK,))
+        self._request(Request.RESET, (EkiEvent.RESET_OK,))
 
     def poll(self) -> EkiStatus | None:
         """The latest status, after reading what has arrived."""
@@ -123,7 +123,7 @@ class EkiClient:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _request(self, request: Request, accepted: tuple[Event, ...], control_mode: int = 1, cycle_time: int = 1) -> None:
+    def _request(self, request: Request, accepted: tuple[EkiEvent, ...], control_mode: int = 1, cycle_time: int = 1) -> None:
         self.poll()
         self._waiting.clear()
         self._send(request, control_mode, cycle_time)
@@ -131,7 +131,7 @@ class EkiClient:
         event = answer.get("EventID", "")
         if event in {str(int(e)) for e in accepted}:
             return
-        name = next((e.name.lower() for e in Event if str(int(e)) == event), event)
+        name = next((e.name.lower() for e in EkiEvent if str(int(e)) == event), event)
         text = (answer.text or "").strip()
         raise DeviceFault(f"the controller answered {request.name.lower()} with '{name}'{': ' + text if text else ''}; "
                           "look at the smartPAD (operation mode EXT, drives, messages)")
@@ -139,7 +139,7 @@ class EkiClient:
     def _event(self) -> Element | None:
         while self._waiting:
             response = self._waiting.popleft()
-            if response.get("EventID") not in (str(int(Event.NONE)), str(int(Event.STATUS))):
+            if response.get("EventID") not in (str(int(EkiEvent.NONE)), str(int(EkiEvent.STATUS))):
                 return response
         return None
 

@@ -25,7 +25,7 @@ from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.cell_check import check_cell, frame_distance
 from mbcacq_kuka.eki.options import read_options
 from mbcacq_kuka.eki.record import Record
-from mbcacq_kuka.eki.session import Session
+from mbcacq_kuka.eki.session import EkiSession
 from mbcacq_kuka.eki.telegrams import LIN, PTP, State
 from mbcacq_kuka.eki.watch import Move
 
@@ -44,7 +44,7 @@ class KukaEki:
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
         self._options = read_options(name, options)
-        self._session: Session | None = None
+        self._session: EkiSession | None = None
         self._record = Record()
         self._lock = threading.Lock()
         self._number = self._stopped = 0
@@ -73,7 +73,7 @@ class KukaEki:
         """Connect, wait for the controller's program, compare its cell with the plan. Raises ConnectError, IdentityError, DeviceFault."""
         self.close()
         self._record = Record()
-        session = self._session = Session(self._name, self._options, self._record,
+        session = self._session = EkiSession(self._name, self._options, self._record,
                                           lambda hello, state: check_cell(self._name, self._model, self._options, hello, state))
         try:
             session.open()
@@ -159,7 +159,7 @@ class KukaEki:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _begin(self, session: Session, kind: int, away: Callable[[State], float], settle_s: float, target: np.ndarray | None,
+    def _begin(self, session: EkiSession, kind: int, away: Callable[[State], float], settle_s: float, target: np.ndarray | None,
                **values: Any) -> None:
         if session.busy and not session.arrived:
             self.stop()
@@ -169,7 +169,7 @@ class KukaEki:
         session.begin(Move(number, away, settle_s), None if target is None else tuple(target.tolist()),
                       telegrams.command(kind, number, session.beat, acceleration=self._options.acceleration_percent, **values))
 
-    def _check(self) -> Session:
+    def _check(self) -> EkiSession:
         """Raise what has stopped the arm."""
         session = self._session
         if session is None:

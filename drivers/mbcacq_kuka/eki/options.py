@@ -14,7 +14,7 @@ MODES = {"T1": 1, "T2": 2, "AUT": 3, "EXT": 4}
 
 
 @dataclass(frozen=True)
-class Options:
+class EkiOptions:
     """Everything a plan may say about the EKI connection, and the cell it expects at the other end.
 
     address, port: the controller. limits_deg: (6, 2) joint limits. speed_deg_s: (6,) the controller's joint speeds at 100 %.
@@ -59,9 +59,9 @@ class Options:
         return frozenset(MODES.values()) if "any" in self.mode else frozenset(MODES[m] for m in self.mode)
 
 
-def read_options(name: str, given: Mapping[str, Any]) -> Options:
+def read_options(name: str, given: Mapping[str, Any]) -> EkiOptions:
     """Raises ConfigError for an unknown option or a value that cannot be."""
-    known = [f.name for f in fields(Options)]
+    known = [f.name for f in fields(EkiOptions)]
     if unknown := sorted(set(given) - set(known)):
         raise ConfigError(f"robot '{name}': unknown option {', '.join(unknown)}; known are {', '.join(known)}")
     values = dict(given)
@@ -81,7 +81,7 @@ def read_options(name: str, given: Mapping[str, Any]) -> Options:
         values["mode"] = tuple(map(str, mode)) if isinstance(mode, list | tuple) else (str(mode),)
         if not values["mode"] or not set(values["mode"]) <= {*MODES, "any"}:
             raise ConfigError(f"robot '{name}': option mode must be any, T1, T2, AUT or EXT, it is {mode!r}")
-    options = Options(**values)
+    options = EkiOptions(**values)
     for key, low, high, whole in (
             ("port", 1, 65535, True), ("acceleration_percent", 1, 100, True), ("path_speed_mm_s", 1, 3000, False), ("tool", 0, 128, True),
             ("base", 0, 128, True), ("override", 1, 100, True), ("load_kg", 0, 5000, False), ("flange_tolerance_mm", 1e-6, 1e6, False),

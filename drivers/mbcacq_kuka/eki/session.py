@@ -10,7 +10,7 @@ from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityErr
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.link import RETRY_S, Link, LinkLost, dial
 from mbcacq_kuka.eki.meeting import meet, refuse_moved
-from mbcacq_kuka.eki.options import Options
+from mbcacq_kuka.eki.options import EkiOptions
 from mbcacq_kuka.eki.record import Record
 from mbcacq_kuka.eki.telegrams import BEAT, STOP, Hello, State
 from mbcacq_kuka.eki.watch import Move, Watch
@@ -18,10 +18,10 @@ from mbcacq_kuka.eki.watch import Move, Watch
 _POLL_S, _FIRST_S = 0.05, 3.0
 
 
-class Session:
+class EkiSession:
     """From connect to close, over all reconnections. ``check(hello, state)`` raises for a wrong cell. ``error``: what ended it."""
 
-    def __init__(self, name: str, options: Options, record: Record, check: Callable[[Hello, State], None]) -> None:
+    def __init__(self, name: str, options: EkiOptions, record: Record, check: Callable[[Hello, State], None]) -> None:
         self._name, self._options, self._record, self._check = name, options, record, check
         self._link: Link | None = None
         self._news = threading.Condition()

@@ -6,12 +6,12 @@ import re
 
 from mbcacq.devices import DeviceFault, IdentityError
 from mbcacq_kuka.eki.client import EkiClient
-from mbcacq_kuka.rsi.options import Options
+from mbcacq_kuka.rsi.options import RsiOptions
 
 _PORT = 54600
 
 
-def start_by_eki(name: str, model: str, options: Options) -> EkiClient:
+def start_by_eki(name: str, model: str, options: RsiOptions) -> EkiClient:
     """The connected client; keep it open as long as RSI runs. Raises IdentityError, DeviceFault and what EkiClient raises."""
     host, _, port = options.eki.partition(":")
     client = EkiClient(host, int(port or _PORT))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq_kuka.rsi.shared import Command
+from mbcacq_kuka.rsi.shared import RsiCommand
 
 _COARSE_CYCLES = 100  # standing so long next to the target: look whether rounding hides the arrival
 
@@ -14,10 +14,10 @@ class Arrival:
 
     def __init__(self) -> None:
         self.arrived = True
-        self._command: Command | None = None
+        self._command: RsiCommand | None = None
         self._inside_since: float | None = None
 
-    def begin(self, command: Command) -> None:
+    def begin(self, command: RsiCommand) -> None:
         self.arrived, self._command, self._inside_since = False, command, None
 
     def leave(self) -> None:

@@ -16,7 +16,7 @@ import threading
 import time
 from typing import Any
 
-from mbcacq_kuka.rsi.session import Session
+from mbcacq_kuka.rsi.session import RsiSession
 from mbcacq_kuka.rsi.shared import Shared
 from mbcacq_kuka.rsi.telegram import MAX_DATAGRAM
 
@@ -50,7 +50,7 @@ def become_real_time() -> bool:
     return True
 
 
-def run(sock: socket.socket, session: Session, parent_gone: threading.Event) -> None:
+def run(sock: socket.socket, session: RsiSession, parent_gone: threading.Event) -> None:
     """Until the session is over."""
     receive, monotonic = sock.recvfrom, time.monotonic
     while not session.over:
@@ -74,7 +74,7 @@ def run(sock: socket.socket, session: Session, parent_gone: threading.Event) -> 
                 pass  # counts as a late answer, which the controller reports back
 
 
-def _newest(sock: socket.socket, session: Session, data: bytes, source: Any, now: float) -> tuple[bytes, Any]:
+def _newest(sock: socket.socket, session: RsiSession, data: bytes, source: Any, now: float) -> tuple[bytes, Any]:
     """After a stall telegrams queue up. Only the newest can still be answered in time; the others are recorded."""
     sock.setblocking(False)
     try:
@@ -101,7 +101,7 @@ def main() -> int:
             print(json.dumps({"error": str(error)}), flush=True)
             return 1
         with sock:
-            session = Session(shared, settings)
+            session = RsiSession(shared, settings)
             real_time = become_real_time()
             threading.Thread(target=_await_end_of_input, args=(parent_gone,), daemon=True).start()
             print(json.dumps({"ready": sock.getsockname()[1], "real_time": real_time}), flush=True)

@@ -32,8 +32,8 @@ from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.eki.client import EkiClient
 from mbcacq_kuka.eki.start import start_by_eki
 from mbcacq_kuka.rsi.options import read_options
-from mbcacq_kuka.rsi.record import Reader
-from mbcacq_kuka.rsi.shared import ARRIVED, CLOSE, MOVE, MOVING, STOP, Command, Shared
+from mbcacq_kuka.rsi.record import CycleReader
+from mbcacq_kuka.rsi.shared import ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
 
 _FAULTS: dict[str, type[MbcacqError]] = {
     "connect": ConnectError, "protocol": ProtocolError, "silence": DeviceTimeout, "late": DeviceFault, "follow": SafetyStop,
@@ -57,7 +57,7 @@ class KukaRsi:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._shared: Shared | None = None
-        self._reader: Reader | None = None
+        self._reader: CycleReader | None = None
         self._eki: EkiClient | None = None
         self._move_seq = 0
         self._error: MbcacqError | None = None
@@ -91,7 +91,7 @@ class KukaRsi:
         except OSError as error:
             raise ConnectError(f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); "
                                "free some in /dev/shm") from error
-        self._reader = Reader(self._shared)
+        self._reader = CycleReader(self._shared)
         atexit.register(self.close)
         try:
             self._start()
@@ -116,7 +116,7 @@ class KukaRsi:
             dynamics[0] = np.minimum(dynamics[0], self._options.speed_deg_s)
         with self._lock:
             if self._shared is not None:
-                self._move_seq = self._shared.send(Command(MOVE, target.tolist(), *(v.tolist() for v in dynamics),
+                self._move_seq = self._shared.send(RsiCommand(MOVE, target.tolist(), *(v.tolist() for v in dynamics),
                                                            float(np.degrees(limits.tolerance)), limits.settle_s))
 
     def state(self) -> RobotState:
@@ -135,14 +135,14 @@ class KukaRsi:
     def stop(self) -> None:
         with self._lock:
             if self._shared is not None:
-                self._shared.send(Command(STOP))
+                self._shared.send(RsiCommand(STOP))
 
     def close(self) -> None:
         atexit.unregister(self.close)
         process, self._process = self._process, None
         if process is not None:
             with self._lock:
-                self._shared.send(Command(CLOSE))
+                self._shared.send(RsiCommand(CLOSE))
             try:
                 process.communicate(timeout=8.0)  # closes its input, waits until the arm stands
             except subprocess.TimeoutExpired:

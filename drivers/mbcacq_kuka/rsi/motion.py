@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
-from mbcacq_kuka.rsi.shared import Command
+from mbcacq_kuka.rsi.shared import RsiCommand
 
 _SHARES = (1.0, 0.999, 0.99, 0.97)
 
 
-class Refused(ValueError):
+class MotionRefused(ValueError):
     """A motion that cannot be made within its limits."""
 
 
-class Motion:
+class RsiMotion:
     """The commanded joint angles. ``step`` gives the next ones; without a motion they stay."""
 
     def __init__(self, start: Sequence[float], cycle_s: float, joint_limits: Sequence[tuple[float, float]]) -> None:
@@ -28,7 +28,7 @@ class Motion:
         self.position: tuple[float, ...] = tuple(start)
         self.moving = False
 
-    def move(self, command: Command) -> None:
+    def move(self, command: RsiCommand) -> None:
         """Turn towards a target from whatever the arm is doing now. Raises Refused; then the present motion goes on."""
         limits = (list(command.speed), list(command.acceleration), list(command.jerk))
         ask = self._ask(limits)
@@ -39,7 +39,7 @@ class Motion:
         for axis, (extrema, (low, high)) in enumerate(zip(trajectory.position_extrema, self._joint_limits, strict=True)):
             if self.moving and (extrema.min < low - 1e-9 or extrema.max > high + 1e-9):
                 reach = f"{extrema.min:.2f}..{extrema.max:.2f} deg"
-                raise Refused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g} deg")
+                raise MotionRefused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g} deg")
         self._dynamics = limits
         self._begin(trajectory)
 
@@ -53,7 +53,7 @@ class Motion:
         trajectory = Trajectory(self._n)
         try:
             self._calculate(ask, trajectory)
-        except Refused:
+        except MotionRefused:
             return  # the motion under way ends at rest in any case
         self._begin(trajectory)
 
@@ -84,7 +84,7 @@ class Motion:
                     return
             except RuckigError:
                 continue
-        raise Refused("no motion to this target exists within the limits of speed, acceleration and jerk")
+        raise MotionRefused("no motion to this target exists within the limits of speed, acceleration and jerk")
 
     def _begin(self, trajectory: Trajectory) -> None:
         self._trajectory, self._duration, self._elapsed = trajectory, trajectory.duration, 0.0

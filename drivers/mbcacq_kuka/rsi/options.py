@@ -14,7 +14,7 @@ from mbcacq_kuka.rsi.telegram import Composer
 
 
 @dataclass(frozen=True)
-class Options:
+class RsiOptions:
     """Everything a plan may say about the RSI connection.
 
     bind, port: where this computer listens (the IP_NUMBER and PORT of the RSI Ethernet configuration). controller_ip: accept
@@ -55,9 +55,9 @@ class Options:
         return asdict(self)
 
 
-def read_options(name: str, given: Mapping[str, Any]) -> Options:
+def read_options(name: str, given: Mapping[str, Any]) -> RsiOptions:
     """Raises ConfigError for an unknown option or a value that cannot be."""
-    known = {f.name: f for f in fields(Options)}
+    known = {f.name: f for f in fields(RsiOptions)}
     if unknown := sorted(set(given) - set(known)):
         raise ConfigError(f"robot '{name}': unknown option {', '.join(unknown)}; known are {', '.join(known)}")
     if given.get("limits_deg") is None:
@@ -68,7 +68,7 @@ def read_options(name: str, given: Mapping[str, Any]) -> Options:
         if values.get(key) is not None:
             one_or_six = _array(name, key, values[key])
             values[key] = tuple(float(v) for v in (np.full(6, one_or_six) if one_or_six.ndim == 0 else _array(name, key, one_or_six, (6,))))
-    options = Options(**values)
+    options = RsiOptions(**values)
     for key in ("connect_timeout_s", "silence_s", "late_limit", "follow_tolerance_deg", "follow_cycles"):
         if not isinstance(getattr(options, key), int | float) or not getattr(options, key) > 0:
             raise ConfigError(f"robot '{name}': option {key} must be a positive number, it is {getattr(options, key)!r}")

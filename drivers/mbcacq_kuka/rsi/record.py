@@ -13,7 +13,7 @@ _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _RENAMED = {"MACur": "current_percent", "Delay.D": "delay", "IPOC": "ipoc"}
 
 
-class Reader:
+class CycleReader:
     """Reads a session's rows exactly once each. ``lost`` counts rows that were overwritten before they were read."""
 
     def __init__(self, shared: Shared) -> None:

@@ -12,7 +12,7 @@ from operator import itemgetter
 from typing import Any
 
 from mbcacq_kuka.rsi.arrival import Arrival
-from mbcacq_kuka.rsi.motion import Motion, Refused
+from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, finite
 from mbcacq_kuka.rsi.watch import Follow
@@ -28,7 +28,7 @@ _STOP_CYCLES = 125
 _CLOSE_S = 5.0
 
 
-class Session:
+class RsiSession:
     """``answer`` for every datagram, ``idle`` when none came. Settings: see driver.Options."""
 
     def __init__(self, shared: Shared, settings: dict[str, Any]) -> None:
@@ -156,7 +156,7 @@ class Session:
     def _begin(self, ipoc: int) -> None:
         limits = [tuple(pair) for pair in self._settings["limits_deg"]]
         self._ipoc, self._repeats, self._unanswered = ipoc, 0, 0
-        self._motion = Motion(self._reference, self.cycle_s, limits)
+        self._motion = RsiMotion(self._reference, self.cycle_s, limits)
         self._follow = Follow(self._reference, self._settings["follow_tolerance_deg"], self._settings["follow_cycles"])
         self._shared.begin(self._parser.names)
         self.connected = True
@@ -223,7 +223,7 @@ class Session:
             self._arrival.begin(command)
             try:
                 self._motion.move(command)
-            except Refused as error:
+            except MotionRefused as error:
                 self._fail("refused", str(error))
 
     def _ending(self, now: float) -> bool:

@@ -28,7 +28,7 @@ RING_BYTES = 16 * 1024 * 1024
 
 
 @dataclass(frozen=True)
-class Command:
+class RsiCommand:
     """kind: MOVE, STOP or CLOSE. target, speed, acceleration, jerk: (6,) deg, deg/s...; tolerance deg; settle_s on the robot's clock."""
 
     kind: int
@@ -80,7 +80,7 @@ class Shared:
     def command_seq(self) -> int:
         return self._header[_COMMAND_SEQ]
 
-    def send(self, command: Command) -> int:
+    def send(self, command: RsiCommand) -> int:
         """Publish a command; its number comes back in the ``command`` column of the cycles that follow it."""
         seq = self._header[_COMMAND_SEQ] + 1
         _COMMAND.pack_into(self._memory.buf, _COMMAND_AT[seq & 1], command.kind, *command.target, *command.speed, *command.acceleration,
@@ -88,12 +88,12 @@ class Shared:
         self._header[_COMMAND_SEQ] = seq
         return seq
 
-    def receive(self) -> tuple[int, Command]:
+    def receive(self) -> tuple[int, RsiCommand]:
         while True:
             seq = self._header[_COMMAND_SEQ]
             v = _COMMAND.unpack_from(self._memory.buf, _COMMAND_AT[seq & 1])
             if self._header[_COMMAND_SEQ] == seq:
-                return seq, Command(int(v[0]), v[1:7], v[7:13], v[13:19], v[19:25], v[25], v[26])
+                return seq, RsiCommand(int(v[0]), v[1:7], v[7:13], v[13:19], v[19:25], v[25], v[26])
 
     # cycles: rows of doubles, FIXED and then the session's values
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.world.camera import Arm, Camera
+from mbcacq_fakes.world.camera import ArmReadout, Camera
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.environment import Environment
-from mbcacq_fakes.world.noise import Noise
+from mbcacq_fakes.world.noise import ScannerNoise
 from mbcacq_fakes.world.operator import Operator
 from mbcacq_fakes.world.options import FakeOptions, arm_errors
 from mbcacq_fakes.world.rays import Grid
-from mbcacq_fakes.world.scanner import Scanner
+from mbcacq_fakes.world.scanner import FringeScanner
 from mbcacq_fakes.world.world import Deviations, World
 
 
@@ -27,12 +27,12 @@ def make_world(facts: CellFacts, options: FakeOptions, seed: int) -> World:
     return World(facts, deviations, _effects(options), Environment(**options.climate.model_dump()), seed)
 
 
-def make_camera(world: World, arm: Arm, options: FakeOptions, planned_q: np.ndarray, planned_station: np.ndarray,
+def make_camera(world: World, arm: ArmReadout, options: FakeOptions, planned_q: np.ndarray, planned_station: np.ndarray,
                 right_exposure_us: float | None = None, clock_start_s: float = 0.0) -> Camera:
     """planned_q (P, n) rad and planned_station (P,) index: the poses of the plan, by which the operator knows what comes next."""
     check(options, world.facts)
-    noise = Noise.for_centres(np.array(options.noise_mm), options.speckle_mm)
-    scanner = Scanner(Grid.with_pitch(world.facts.view, options.pitch_mm), noise)
+    noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm)
+    scanner = FringeScanner(Grid.with_pitch(world.facts.view, options.pitch_mm), noise)
     operator = Operator(planned_q, planned_station, world.facts.station_artefact)
     return Camera(world, scanner, operator, arm, options, right_exposure_us, clock_start_s)
 

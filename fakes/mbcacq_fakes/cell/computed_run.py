@@ -22,7 +22,7 @@ OBSERVED = 7
 
 
 @dataclasses.dataclass(frozen=True)
-class Recorded:
+class ComputedRun:
     """Poses: q (P, n) rad as reported, station (P,) index into the cell's stations, time_s (P,), direction (P, n), air_C, robot_C
     (P,). Centres: pose (M,), ball (M,) index over all balls of the cell, xyz (M, 3) mm in the scanner frame. outlier: (M,) bool.
     truth: see World.truth.
@@ -44,7 +44,7 @@ class Recorded:
 def observe(
     cell: Any, poses: Sequence[Any], hidden: Sequence[Mapping[str, Any]] = (), seed: int = 0, *, fake: Mapping[str, Any] | None = None,
     exposures: int | None = None, pace_s: float = 20.0, outliers: float = 0.0,
-) -> Recorded:
+) -> ComputedRun:
     """cell: a Cell with planned station poses, or CellFacts. poses: PlannedPose (q, station, balls, exposures), in order.
 
     hidden: as in a plan's ``fake: hidden``. fake: more options of that section. exposures: averaged per pose; default the plan's.
@@ -67,7 +67,7 @@ def observe(
     gross = rng.random(len(xyz)) < outliers
     away = rng.standard_normal((int(gross.sum()), 3))
     xyz[gross] += rng.uniform(0.2, 2.0, (len(away), 1)) * away / np.linalg.norm(away, axis=1, keepdims=True)
-    return Recorded(q, station, at.time_s, at.direction, at.air_C, at.robot_C, pose, ball, xyz, gross, world.truth())
+    return ComputedRun(q, station, at.time_s, at.direction, at.air_C, at.robot_C, pose, ball, xyz, gross, world.truth())
 
 
 def _true_centres(world: World, at: Moments, wanted: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

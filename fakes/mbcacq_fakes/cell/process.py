@@ -17,7 +17,7 @@ from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.ports import line_place
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.camera import Camera
-from mbcacq_fakes.world.description import View
+from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.operator import NOBODY
 from mbcacq_fakes.world.options import FakeOptions, Mishap
 
@@ -220,7 +220,7 @@ class Servers:
         return lambda: self._camera.temperatures().get(name, 20.0)
 
 
-def _volume(view: View) -> Any:
+def _volume(view: ScannerView) -> Any:
     import numpy as np
 
     half = np.maximum(view.near_half, view.far_half)

@@ -11,7 +11,7 @@ _STILL_DEG = 1e-6
 _STILL_CYCLES = 5
 
 
-class Arm:
+class IdealArm:
     """Six axes. ``step`` advances one controller cycle towards a set point."""
 
     def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
 from mbcacq_fakes.dynamics.faults import Drives, Size, conceal
-from mbcacq_fakes.dynamics.ideal_arm import Arm
+from mbcacq_fakes.dynamics.ideal_arm import IdealArm
 from mbcacq_fakes.dynamics.recorded import lively_torque
 
 PERCENT_AT = 4.0   # a drive at 100 % of its current gives so many times the torque of a lively motion
@@ -25,7 +25,7 @@ def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> d
     }
 
 
-class MovingArm(Arm):
+class MovingArm(IdealArm):
     """An Arm with bodies, drives and gears. torque: (6,) Nm about the joints; joint_deg: (6,) what joint-side encoders read."""
 
     def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float, told: Mapping[str, Any]) -> None:

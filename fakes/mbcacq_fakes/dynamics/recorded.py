@@ -21,7 +21,7 @@ INERTIA = 0.02      # masses and centres differ from the description by so much
 
 
 @dataclass(frozen=True)
-class Noise:
+class SignalNoise:
     """One sigma: encoder of the motor, of the joint side (rad), torque as a share of that of a lively motion."""
 
     motor_rad: float = 3e-7
@@ -30,7 +30,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedMotion:
     """Channels (T, n): rad, Nm. truth: every concealed fault with name, where, parameters."""
 
     time_s: np.ndarray
@@ -42,12 +42,12 @@ class Recorded:
 
 
 def recorded(robot: Any, concealed: Sequence[Mapping[str, Any]], seed: int, motion: int = 0, seconds: float = 12.0, liveliness: float = 0.5,
-             noise: Noise | None = None) -> Recorded:
+             noise: SignalNoise | None = None) -> RecordedMotion:
     """Robot: an mbcacq RobotModel (duck-typed). concealed: ``{name, where?, strength?, ...}``; seed: the arm, motion: which motion of it.
 
     liveliness: share of the joints' speed limits that is reached. Raises ConfigError for an unknown fault.
     """
-    noise = noise or Noise()
+    noise = noise or SignalNoise()
     rng = np.random.default_rng([seed, 17])
     mass = np.asarray(robot.mass) * (1 + INERTIA * rng.standard_normal(robot.n))
     com = np.asarray(robot.com) * (1 + INERTIA * rng.standard_normal((robot.n, 3)))
@@ -65,7 +65,7 @@ def recorded(robot: Any, concealed: Sequence[Mapping[str, Any]], seed: int, moti
     q = _read(fine["time"], fine["motor"], time) + noise.motor_rad * dice.standard_normal((len(time), robot.n))
     q_joint = _read(fine["time"], fine["joint"], at["q_joint"]) + noise.joint_rad * dice.standard_normal(q.shape)
     torque = _read(fine["time"], fine["torque"], at["tau"]) + noise.torque * typical.torque * dice.standard_normal(q.shape)
-    return Recorded(time, command(at["q_set"]), q, q_joint, torque, truth)
+    return RecordedMotion(time, command(at["q_set"]), q, q_joint, torque, truth)
 
 
 def simulate(bodies: Bodies, drives: Drives, time: np.ndarray, command) -> dict[str, np.ndarray]:

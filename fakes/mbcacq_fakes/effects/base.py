@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.world.arm import Arm
+from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.hooks import Moments, Quiet
 
@@ -27,7 +27,7 @@ class Hidden(Quiet):
         self.given = {**self.options, **given}
         self._arrival, self._pose = -1, -1
 
-    def begin(self, cell: CellFacts, arm: Arm, rng: np.random.Generator) -> None:
+    def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         super().begin(cell, arm, rng if self._seed is None else np.random.default_rng(self._seed))
         self.draw()
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq_fakes.effects.base import Hidden
-from mbcacq_fakes.world.arm import Arm
+from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.hooks import Moments, Moved
 
@@ -25,7 +25,7 @@ class Payload(Hidden):
         self.com = declared.payload_com + self.strength * rng.uniform(-40, 40, 3) if com is None else np.array(com, dtype=float)
         return dataclasses.replace(cell, masses=dataclasses.replace(declared, payload_mass=self.mass, payload_com=self.com))
 
-    def begin(self, cell: CellFacts, arm: Arm, rng: np.random.Generator) -> None:
+    def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         super().begin(cell, arm, rng)
         self.compliance = np.zeros(cell.n)
         self.compliance[1:3] = float(self.given["compliance_rad_per_Nm"])

@@ -32,7 +32,7 @@ def paper_errors() -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Arm:
+class TrueArm:
     """axis, point: (n, 3) joint lines at q = 0 in the base frame, directed so that a positive controller angle turns about them.
     zero: (n + 1, 4, 4) frames behind each link at q = 0, base first, flange last.
     """
@@ -42,7 +42,7 @@ class Arm:
     zero: np.ndarray
 
     @classmethod
-    def from_rows(cls, sign: np.ndarray, rows: np.ndarray) -> Arm:
+    def from_rows(cls, sign: np.ndarray, rows: np.ndarray) -> TrueArm:
         """From MD-H rows (n, 5) theta, d, a, alpha, beta (rad, mm) and the sense (n,) in which the controller counts."""
         zero = [np.eye(4)]
         for theta, d, a, alpha, beta in np.asarray(rows, dtype=float):
@@ -84,18 +84,18 @@ class Masses:
     payload_com: np.ndarray
     gravity: np.ndarray
 
-    def weights(self, arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def weights(self, arm: TrueArm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centres of mass (P, n + 1, 3) mm in the base frame, payload last, and their masses (n + 1,) kg."""
         frames = arm.frames(q)
         com = np.concatenate([self.com, self.payload_com[None]])[:, None]
         return carry(np.concatenate([frames[:, 1:], frames[:, -1:]], axis=1), com)[:, :, 0], np.append(self.mass, self.payload_mass)
 
-    def energy(self, arm: Arm, q: np.ndarray) -> np.ndarray:
+    def energy(self, arm: TrueArm, q: np.ndarray) -> np.ndarray:
         """Potential energy (P,) J."""
         centres, mass = self.weights(arm, q)
         return -STANDARD_GRAVITY * 1e-3 * np.einsum("pkc,k,c->p", centres, mass, self.gravity)
 
-    def torque(self, arm: Arm, q: np.ndarray, step: float = 1e-4) -> np.ndarray:
+    def torque(self, arm: TrueArm, q: np.ndarray, step: float = 1e-4) -> np.ndarray:
         """What gravity exerts on each joint (P, n) N m in the controller's sense: minus the slope of the energy."""
         out = np.empty(q.shape)
         for i in range(arm.n):

@@ -7,17 +7,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_fakes.world.hooks import Moments
 from mbcacq_fakes.world.operator import NOBODY, Operator
 from mbcacq_fakes.world.options import FakeOptions, Mishap
-from mbcacq_fakes.world.scanner import Scanner
+from mbcacq_fakes.world.scanner import FringeScanner
 from mbcacq_fakes.world.world import SCAN, World
 
 BY_POSE = 1_000_000    # draws of poses, apart from those of arrivals
 
 
-class Arm(Protocol):
+class ArmReadout(Protocol):
     """The part of ArmState that is read here."""
 
     def read(self) -> Any: ...
@@ -30,7 +30,7 @@ class Camera:
     robot's clock showed when the cell was switched on.
     """
 
-    def __init__(self, world: World, scanner: Scanner, operator: Operator, arm: Arm, options: FakeOptions,
+    def __init__(self, world: World, scanner: FringeScanner, operator: Operator, arm: ArmReadout, options: FakeOptions,
                  right_exposure_us: float | None = None, clock_start_s: float = 0.0) -> None:
         self.world, self.scanner, self.operator = world, scanner, operator
         self._arm, self._options, self._clock_start = arm, options, clock_start_s
@@ -39,7 +39,7 @@ class Camera:
         self._right_exposure, self._frames = right_exposure_us, 0
         self._arrivals, self._here = -1, 0
 
-    def __call__(self, exposure_us: float = 0.0) -> Frame:
+    def __call__(self, exposure_us: float = 0.0) -> ScannerFrame:
         reading = self._arm.read()
         self._happen(reading.arrivals)
         at = self.moment(reading)

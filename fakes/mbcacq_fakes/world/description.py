@@ -24,7 +24,7 @@ class ArtefactFacts:
 
 
 @dataclass(frozen=True)
-class View:
+class ScannerView:
     """Frustum of the scanner in its own frame; z points back to the scanner, so near_z > far_z. Half widths (2,) mm along x, y."""
 
     near_z: float = 55.0
@@ -50,7 +50,7 @@ class CellFacts:
     station_ids: tuple[str, ...]
     station_artefact: np.ndarray
     station_pose: np.ndarray
-    view: View = View()
+    view: ScannerView = ScannerView()
     planned_q: np.ndarray | None = None
     pace_s: float = 3.0
 
@@ -84,7 +84,7 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
         station_ids=tuple(str(s.id) for s in cell.stations),
         station_artefact=np.array([ids.index(s.artefact) for s in cell.stations], dtype=int),
         station_pose=np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations], dtype=float),
-        view=View() if field_of_view is None else View(
+        view=ScannerView() if field_of_view is None else ScannerView(
             float(field_of_view.near_z_mm), float(field_of_view.far_z_mm),
             np.array(field_of_view.near_half_mm, dtype=float), np.array(field_of_view.far_half_mm, dtype=float)),
     )

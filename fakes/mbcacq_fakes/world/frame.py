@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Frame:
+class ScannerFrame:
     """What the world shows to a scanner server.
 
     xyz: (L, W, 3) float32 mm, scanner frame, rows along y and columns along x, NaN where nothing was seen.

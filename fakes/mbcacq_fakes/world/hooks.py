@@ -1,4 +1,4 @@
-"""Where concealed physics may act. An effect is any object with the methods of :class:`Effect`; the world calls them in time order."""
+"""Where concealed physics may act. An effect is any object with the methods of :class:`ConcealedEffect`; the world calls them in time order."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbcacq_fakes.world.arm import Arm
+from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.description import CellFacts
 
 
@@ -49,13 +49,13 @@ class Moved:
         return cls(np.zeros((poses, axes)), np.zeros((poses, axes + 1, 6)), np.zeros((poses, 6)), np.zeros((poses, balls, 3)))
 
 
-class Effect(Protocol):
+class ConcealedEffect(Protocol):
     name: str
 
     def alter(self, cell: CellFacts) -> CellFacts:
         """What is true of the cell in place of what is believed, e.g. another payload; called before any ``begin``."""
 
-    def begin(self, cell: CellFacts, arm: Arm, rng: np.random.Generator) -> None:
+    def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         """Called once before the first moment; draws what is to be drawn. ``arm`` is the true arm."""
 
     def displace(self, at: Moments, moved: Moved) -> None:
@@ -76,7 +76,7 @@ class Quiet:
     def alter(self, cell: CellFacts) -> CellFacts:
         return cell
 
-    def begin(self, cell: CellFacts, arm: Arm, rng: np.random.Generator) -> None:
+    def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         self.cell, self.arm, self.rng = cell, arm, rng
 
     def displace(self, at: Moments, moved: Moved) -> None:

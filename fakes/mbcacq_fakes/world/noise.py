@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Noise:
+class ScannerNoise:
     """field_mm: (3,) sigma of the smooth error along x, y, z; it varies over about ``pitch_mm``. speckle_mm: of one point along z
     where it is seen face on. centre_mm: (3,) sigma of a fitted centre of a 12 mm ball that results from both.
     """
@@ -19,7 +19,7 @@ class Noise:
     centre_mm: np.ndarray
 
     @classmethod
-    def for_centres(cls, centre_mm: np.ndarray, speckle_mm: float = 0.012, pitch_mm: float = 12.0) -> Noise:
+    def for_centres(cls, centre_mm: np.ndarray, speckle_mm: float = 0.012, pitch_mm: float = 12.0) -> ScannerNoise:
         """The noise whose fitted 12 mm balls (known radius) scatter by ``centre_mm`` (3,), e.g. 0.005, 0.005, 0.009.
 
         A depth error that rises across a ball looks like a sideways shift of it, so the sideways field is smaller than the

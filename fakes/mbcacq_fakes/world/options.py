@@ -14,11 +14,11 @@ Vector = tuple[float, float, float]
 Row = tuple[float, float, float, float, float]
 
 
-class Strict(BaseModel):
+class StrictOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Frame(Strict):
+class Frame(StrictOptions):
     rotation: tuple[Vector, Vector, Vector]
     translation_mm: Vector
 
@@ -29,14 +29,14 @@ class Frame(Strict):
         return out
 
 
-class Spread(Strict):
+class Spread(StrictOptions):
     """Standard deviations of a draw, per axis."""
 
     mm: float = Field(ge=0)
     deg: float = Field(ge=0)
 
 
-class Climate(Strict):
+class Climate(StrictOptions):
     air_C: float = 21.0
     air_drift_K: float = 0.8
     air_period_s: float = Field(default=9000.0, gt=0)
@@ -56,7 +56,7 @@ class HiddenEffect(BaseModel):
     seed: int | None = None
 
 
-class Mishap(Strict):
+class Mishap(StrictOptions):
     """Something an operator did. from_arrival: only once the arm has come to rest that often."""
 
     kind: Literal["wrong_artefact", "hidden_ball", "bumped_tripod", "empty_scene"]
@@ -68,7 +68,7 @@ class Mishap(Strict):
     from_arrival: int = 0
 
 
-class FakeOptions(Strict):
+class FakeOptions(StrictOptions):
     errors: Literal["paper", "none", "random"] | tuple[Row, ...] = "paper"
     error_scale: float = 1.0
     repeatability_urad: float = Field(default=5.0, ge=0)

@@ -10,26 +10,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq_fakes.world.description import View
+from mbcacq_fakes.world.description import ScannerView
 
 
 @dataclass(frozen=True)
 class Grid:
     """Pixel grid over a view. slope, width: (2,) of the half width along x, y: half(z) = width + slope z."""
 
-    view: View
+    view: ScannerView
     rows: int
     columns: int
 
     @classmethod
-    def with_pitch(cls, view: View, pitch_mm: float) -> Grid:
+    def with_pitch(cls, view: ScannerView, pitch_mm: float) -> Grid:
         """About ``pitch_mm`` between neighbouring points in the middle of the measuring range."""
         middle = view.near_half + view.far_half
         columns, rows = np.maximum(np.rint(middle / pitch_mm), 8).astype(int)
         return cls(view, int(rows), int(columns))
 
     @classmethod
-    def with_pixels(cls, view: View, pixels: float) -> Grid:
+    def with_pixels(cls, view: ScannerView, pixels: float) -> Grid:
         middle = view.near_half + view.far_half
         return cls.with_pitch(view, float(np.sqrt(middle[0] * middle[1] / pixels)))
 

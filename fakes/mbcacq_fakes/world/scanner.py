@@ -8,8 +8,8 @@ import numpy as np
 
 from mbcacq_fakes.world import rays
 from mbcacq_fakes.world.artefact import Carrier
-from mbcacq_fakes.world.frame import Frame
-from mbcacq_fakes.world.noise import Noise
+from mbcacq_fakes.world.frame import ScannerFrame
+from mbcacq_fakes.world.noise import ScannerNoise
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.rigid import carry
 
@@ -52,9 +52,9 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Scanner:
+class FringeScanner:
     grid: Grid
-    noise: Noise
+    noise: ScannerNoise
     optics: Optics = field(default_factory=Optics)
 
     def measure(self, scene: Scene, rng: np.random.Generator, exposure: float = 1.0) -> Points:
@@ -82,7 +82,7 @@ class Scanner:
         xyz += self.noise.smooth(xyz[:, :2], rng)
         return Points(pixel, xyz, ball, intensity.astype(np.uint8))
 
-    def frame(self, points: Points, time_s: float = 0.0) -> Frame:
+    def frame(self, points: Points, time_s: float = 0.0) -> ScannerFrame:
         """Points outside the measuring range are lost; of two on one pixel the later wins."""
         view = self.grid.view
         inside = (points.xyz[:, 2] <= view.near_z) & (points.xyz[:, 2] >= view.far_z)
@@ -91,7 +91,7 @@ class Scanner:
         xyz[points.pixel[inside]] = points.xyz[inside]
         intensity[points.pixel[inside]] = points.intensity[inside]
         shape = (self.grid.rows, self.grid.columns)
-        return Frame(xyz.reshape(*shape, 3), intensity.reshape(shape), time_s)
+        return ScannerFrame(xyz.reshape(*shape, 3), intensity.reshape(shape), time_s)
 
     def _first_hits(self, scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
         """pixel, z, ball index, is-rod of the first surface along each ray that meets one."""

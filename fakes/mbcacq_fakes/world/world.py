@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.world.arm import Arm, paper_errors
+from mbcacq_fakes.world.arm import TrueArm, paper_errors
 from mbcacq_fakes.world.artefact import TrueArtefact, make
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.environment import Environment
-from mbcacq_fakes.world.hooks import Effect, Moments, Moved
+from mbcacq_fakes.world.hooks import ConcealedEffect, Moments, Moved
 from mbcacq_fakes.world.rigid import carry, invert, nudge
 from mbcacq_fakes.world.scanner import Scene
 
@@ -48,12 +48,12 @@ class World:
 
     facts: CellFacts
     deviations: Deviations
-    effects: Sequence[Effect] = ()
+    effects: Sequence[ConcealedEffect] = ()
     environment: Environment = field(default_factory=Environment)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        self.arm = Arm.from_rows(self.facts.sign, self.facts.rows + self.deviations.errors)
+        self.arm = TrueArm.from_rows(self.facts.sign, self.facts.rows + self.deviations.errors)
         places = np.random.default_rng([self.seed, PLACES])
         d = self.deviations
         drawn = self.facts.hand_eye @ _offset(places, d.hand_eye_mm, d.hand_eye_rad)

@@ -23,7 +23,7 @@ FLAT_MM = 1.0
 
 
 @dataclass(frozen=True)
-class Distances:
+class PairDistances:
     """Pairs of measured centres. a, b: (K,) rows of the centres; certified: (K,) mm."""
 
     a: np.ndarray
@@ -31,7 +31,7 @@ class Distances:
     certified: np.ndarray
 
 
-def pairs(pose: np.ndarray, station: np.ndarray, ball: np.ndarray, certified: np.ndarray, seed: int = 0) -> Distances:
+def pairs(pose: np.ndarray, station: np.ndarray, ball: np.ndarray, certified: np.ndarray, seed: int = 0) -> PairDistances:
     """All pairs of different balls seen from different poses of the same station; at most LARGEST, drawn evenly. Two balls of one scan
     say nothing: any rigid motion keeps their distance.
 
@@ -48,7 +48,7 @@ def pairs(pose: np.ndarray, station: np.ndarray, ball: np.ndarray, certified: np
     if len(a) > LARGEST:
         chosen = np.sort(np.random.default_rng(seed).choice(len(a), LARGEST, replace=False))
         a, b = a[chosen], b[chosen]
-    return Distances(a, b, np.linalg.norm(certified[ball[a]] - certified[ball[b]], axis=1))
+    return PairDistances(a, b, np.linalg.norm(certified[ball[a]] - certified[ball[b]], axis=1))
 
 
 def several_balls(obs: Observations, how: str) -> Observations:

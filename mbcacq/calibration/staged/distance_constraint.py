@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.staged.ball_pairs import Distances, pairs
+from mbcacq.calibration.staged.ball_pairs import PairDistances, pairs
 from mbcacq.calibration.staged.error_propagation import Measured, propagate
 from mbcacq.estimation.options import Noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 
 UNSEEN = 1e-10   # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unseen
-__all__ = ["Distances", "Identified", "identify", "pairs"]
+__all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Identified:
     iterations: int
 
 
-def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, distances: Distances,
+def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, distances: PairDistances,
              free: np.ndarray, measured: Measured | None = None, *, limit: int = 50, tolerance: float = 1e-9) -> Identified:
     """q: (P, n) rad; pose: (M,); xyz: (M, 3) mm in the scanner frame; free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
 

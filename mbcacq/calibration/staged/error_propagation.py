@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from mbcacq.calibration.staged.ball_pairs import Distances
+from mbcacq.calibration.staged.ball_pairs import PairDistances
 from mbcacq.estimation.initial_guess import match
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import LEAST_POINT
@@ -58,7 +58,7 @@ def scanner_noise(obs: Observations) -> np.ndarray:
     return np.maximum(np.sqrt(left / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
 
 
-def propagate(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, at: Distances, J: np.ndarray,
+def propagate(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, at: PairDistances, J: np.ndarray,
               residual: np.ndarray, inverse: np.ndarray, measured: Measured) -> Propagated:
     """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unseen."""
     frames = chain.frames(q)

@@ -17,15 +17,15 @@ from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import Options
-from mbcacq.estimation.parameters import Block, Estimate, Layout
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.parameters import Estimate, ParameterBlock, ParameterLayout
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 
-def calibrate_paper(observations: Observations, options: Options) -> Calibration:
+def calibrate_paper(observations: Observations, options: CalibrationOptions) -> Calibration:
     """The published method on a recording. Raises CalibrationError where its stages lack what they need."""
     whole = select_phases(observations, options)
     if whole.cell.measurement == TARGET_IN_BASE or not np.any(np.abs(whole.xyz) > 1e-9):
@@ -60,7 +60,7 @@ def constraint(obs: Observations, how: str) -> distance_constraint.Distances:
     return distance_constraint.Distances(at.a[keep], at.b[keep], at.certified[keep])
 
 
-def identify(obs: Observations, first: CellState, at: distance_constraint.Distances, layout: Layout, options: Options,
+def identify(obs: Observations, first: CellState, at: distance_constraint.Distances, layout: ParameterLayout, options: CalibrationOptions,
              measured: Measured) -> distance_constraint.Identified:
     """The last stage. Raises CalibrationError where the distances leave a direction unseen that matters elsewhere in the workspace."""
     free = np.concatenate([b.free for b in layout.blocks[:2]])
@@ -83,7 +83,7 @@ def identify(obs: Observations, first: CellState, at: distance_constraint.Distan
     return found
 
 
-def published_layout(obs: Observations, options: Options) -> Layout:
+def published_layout(obs: Observations, options: CalibrationOptions) -> ParameterLayout:
     """Free as in the paper's Table 1: everything but d before a parallel axis, and beta only there."""
     layout = parameters.build(obs, replace(options, balls=False, terms=()))
     parallel = obs.cell.robot.chain.parallel_next()
@@ -93,7 +93,7 @@ def published_layout(obs: Observations, options: Options) -> Layout:
     block = layout.blocks[0]
     kept = {name: why for name, why in block.why.items() if not free.reshape(-1)[block.names.index(name)]}
     kept |= {name: "not in the paper's model" for name, f in zip(block.names, free.reshape(-1), strict=True) if not f and name not in kept}
-    return Layout((Block(block.name, block.names, block.units, free.reshape(-1), block.sigma, block.scale, kept), *layout.blocks[1:]))
+    return ParameterLayout((ParameterBlock(block.name, block.names, block.units, free.reshape(-1), block.sigma, block.scale, kept), *layout.blocks[1:]))
 
 
 def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibration:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
@@ -41,22 +41,22 @@ def match(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return se3.transform(R, np.median(b - a @ R.T, axis=0))
 
 
-def first_noise(obs: Observations) -> Noise:
+def first_noise(obs: Observations) -> NoiseEstimate:
     """Stated noise where there is one, and the repeatability turned into angles at the arm's reach."""
     robot = obs.cell.robot
     reach = max(float(np.sum(np.hypot(robot.chain.a, robot.chain.d))), 1.0)
     point = np.full(3, 0.02) if obs.cell.noise_mm is None else np.maximum(obs.cell.noise_mm, 1e-4)
     repeatability = robot.repeatability_mm or 0.06
-    return Noise(point, np.full(robot.n, repeatability / 4 / reach), 1e-4)
+    return NoiseEstimate(point, np.full(robot.n, repeatability / 4 / reach), 1e-4)
 
 
-def fit(obs: Observations, noise: Noise, state: CellState | None = None, rounds: int = 20) -> tuple[CellState, np.ndarray]:
+def fit(obs: Observations, noise: NoiseEstimate, state: CellState | None = None, rounds: int = 20) -> tuple[CellState, np.ndarray]:
     """Fitted state and (M,) bool of the centres kept."""
     keep = np.ones(obs.n_centres, bool)
     state = start(obs) if state is None else state
     before = np.inf
     for _ in range(rounds):
-        linear = Linear(obs, state, keep)
+        linear = LinearProblem(obs, state, keep)
         whiten = linear.whitener(noise)
         columns, sigma, layout = linear.nuisance()
         J, r = whiten(columns), whiten(linear.residual)

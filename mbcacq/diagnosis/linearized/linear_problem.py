@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.whitening import Noise, Whitener, joint_columns
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate, Whitener, joint_columns
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Displacements
 from mbcacq.estimation.terms import PER_POSE, Part
@@ -24,7 +24,7 @@ STATION_PRIOR = np.array([1e4, 1e4, 1e4, 3.0, 3.0, 3.0])
 
 
 @dataclass(frozen=True)
-class Layout:
+class ColumnLayout:
     """Which nuisance column is what: slices into the free parameters."""
 
     geometry: slice
@@ -34,7 +34,7 @@ class Layout:
     size: int
 
 
-class Linear:
+class LinearProblem:
     """obs, state and keep as given; prediction, residual (M, R), and columns of free geometry (rows, nuisance)."""
 
     def __init__(self, obs: Observations, state: CellState, keep: np.ndarray | None = None, displacements: Displacements | None = None):
@@ -95,7 +95,7 @@ class Linear:
         twists = self.state.chain.parameter_twists(self.prediction.frames, obs.q).reshape(obs.n_poses, 5 * n, 6)
         return forward_model.arm_jacobian(obs, self.prediction, twists)
 
-    def nuisance(self) -> tuple[np.ndarray, np.ndarray, Layout]:
+    def nuisance(self) -> tuple[np.ndarray, np.ndarray, ColumnLayout]:
         """Columns (M, R, z) of the free geometry, prior sigma (z,), and what is where."""
         obs, prediction, n = self.obs, self.prediction, self.obs.cell.robot.n
         blocks = [self._geometry_columns()]
@@ -129,10 +129,10 @@ class Linear:
         return (
             np.concatenate(blocks, axis=2),
             sigma,
-            Layout(slice(0, 5 * n), slice(5 * n, z), stations, slice(stations.stop, len(sigma)), len(sigma)),
+            ColumnLayout(slice(0, 5 * n), slice(5 * n, z), stations, slice(stations.stop, len(sigma)), len(sigma)),
         )
 
-    def moved(self, step: np.ndarray, layout: Layout) -> CellState:
+    def moved(self, step: np.ndarray, layout: ColumnLayout) -> CellState:
         """The state of a solution (z,) of the nuisance parameters: the arm's as deviation from nominal, mount and stations as a step.
 
         What has a certificate stays at it, the linear problem moves it.
@@ -153,12 +153,12 @@ class Linear:
             T_base_station=T,
         )
 
-    def restricted(self, keep: np.ndarray) -> Linear:
+    def restricted(self, keep: np.ndarray) -> LinearProblem:
         """The same linearisation with only the centres in keep (M,) bool; columns are shared."""
-        out = object.__new__(Linear)
+        out = object.__new__(LinearProblem)
         out.__dict__.update(self.__dict__)
         out.keep = keep
         return out
 
-    def whitener(self, noise: Noise) -> Whitener:
+    def whitener(self, noise: NoiseEstimate) -> Whitener:
         return Whitener(self.obs, self.joint, noise, self.keep)

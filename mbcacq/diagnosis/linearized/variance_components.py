@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.linearized.whitening import Noise
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 
 WORST_POINT, WORST_STATED = 3.0, 8.0  # times the stated noise of an instrument, and what a stated repeatability means at a joint
 MANY_POSES, WORST_JOINT = 350, 10.0  # of a long recording no joint is taken to repeat worse than this many times what it should
 LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_AXIS, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 0.35, 1.0, 0.35
 
 
-def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Noise, prior: Noise, rounds: int = 12) -> Noise:
+def estimate(linear: LinearProblem, columns: np.ndarray, sigma: np.ndarray, start: NoiseEstimate, prior: NoiseEstimate, rounds: int = 12) -> NoiseEstimate:
     """Most probable noise given that ``columns`` (M, R, z; prior sigma (z,)) explain what is not noise.
 
     Fisher scoring with the average information matrix (Gilmour, Thompson, Cullis 1995), on logarithms of the sigmas.
@@ -46,20 +46,20 @@ def estimate(linear: Linear, columns: np.ndarray, sigma: np.ndarray, start: Nois
     return unpack(theta, n, turn)
 
 
-def log_prior(noise: Noise, prior: Noise, linear: Linear) -> float:
+def log_prior(noise: NoiseEstimate, prior: NoiseEstimate, linear: LinearProblem) -> float:
     """Log density of the noise under its prior, up to a constant."""
     turn = linear.width == 6
     off = pack(noise, turn) - pack(prior, turn)
     return -0.5 * float(off @ prior_precision(len(prior.joint), turn, linear.obs.cell.noise_mm is not None) @ off)
 
 
-def pack(noise: Noise, turn: bool) -> np.ndarray:
+def pack(noise: NoiseEstimate, turn: bool) -> np.ndarray:
     return np.log(np.concatenate([noise.point, noise.joint, [noise.turn] if turn else []]))
 
 
-def unpack(theta: np.ndarray, n: int, turn: bool) -> Noise:
+def unpack(theta: np.ndarray, n: int, turn: bool) -> NoiseEstimate:
     value = np.exp(theta)
-    return Noise(value[:3], value[3 : 3 + n], float(value[-1]) if turn else 1e-4)
+    return NoiseEstimate(value[:3], value[3 : 3 + n], float(value[-1]) if turn else 1e-4)
 
 
 def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
@@ -75,7 +75,7 @@ def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
     return out
 
 
-def _score(linear: Linear, columns: np.ndarray, sigma: np.ndarray, noise: Noise, turn: bool) -> tuple[np.ndarray, np.ndarray]:
+def _score(linear: LinearProblem, columns: np.ndarray, sigma: np.ndarray, noise: NoiseEstimate, turn: bool) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and average information of the restricted log likelihood by the log sigmas."""
     whiten = linear.whitener(noise)
     Q, _ = orthogonal(whiten(columns) * sigma)
@@ -121,7 +121,7 @@ def orthogonal(Z: np.ndarray) -> tuple[np.ndarray, float]:
     return Z @ dtrtri(factor, lower=1)[0].T, 2 * float(np.log(np.diag(factor)).sum())
 
 
-def pose_sums(linear: Linear):
+def pose_sums(linear: LinearProblem):
     """(row -> pose index (M R,)) and a function summing rows (M R, ...) over each pose -> (P, ...)."""
     pose = np.repeat(linear.obs.pose, linear.width)
     starts = np.flatnonzero(np.r_[True, np.diff(pose) > 0])

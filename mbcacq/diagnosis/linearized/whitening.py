@@ -14,7 +14,7 @@ from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseEstimate:
     """point: (3,) mm sigma of a centre along the instrument's axes; joint: (n,) rad; turn: rad, of a measured orientation."""
 
     point: np.ndarray
@@ -35,7 +35,7 @@ def joint_columns(obs: Observations, prediction: Prediction) -> np.ndarray:
 class Whitener:
     """Multiplies the rows of each pose by the inverse Cholesky factor of its covariance. ``keep``: (M,) bool, outliers dropped (rows 0)."""
 
-    def __init__(self, obs: Observations, joint: np.ndarray, noise: Noise, keep: np.ndarray):
+    def __init__(self, obs: Observations, joint: np.ndarray, noise: NoiseEstimate, keep: np.ndarray):
         self.keep = keep
         self.shape = joint.shape[:2]
         self.groups = []

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.fit import Explained, conclude
-from mbcacq.diagnosis.motion.forward_selection import Selection
+from mbcacq.diagnosis.motion.fit import MotionFit, conclude
+from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.normal_store import parts
 from mbcacq.diagnosis.motion.result import outcome
 from mbcacq.diagnosis.motion.signals import groups, prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.motion.transmitted_torque import with_load
-from mbcacq.effects.motion.effect import Run
+from mbcacq.effects.motion.effect import MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import RobotModel
 
@@ -34,7 +34,7 @@ def diagnose_trajectories(trajectories: list, proof: bool = True) -> dict:
     return outcome(explained, loaded, prove(runs, inertial, robot) if proof else None)
 
 
-def explain_trajectories(trajectories: list, held: int | None = None) -> list[Explained]:
+def explain_trajectories(trajectories: list, held: int | None = None) -> list[MotionFit]:
     """What was found in each kind of mismatch. held: a part (``ledger.parts``) that takes no part."""
     return explain(*_prepared(trajectories), held)[0]
 
@@ -44,12 +44,12 @@ def base_alone(trajectories: list) -> dict[str, np.ndarray]:
     runs, inertial, robot = _prepared(trajectories)
     out = {}
     for group in groups(runs, inertial, robot):
-        selection = Selection(group, runs, candidates=())
+        selection = ForwardSelection(group, runs, candidates=())
         out[group.name] = selection.mean_square(selection.start) / selection.floor**2
     return out
 
 
-def _prepared(trajectories: list) -> tuple[tuple[Run, ...], list[np.ndarray], RobotModel]:
+def _prepared(trajectories: list) -> tuple[tuple[MotionSignals, ...], list[np.ndarray], RobotModel]:
     if not trajectories:
         raise ConfigError("no trajectory was given")
     if len({t.robot.n for t in trajectories}) > 1:
@@ -58,22 +58,22 @@ def _prepared(trajectories: list) -> tuple[tuple[Run, ...], list[np.ndarray], Ro
     return _common([run for run, _ in prepared]), [inertial for _, inertial in prepared], trajectories[0].robot
 
 
-def explain(runs: tuple[Run, ...], inertial: list[np.ndarray], robot: RobotModel,
-            held: int | None = None) -> tuple[list[Explained], tuple[Run, ...]]:
+def explain(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot: RobotModel,
+            held: int | None = None) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
     """Torque first: the load it tells winds up the gears. Raises ConfigError where there is nothing to compare."""
     kinds = [g.name for g in groups(runs, inertial, robot)]
     if not kinds:
         raise ConfigError("nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm, motor_tau*_Nm or i*_A beside q*_deg")
-    explained: list[Explained] = []
+    explained: list[MotionFit] = []
     for kind in kinds:
         group = next(g for g in groups(runs, inertial, robot) if g.name == kind)
-        explained.append(conclude(Selection(group, runs, held)))
+        explained.append(conclude(ForwardSelection(group, runs, held)))
         if kind == "tau":
             runs = with_load(runs, explained[-1])
     return explained, runs
 
 
-def prove(runs: tuple[Run, ...], inertial: list[np.ndarray], robot: RobotModel) -> dict[str, np.ndarray]:
+def prove(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot: RobotModel) -> dict[str, np.ndarray]:
     """Mean squares (2, J) before and after by kind of mismatch, each part told from what was chosen and fitted on the others alone."""
     total: dict[str, np.ndarray] = {}
     count: dict[str, np.ndarray] = {}
@@ -96,7 +96,7 @@ def prove(runs: tuple[Run, ...], inertial: list[np.ndarray], robot: RobotModel) 
     return {name: square / np.maximum(count[name], 1.0) for name, square in total.items()}
 
 
-def _common(runs: list[Run]) -> tuple[Run, ...]:
+def _common(runs: list[MotionSignals]) -> tuple[MotionSignals, ...]:
     """Keep only the signals that every run has."""
     missing = {name: None for name in OPTIONAL if any(getattr(r, name) is None for r in runs)}
     return tuple(replace(r, **missing) for r in runs)

@@ -13,10 +13,10 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as t_distribution
 
 from mbcacq.diagnosis.motion.hyperparameters import refine
-from mbcacq.diagnosis.motion.normal_store import Ledger, third_difference_noise
+from mbcacq.diagnosis.motion.normal_store import NormalStore, third_difference_noise
 from mbcacq.diagnosis.motion.spectrum import lines
 from mbcacq.effects import motion as effects
-from mbcacq.effects.motion.effect import Candidate, Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
 
 LEAST_GAIN = 0.02      # of the held-out mean square of a joint it acts on, as it is before the effect is taken
 LEAST_RELIEF = 25.0    # squared sigmas by which an effect lets the arm be as it is described
@@ -31,13 +31,13 @@ NEAR = 0.05            # of the best candidate's gain: closer is as good, and th
 class Variant:
     """A candidate at one value of its hyper-parameter, with the numbers of its columns."""
 
-    candidate: Candidate
+    candidate: MotionCandidate
     hyper: float | None
     ids: np.ndarray
 
 
 @dataclass
-class Taken:
+class SelectedEffect:
     variant: Variant
     p_value: float
     before: np.ndarray                   # held-out mean square (J,) without it
@@ -46,11 +46,11 @@ class Taken:
     relieves: bool = False               # taken for what the arm's description had to be bent without it
 
     @property
-    def candidate(self) -> Candidate:
+    def candidate(self) -> MotionCandidate:
         return self.variant.candidate
 
 
-def all_candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+def all_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     out = []
     for info in pkgutil.iter_modules(effects.__path__):
         module = importlib.import_module(f"{effects.__name__}.{info.name}")
@@ -59,25 +59,25 @@ def all_candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
     return out
 
 
-class Selection:
+class ForwardSelection:
     """Forward choice with a look back: an effect that later ones make needless is dropped again."""
 
-    def __init__(self, group: Group, runs: tuple[Run, ...], held: int | None = None,
-                 candidates: Sequence[Candidate] | None = None) -> None:
+    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None,
+                 candidates: Sequence[MotionCandidate] | None = None) -> None:
         """candidates: what may be chosen, None for the whole catalogue."""
-        self.group, self.runs, self.ledger = group, runs, Ledger(group, runs, held)
+        self.group, self.runs, self.ledger = group, runs, NormalStore(group, runs, held)
         self.pool = all_candidates(group, runs) if candidates is None else list(candidates)
         self.variants = [v for c in self.pool if not c.extends for v in self._variants(c)]
         self.mark = len(self.ledger.prior)
         self.floor = np.array([third_difference_noise(tuple(m[:, k] for m in group.mismatch)) for k in range(len(group.joints))])
-        self.taken: list[Taken] = []
+        self.taken: list[SelectedEffect] = []
         self.start = self.held(self.weights(self.chosen()), self.chosen())
         if candidates is None or self.pool:
             self._choose()
 
     # what stands
 
-    def chosen(self, *more: np.ndarray, without: Taken | None = None) -> np.ndarray:
+    def chosen(self, *more: np.ndarray, without: SelectedEffect | None = None) -> np.ndarray:
         return np.concatenate([self.ledger.base, *(t.variant.ids for t in self.taken if t is not without), *more]).astype(int)
 
     def weights(self, chosen: np.ndarray) -> np.ndarray:
@@ -115,7 +115,7 @@ class Selection:
 
     # choosing
 
-    def _variants(self, candidate: Candidate, hyper: np.ndarray | None = None) -> list[Variant]:
+    def _variants(self, candidate: MotionCandidate, hyper: np.ndarray | None = None) -> list[Variant]:
         values = candidate.hyper if hyper is None else hyper
         values = [None] if values is None else values
         if len(candidate.joints) > 1:
@@ -156,7 +156,7 @@ class Selection:
         return [v for v in self.variants if (v.candidate.place, v.candidate.tag) not in there
                 and (v.candidate.extends or v.candidate.place not in plain)]
 
-    def _extend(self, taken: Taken) -> None:
+    def _extend(self, taken: SelectedEffect) -> None:
         if taken.candidate.extends:
             return
         for candidate in self.pool:
@@ -175,7 +175,7 @@ class Selection:
                                         for c, order in zip(found, middle, strict=True)], [np.full(2, np.inf)] * len(found))
         return [Variant(c, order, ids) for c, order, ids in zip(found, middle, numbers, strict=True)]
 
-    def _best(self, weights, chosen, normals, now, variants: list[Variant]) -> tuple[Taken, bool] | None:
+    def _best(self, weights, chosen, normals, now, variants: list[Variant]) -> tuple[SelectedEffect, bool] | None:
         if not variants:
             return None
         gains = self._fit_gains(weights, chosen, variants)
@@ -220,7 +220,7 @@ class Selection:
         rivals = [{"name": t[1].candidate.name, "where": list(t[1].candidate.where), "gain": t[0] / gain} for t in trials
                   if t[1].candidate.place != v.candidate.place and set(t[1].candidate.joints) & set(v.candidate.joints)
                   and t[0] > 0.1 * gain][:3]
-        return Taken(v, min(p, 1.0), standing, after, rivals, relieves), not any(v is w for w in self.variants)
+        return SelectedEffect(v, min(p, 1.0), standing, after, rivals, relieves), not any(v is w for w in self.variants)
 
     def _fit_gains(self, weights: np.ndarray, chosen: np.ndarray, variants: list[Variant]) -> list[float]:
         """Drop of the weighted squared error (per joint's mean square) by each variant, all else refitted."""
@@ -272,7 +272,7 @@ class Selection:
             if weakest.candidate.tuned:
                 self.ledger.retime(0.0)
 
-    def _held_without(self, t: Taken, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
+    def _held_without(self, t: SelectedEffect, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         if not t.candidate.tuned:
             return self.mean_square(self.held(weights, self.chosen(without=t), normals))
         delay = self.ledger.delay

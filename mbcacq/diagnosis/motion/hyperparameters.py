@@ -11,13 +11,13 @@ from mbcacq.diagnosis.motion.time_alignment import fitted, settle
 from mbcacq.effects.motion.effect import OF_THE_DRIVE
 
 if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.forward_selection import Selection, Taken
+    from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
 
 ROUNDS = 4
 SMALL = 1e-3   # relative step of a hyper-parameter for its derivative
 
 
-def refine(selection: Selection) -> None:
+def refine(selection: ForwardSelection) -> None:
     """Gauss-Newton on the continuous hyper-parameters, all coefficients refitted, within the spacing of what was tried."""
     ledger = selection.ledger
     settle(selection)
@@ -48,7 +48,7 @@ def refine(selection: Selection) -> None:
     renew(selection)
 
 
-def renew(selection: Selection) -> None:
+def renew(selection: ForwardSelection) -> None:
     """Effects that follow the load see it as it is now known, no longer as the arm is described."""
     by_load = [t for t in selection.taken if t.candidate.by_load]
     if not by_load:
@@ -67,7 +67,7 @@ def renew(selection: Selection) -> None:
         selection.ledger.replace(t.variant.ids, [selection.group.joints.index(j) for j in t.candidate.joints], columns)
 
 
-def _neighbours(t: Taken) -> tuple[float, float]:
+def _neighbours(t: SelectedEffect) -> tuple[float, float]:
     values = np.sort(t.candidate.hyper)
     k = int(np.argmin(np.abs(values - t.variant.hyper)))
     low = values[k - 1] if k else values[0]
@@ -75,7 +75,7 @@ def _neighbours(t: Taken) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def slopes(selection: Selection, chosen: np.ndarray, x: np.ndarray) -> list[tuple[Taken, np.ndarray]]:
+def slopes(selection: ForwardSelection, chosen: np.ndarray, x: np.ndarray) -> list[tuple[SelectedEffect, np.ndarray]]:
     """Per continuous hyper-parameter the column d(effect)/d(hyper), added to the ledger."""
     position = {int(c): i for i, c in enumerate(chosen)}
     out = []

@@ -9,10 +9,10 @@ import numpy as np
 from mbcacq.effects.motion.effect import OF_THE_DRIVE
 
 if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.forward_selection import Selection
+    from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 
 
-def load_doubt(selection: Selection, chosen: np.ndarray, x: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def load_doubt(selection: ForwardSelection, chosen: np.ndarray, x: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """(J,) by what share the load may be off that winds up a gear: of the links' torque and of what effects add behind the gear, that part
     which goes with the load itself. chosen, x: what stands and its coefficients, spread: their covariance."""
     if selection.group.name != "tau":
@@ -27,7 +27,7 @@ def load_doubt(selection: Selection, chosen: np.ndarray, x: np.ndarray, spread: 
     return np.array(out)
 
 
-def _load(selection: Selection, place: int, chosen: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _load(selection: ForwardSelection, place: int, chosen: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The torque that passes a gear (Ttot,), zero where a sample takes no part; the columns (Ttot, k) by which it was adapted, and where
     they stand in ``chosen``."""
     group, ledger = selection.group, selection.ledger

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.normal_store import Ledger
+    from mbcacq.diagnosis.motion.normal_store import NormalStore
 
 TOGETHER_S = 1.0   # what is left further apart than that counts as independent
 
 
-def covariance(ledger: Ledger, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+def covariance(ledger: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(c, c) of the coefficients x of the columns ``chosen``; weights: (J,) one over the mean square left."""
     factor, scale = ledger.factor(ledger.normal(weights), chosen)
     inverse = cho_solve(factor, np.eye(len(chosen)), check_finite=False) * np.outer(scale, scale)
@@ -34,7 +34,7 @@ def covariance(ledger: Ledger, weights: np.ndarray, chosen: np.ndarray, x: np.nd
     return coloured * np.outer(grow, grow)
 
 
-def _spectral(ledger: Ledger, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _spectral(ledger: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(c, c) spread of the scores, from the autocovariance of what is left of each joint (Bartlett's window)."""
     out = np.zeros((len(chosen), len(chosen)))
     longest = max(int(TOGETHER_S / ledger.runs[0].step_s), 1)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from mbcacq.diagnosis.motion.time_alignment import lateness
-from mbcacq.effects.motion.effect import Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 
 PIECE_S = 0.5
 PARTS = 3              # a single recording is held out in so many blocks
@@ -21,13 +21,13 @@ RIDGE = 1e-12          # of a scaled normal matrix: directions far below are not
 
 
 @dataclass(frozen=True)
-class Piece:
+class NormalSegment:
     run: int
     where: slice
     fold: int
 
 
-def parts(runs: tuple[Run, ...]) -> tuple[list[list[tuple[int, slice]]], str]:
+def parts(runs: tuple[MotionSignals, ...]) -> tuple[list[list[tuple[int, slice]]], str]:
     """What is held out in turn: whole trajectories (several at once where there are many), or blocks in time where there is only one."""
     if len(runs) > 1:
         number = min(len(runs), PARTS)
@@ -40,7 +40,7 @@ def _blocks(length: int, number: int) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
-def pieces(runs: tuple[Run, ...], held: int | None = None) -> tuple[list[Piece], str]:
+def pieces(runs: tuple[MotionSignals, ...], held: int | None = None) -> tuple[list[NormalSegment], str]:
     """Half seconds, and which fold they belong to while effects are chosen. held: a part that takes no part in anything.
 
     Folds are the trajectories that are left; of a single one, interleaved blocks.
@@ -55,18 +55,18 @@ def pieces(runs: tuple[Run, ...], held: int | None = None) -> tuple[list[Piece],
                 where.stop - where.start, INTERLEAVED if split == "trajectory" else INTERLEAVED // PARTS)]
             for i, block in enumerate(blocks):
                 number = max(int((block.stop - block.start) * runs[k].step_s / PIECE_S), 1)
-                out += [Piece(k, slice(block.start + b.start, block.start + b.stop), fold if whole else i % PARTS)
+                out += [NormalSegment(k, slice(block.start + b.start, block.start + b.stop), fold if whole else i % PARTS)
                         for b in _blocks(block.stop - block.start, number)]
     return out, split
 
 
-class Ledger:
+class NormalStore:
     """Columns by number. The mismatch is column -1 of every joint; its own offset is the first column of each joint.
 
     held: a part of the recordings (``parts``) that takes no part in anything.
     """
 
-    def __init__(self, group: Group, runs: tuple[Run, ...], held: int | None = None) -> None:
+    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None) -> None:
         self.group, self.runs = group, runs
         self.whole = held is None
         self.pieces, self.split = pieces(runs, held)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.motion.fit import Explained
+from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.forward_selection import improvement_p
-from mbcacq.effects.motion.effect import Run
+from mbcacq.effects.motion.effect import MotionSignals
 
 BINS = 24
 PIECES = 24          # of a channel's residual, taken as independent witnesses
@@ -15,7 +15,7 @@ LEAST_SHARE = 0.15   # of what is left that one variable must explain, on the ot
 LEAST_CHI2 = 2.0
 
 
-def structure(explained: Explained, place: int, runs: tuple[Run, ...], floor: float, weight: float) -> dict | None:
+def structure(explained: MotionFit, place: int, runs: tuple[MotionSignals, ...], floor: float, weight: float) -> dict | None:
     """The covariate that predicts most of what is left of one joint, fitted on one part and tested on the other; None for noise.
 
     weight: share of all that was there to explain which is left at this joint.
@@ -41,7 +41,7 @@ def structure(explained: Explained, place: int, runs: tuple[Run, ...], floor: fl
     return {"mismatch": where, "effect": effect}
 
 
-def _covariates(name: str, runs: tuple[Run, ...], joint: int) -> dict[str, list[np.ndarray]]:
+def _covariates(name: str, runs: tuple[MotionSignals, ...], joint: int) -> dict[str, list[np.ndarray]]:
     out = {f"q{k + 1}": [r.q[:, k] for r in runs] for k in range(runs[0].q.shape[1])}
     out |= {f"qd{k + 1}": [r.qd[:, k] for r in runs] for k in range(runs[0].q.shape[1])}
     out[f"qdd{joint + 1}"] = [r.qdd[:, joint] for r in runs]

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.fit import Explained, Found
+from mbcacq.diagnosis.motion.fit import FoundTerm, MotionFit
 from mbcacq.diagnosis.motion.normal_store import third_difference_noise
 from mbcacq.diagnosis.motion.residual_structure import structure
 from mbcacq.diagnosis.result import FORMAT, plain
-from mbcacq.effects.motion.effect import Run
+from mbcacq.effects.motion.effect import MotionSignals
 
 LEFT = 2.0     # held-out chi2 per degree of freedom above which something is unexplained
 
 
-def outcome(explained: list[Explained], runs: tuple[Run, ...], proof: dict[str, np.ndarray] | None) -> dict:
+def outcome(explained: list[MotionFit], runs: tuple[MotionSignals, ...], proof: dict[str, np.ndarray] | None) -> dict:
     """proof: mean squares (2, J) before and after by kind of mismatch, on parts that took no part in choosing or fitting; None for
     the figures by which effects were chosen."""
     effects, mismatch, fits = [], [], []
@@ -48,7 +48,7 @@ def _mean(fits: list[dict], part: str) -> dict[str, float]:
     return {k: float(np.mean([f[part][k] for f in fits])) for k in ("before_chi2_dof", "after_chi2_dof")}
 
 
-def _effect(e: Explained, f: Found, floor: np.ndarray, excess: float) -> dict:
+def _effect(e: MotionFit, f: FoundTerm, floor: np.ndarray, excess: float) -> dict:
     at = [e.group.joints.index(j) for j in f.joints]
     here = float(np.maximum(e.held_start[at] / floor[at]**2 - 1.0, 0.0).sum())
     drop = float((f.gain / floor**2).sum())
@@ -59,12 +59,12 @@ def _effect(e: Explained, f: Found, floor: np.ndarray, excess: float) -> dict:
             "steps": [{"adds": s["adds"], **_in_units(e, s, at)} for s in f.steps]}
 
 
-def _in_units(e: Explained, step: dict, at: list[int]) -> dict:
+def _in_units(e: MotionFit, step: dict, at: list[int]) -> dict:
     scale = _scale(e)
     return {f"held_out_{k}_rms": {f"A{e.group.joints[i] + 1}": scale * float(np.sqrt(step[k][i])) for i in at} for k in ("before", "after")}
 
 
-def _mismatch(e: Explained, floor: np.ndarray) -> list[dict]:
+def _mismatch(e: MotionFit, floor: np.ndarray) -> list[dict]:
     """One entry a named dependence; share: of the held-out excess of this kind of mismatch over the noise."""
     excess = total_excess(e, floor)
     out = []
@@ -75,21 +75,21 @@ def _mismatch(e: Explained, floor: np.ndarray) -> list[dict]:
     return out
 
 
-def total_excess(e: Explained, floor: np.ndarray) -> float:
+def total_excess(e: MotionFit, floor: np.ndarray) -> float:
     """Held-out chi2 over the noise, of all joints of a kind of mismatch before any effect."""
     return max(float(np.maximum(e.held_start / floor**2 - 1.0, 0.0).sum()), 1e-300)
 
 
-def noise_floor(e: Explained) -> np.ndarray:
+def noise_floor(e: MotionFit) -> np.ndarray:
     """(J,) standard deviation of what no physics of an arm can follow."""
     return np.array([third_difference_noise(tuple(m[:, place] for m in e.group.mismatch)) for place in range(len(e.group.joints))])
 
 
-def _scale(e: Explained) -> float:
+def _scale(e: MotionFit) -> float:
     return float(np.degrees(1)) if e.group.unit == "rad" else 1.0
 
 
-def _fit(e: Explained, place: int, floor: float, proof: np.ndarray) -> dict:
+def _fit(e: MotionFit, place: int, floor: float, proof: np.ndarray) -> dict:
     scale = _scale(e)
 
     def entry(before: float, after: float) -> dict:

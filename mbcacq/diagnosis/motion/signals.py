@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
-from mbcacq.effects.motion.effect import Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor
 
@@ -20,7 +20,7 @@ FEWEST_SAMPLES = 200
 EDGE_S = 0.05          # at both ends: a late channel has its past there, or its future, outside the recording
 
 
-def prepare(trajectory) -> tuple[Run, np.ndarray]:
+def prepare(trajectory) -> tuple[MotionSignals, np.ndarray]:
     """One recording as a Run, and the torque (T, n, n, 10) by unit inertial parameter of each link, without copies of what is not needed.
 
     Raises ConfigError for a recording that is too short or whose times do not rise.
@@ -48,7 +48,7 @@ def prepare(trajectory) -> tuple[Run, np.ndarray]:
         payload = inertial[:, :, -1]
     if q_set is not None and robot.mass.any():
         rigid_set = np.einsum("tjlk,lk->tj", regressor(robot.chain, rates(q_set, step, 0), *set_rates[:2], robot.gravity), parameters)
-    run = Run(step, q, qd, qdd, sense(q, step), smooth, q_set, *set_rates, resample(trajectory.q_joint), torque, rigid, rigid, gravity,
+    run = MotionSignals(step, q, qd, qdd, sense(q, step), smooth, q_set, *set_rates, resample(trajectory.q_joint), torque, rigid, rigid, gravity,
               rigid_set, payload, robot.gear_ratio)
     return run, inertial
 
@@ -115,7 +115,7 @@ def sense(q: np.ndarray, step: float) -> np.ndarray:
     return out
 
 
-def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Group]:
+def groups(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot) -> list[ChannelGroup]:
     """Every kind of mismatch that these recordings can show."""
     out = []
     inner = tuple(_inside(run) for run in runs)
@@ -126,7 +126,7 @@ def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Gro
             wanted = sigma > 0
             base = tuple(np.concatenate([(c * sigma)[:, joints][:, :, wanted], _rotors(run, robot, joints)], axis=2)
                          for c, run in zip(inertial, runs, strict=True))
-            out.append(Group("tau", "N m", joints, tuple((run.torque - run.rigid)[:, joints] for run in runs),
+            out.append(ChannelGroup("tau", "N m", joints, tuple((run.torque - run.rigid)[:, joints] for run in runs),
                              tuple((_moving(run, fastest) & k)[:, joints] for run, k in zip(runs, inner, strict=True)), base,
                              np.ones(base[0].shape[2]), refit=False, signal=tuple(run.torque[:, joints] for run in runs)))
     for name, signal, sign in (("q_joint", "q_joint", 1.0), ("q_set", "q_set", -1.0)):
@@ -138,7 +138,7 @@ def groups(runs: tuple[Run, ...], inertial: list[np.ndarray], robot) -> list[Gro
             base = tuple(np.zeros((len(run.q), len(joints), 0)) for run in runs)
             late = name == "q_joint"  # a late set point and a late drive are one and the same
             use = tuple((k if late else np.ones_like(k))[:, joints] for k in inner)
-            out.append(Group(name, "rad", joints, mismatch, use, base, np.zeros(0), refit=True,
+            out.append(ChannelGroup(name, "rad", joints, mismatch, use, base, np.zeros(0), refit=True,
                              signal=tuple(run.q_joint[:, joints] for run in runs) if late else ()))
     return out
 
@@ -147,19 +147,19 @@ def _finite(signals: list[np.ndarray]) -> tuple[int, ...]:
     return tuple(j for j in range(signals[0].shape[1]) if all(np.isfinite(s[:, j]).all() for s in signals))
 
 
-def _inside(run: Run) -> np.ndarray:
+def _inside(run: MotionSignals) -> np.ndarray:
     """(T, n): away from both ends of the recording."""
     out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(EDGE_S / run.step_s))
     out[:edge] = out[len(out) - edge:] = False
     return out
 
 
-def _moving(run: Run, fastest: np.ndarray) -> np.ndarray:
+def _moving(run: MotionSignals, fastest: np.ndarray) -> np.ndarray:
     """(T, n): the joint moves, well away from a reversal. fastest: (n,) rad/s of all recordings: in some a joint may stand all the time."""
     return np.abs(run.qd) > STANDSTILL * fastest
 
 
-def _rotors(run: Run, robot, joints: tuple[int, ...]) -> np.ndarray:
+def _rotors(run: MotionSignals, robot, joints: tuple[int, ...]) -> np.ndarray:
     """(T, J, n): torque of each rotor, by as much inertia as the links behind it may have about its axis."""
     reach = np.cumsum((np.abs(robot.chain.a) + np.abs(robot.chain.d))[::-1])[::-1] * 1e-3
     behind = np.maximum(np.cumsum(np.maximum(robot.mass, 1.0)[::-1])[::-1], 1.0)

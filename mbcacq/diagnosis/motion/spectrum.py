@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import Candidate, Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.effects.motion.torque_ripple import range_of_orders, wave
 
 FINER = 8          # steps of angle per shortest period, and steps of order per distinguishable one
 NEIGHBOURS = 61    # orders about a line that say how high the ground is there
 
 
-def lines(group: Group, runs: tuple[Run, ...], joint: int, left: np.ndarray, training: np.ndarray) -> list[Candidate]:
+def lines(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, left: np.ndarray, training: np.ndarray) -> list[MotionCandidate]:
     """Candidates for the strongest waves in ``left`` (Ttot,): strongest of all, strongest above its surroundings, at motor orders.
 
     training: (Ttot,) which samples take part.

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbcacq.effects.motion.effect import Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 
 if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.forward_selection import Selection, Taken
+    from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
 
 ROUNDS = 6
 LONGEST_S = 0.05       # a longer delay of a channel is not credible
 SETTLED_S = 1e-8
 
 
-def lateness(group: Group, run: Run, k: int, place: int, delay: float) -> np.ndarray:
+def lateness(group: ChannelGroup, run: MotionSignals, k: int, place: int, delay: float) -> np.ndarray:
     """What moving the recorded channel forward by ``delay`` s adds to the mismatch (T,) of run number k and the joint at ``place``."""
     signal = group.signal[k][:, place]
     if delay == 0.0:
@@ -31,7 +31,7 @@ def lateness(group: Group, run: Run, k: int, place: int, delay: float) -> np.nda
     return CubicSpline(time, signal)(np.clip(time + delay, 0.0, time[-1])) - signal
 
 
-def settle(selection: Selection) -> None:
+def settle(selection: ForwardSelection) -> None:
     """Find the delay of the channel, if one was taken, by Gauss-Newton; all coefficients are refitted."""
     late = next((t for t in selection.taken if t.candidate.tuned), None)
     if late is None:
@@ -49,13 +49,13 @@ def settle(selection: Selection) -> None:
             return
 
 
-def fitted(selection: Selection) -> np.ndarray:
+def fitted(selection: ForwardSelection) -> np.ndarray:
     """Coefficients of all that stands."""
     chosen = selection.chosen()
     return selection.ledger.solve(selection.ledger.normal(selection.weights(chosen)), chosen)
 
 
-def _slope(selection: Selection, late: Taken, x: np.ndarray, position: dict[int, int]) -> None:
+def _slope(selection: ForwardSelection, late: SelectedEffect, x: np.ndarray, position: dict[int, int]) -> None:
     """The column of the delay: for a torque, minus the rate of all that is simulated."""
     if selection.group.name != "tau":
         return

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.diagnosis.motion.fit import Explained
+from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.result import noise_floor
-from mbcacq.effects.motion.effect import OF_THE_DRIVE, Run
+from mbcacq.effects.motion.effect import OF_THE_DRIVE, MotionSignals
 
 LOAD_WINDOW_S = 0.1
 DOUBT = 0.05         # of a load that is the drive's torque: a rotor's part of it is not told apart
 UNDERSTOOD = 4.0     # chi2 per degree of freedom below which the torque of a joint counts as explained
 
 
-def with_load(runs: tuple[Run, ...], torque: Explained) -> tuple[Run, ...]:
+def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:
     """The runs with the torque that passes the gears, joint by joint.
 
     Where the torque is explained, that of the arm as it was found, without what stays in the drive: friction, rotor, ripple, a late

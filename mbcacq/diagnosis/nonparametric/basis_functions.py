@@ -12,7 +12,7 @@ import numpy as np
 
 from mbcacq.diagnosis.nonparametric import joint_travel
 from mbcacq.diagnosis.nonparametric.covariates import artefact_tilt
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 
 TURNS, OWN_TURNS = 4, 9  # periodic functions of a joint up to so many times a turn, of any and of the place's own
 COSINES = 5  # smooth functions over the range of a covariate
@@ -20,7 +20,7 @@ FINE = 16  # of a joint's own angle
 
 
 @dataclass(frozen=True)
-class Shape:
+class BasisFunction:
     """depends_on: name of the contract. index: columns of the table; weight: relative prior sigma of each."""
 
     depends_on: str
@@ -29,11 +29,11 @@ class Shape:
 
 
 @dataclass
-class Table:
+class BasisTable:
     """columns: functions of the pose (P,) or of the centre (M,); shapes: choices among them."""
 
     columns: list[np.ndarray] = field(default_factory=list)
-    shapes: list[Shape] = field(default_factory=list)
+    shapes: list[BasisFunction] = field(default_factory=list)
 
     def add(self, functions) -> np.ndarray:
         """Indices of new columns (P, f), centred and of unit size; those that do not vary are left out."""
@@ -48,7 +48,7 @@ class Table:
     def shape(self, name: str, index: np.ndarray, falling: bool = False) -> None:
         if len(index):
             weight = 1.0 / (1.0 + 0.5 * np.arange(len(index))) if falling else np.ones(len(index))
-            self.shapes.append(Shape(name, np.asarray(index), weight))
+            self.shapes.append(BasisFunction(name, np.asarray(index), weight))
 
     @property
     def values(self) -> np.ndarray:
@@ -61,9 +61,9 @@ def cosines(x: np.ndarray, count: int) -> np.ndarray:
     return np.cos(np.pi * ((np.asarray(x, dtype=float) - low) / span)[:, None] * np.arange(1, count + 1))
 
 
-def of_poses(s: Situation) -> Table:
+def of_poses(s: Context) -> BasisTable:
     """Joint angles, gravity, senses of motion, time, temperatures, velocities, torques: the same for every place."""
-    table, obs = Table(), s.obs
+    table, obs = BasisTable(), s.obs
     for i in range(s.n):
         if np.ptp(obs.q[:, i]) > 0.02:
             angle(table, f"q{i + 1}", obs.q[:, i])
@@ -83,7 +83,7 @@ def of_poses(s: Situation) -> Table:
     return table
 
 
-def angle(table: Table, name: str, q: np.ndarray) -> None:
+def angle(table: BasisTable, name: str, q: np.ndarray) -> None:
     turns = [table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)) for h in range(1, TURNS + 1)]
     for index in turns:
         table.shape(name, index)
@@ -93,7 +93,7 @@ def angle(table: Table, name: str, q: np.ndarray) -> None:
     table.shape(name, smooth, falling=True)
 
 
-def sense(table: Table, s: Situation, i: int) -> None:
+def sense(table: BasisTable, s: Context, i: int) -> None:
     """The sense of the last motion: alone, fading with the distance travelled, growing with the load."""
     fading = table.add(joint_travel.functions(s, i))
     for j in range(len(fading)):
@@ -103,7 +103,7 @@ def sense(table: Table, s: Situation, i: int) -> None:
     table.shape(f"direction_{i + 1}", loaded)
 
 
-def in_time(table: Table, s: Situation) -> list[tuple[str, np.ndarray]]:
+def in_time(table: BasisTable, s: Context) -> list[tuple[str, np.ndarray]]:
     """(name, columns: straight line first) of time, or the order of the poses, and every temperature."""
     timed = s.obs.time_s is not None and np.ptp(s.obs.time_s) > 0
     clock = np.asarray(s.time if timed else s.order, dtype=float)
@@ -115,9 +115,9 @@ def in_time(table: Table, s: Situation) -> list[tuple[str, np.ndarray]]:
     return out
 
 
-def moments(s: Situation, frame: int) -> Table:
+def moments(s: Context, frame: int) -> BasisTable:
     """Components of the gravity moment of all that hangs behind a frame, about its origin: straight, and bent."""
-    table, moment = Table(), s.gravity_moment(frame)
+    table, moment = BasisTable(), s.gravity_moment(frame)
     size, straight = np.abs(moment).max(), []
     name = f"gravity_torque_{min(max(frame + 1, 2), s.n)}"  # a vertical first axis feels none: the second does what tilts the base
     for x in moment.T:
@@ -133,24 +133,24 @@ def moments(s: Situation, frame: int) -> Table:
     return table
 
 
-def turns(q: np.ndarray, name: str) -> Table:
+def turns(q: np.ndarray, name: str) -> BasisTable:
     """More periodic functions of an angle: of the joint at, or before, the place."""
-    table = Table()
+    table = BasisTable()
     for h in range(TURNS + 1, OWN_TURNS + 1):
         table.shape(name, table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)))
     return table
 
 
-def fine(q: np.ndarray, name: str) -> Table:
+def fine(q: np.ndarray, name: str) -> BasisTable:
     """Functions of a joint's own angle narrow enough for a bump."""
-    table = Table()
+    table = BasisTable()
     table.shape(name, table.add(cosines(q, FINE)))
     return table
 
 
-def bends(x: np.ndarray, name: str) -> Table:
+def bends(x: np.ndarray, name: str) -> BasisTable:
     """One coefficient each: what sets in at a value (a sigmoid), or pulls away from it to both sides, for ever or until it is taut."""
-    table, span = Table(), float(np.ptp(x))
+    table, span = BasisTable(), float(np.ptp(x))
     for middle in np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9]):
         for width in (0.06 * span, 0.15 * span):
             step = np.tanh((x - middle) / width)
@@ -160,9 +160,9 @@ def bends(x: np.ndarray, name: str) -> Table:
     return table
 
 
-def of_field(s: Situation) -> Table:
+def of_field(s: Context) -> BasisTable:
     """Functions of the centre: polynomials and waves over the field of view, the artefact's tilt, time and temperatures."""
-    table, obs = Table(), s.obs
+    table, obs = BasisTable(), s.obs
     x, y, z = ((v - v.mean()) / max(float(v.std()), 1e-12) for v in obs.xyz.T)
     straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
     for name, v in zip("xyz", (x, y, z), strict=True):
@@ -174,7 +174,7 @@ def of_field(s: Situation) -> Table:
     table.shape("z", table.add(np.stack([x * z, y * z], axis=1)))
     if np.ptp(artefact_tilt(s)) > 0.02:
         tilt(table, s)
-    for name, index in in_time(_per_centre := Table(), s):
+    for name, index in in_time(_per_centre := BasisTable(), s):
         values = [_per_centre.columns[j][obs.pose] for j in index]
         here = table.add(np.stack(values, axis=1))
         table.shape(name, here[:1])
@@ -185,9 +185,9 @@ def of_field(s: Situation) -> Table:
     return table
 
 
-def of_volume(s: Situation) -> Table:
+def of_volume(s: Context) -> BasisTable:
     """Functions of a place far from the instrument: its direction (errors along the line of sight), and polynomials (scale, refraction)."""
-    table, xyz = Table(), s.obs.xyz
+    table, xyz = BasisTable(), s.obs.xyz
     table.shape("x", table.add(xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9)))
     x, y, z = ((v - v.mean()) / float(v.std()) for v in xyz.T)
     straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
@@ -200,7 +200,7 @@ def of_volume(s: Situation) -> Table:
     return table
 
 
-def tilt(table: Table, s: Situation) -> None:
+def tilt(table: BasisTable, s: Context) -> None:
     """The artefact's upward direction in the scanner's axes, its products, and how far it leans."""
     up = np.einsum("pji,pj->pi", s.prediction.T_base_scanner[:, :3, :3], s.prediction.T_base_station[:, :3, 2])[s.obs.pose]
     lean = np.abs(up[:, 2])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric import joint_travel, periodic_component
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 
 BUMPS = 5
 
@@ -21,7 +21,7 @@ class Covariate:
     values: np.ndarray
 
 
-def of_poses(s: Situation) -> list[Covariate]:
+def of_poses(s: Context) -> list[Covariate]:
     """Covariates that are one number a pose."""
     obs, out = s.obs, []
     for i in range(s.n):
@@ -47,14 +47,14 @@ def of_poses(s: Situation) -> list[Covariate]:
     return out
 
 
-def of_centres(s: Situation) -> list[Covariate]:
+def of_centres(s: Context) -> list[Covariate]:
     """Covariates within the field of view (M,), with waves over it: for a model of what is there, rather than a test of whether."""
     return [Covariate(c.name, np.concatenate([c.functions, periodic_component.waves(c.values)], axis=1), c.values)
             if c.name in ("x", "y") else c
             for c in smooth_of_centres(s)]
 
 
-def smooth_of_centres(s: Situation) -> list[Covariate]:
+def smooth_of_centres(s: Context) -> list[Covariate]:
     """Covariates within the field of view (M,): polynomials."""
     out = [polynomial("xyz"[c], s.obs.xyz[:, c], 3) for c in range(3) if np.ptp(s.obs.xyz[:, c]) > 1e-6]
     if out:
@@ -66,7 +66,7 @@ def smooth_of_centres(s: Situation) -> list[Covariate]:
     return out
 
 
-def artefact_tilt(s: Situation) -> np.ndarray:
+def artefact_tilt(s: Context) -> np.ndarray:
     """(P,) rad between the scanner's axis and the artefact's z."""
     scanner, station = s.prediction.T_base_scanner[:, :3, 2], s.prediction.T_base_station[:, :3, 2]
     return np.arccos(np.clip(np.abs(np.sum(scanner * station, axis=1)), 0, 1))

@@ -8,13 +8,13 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.nonparametric.design_blocks import Chart
-from mbcacq.diagnosis.nonparametric.evidence_atlas import Atlas
-from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
+from mbcacq.diagnosis.nonparametric.evidence_atlas import EvidenceMap
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 
 
 @dataclass(frozen=True)
-class Spot:
+class MapEntry:
     """One cell of the map. log10_p: of the evidence for it, corrected for the number of places and shapes there."""
 
     at: str
@@ -23,10 +23,10 @@ class Spot:
     log10_p: float
 
 
-def mismatch(screen: Screen, chart: Chart) -> list[Spot]:
+def mismatch(screen: CandidateScoring, chart: DesignBlocks) -> list[MapEntry]:
     """All cells of the map beyond what the screen has projected out, most significant first."""
-    cells = Atlas(screen, chart).judge(screen).cells
-    return sorted((Spot(c.at, c.depends_on, c.gain, min(-c.weighed / np.log(10), 0.0)) for c in cells), key=lambda p: p.log10_p)
+    cells = EvidenceMap(screen, chart).judge(screen).cells
+    return sorted((MapEntry(c.at, c.depends_on, c.gain, min(-c.weighed / np.log(10), 0.0)) for c in cells), key=lambda p: p.log10_p)
 
 
 def log10_tail(gain: float, k: int) -> float:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.linearized.whitening import Noise
-from mbcacq.diagnosis.nonparametric.random_effects import SmoothModel
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import LARGEST, prior_weight
 from mbcacq.estimation.terms import accumulate, term
 
 
-def columns_of(linear: Linear, model: Model, rest: SmoothModel | None) -> tuple[np.ndarray, np.ndarray]:
+def columns_of(linear: LinearProblem, model: EffectSet, rest: RandomEffectsModel | None) -> tuple[np.ndarray, np.ndarray]:
     """Free geometry, named effects and groups together: (M, R, z) and prior sigma (z,)."""
     columns, sigma, _ = linear.nuisance()
     blocks, widths = [columns], [sigma]
@@ -27,16 +27,16 @@ def columns_of(linear: Linear, model: Model, rest: SmoothModel | None) -> tuple[
     return np.concatenate(blocks, axis=2), np.concatenate(widths)
 
 
-def with_members(screen: Screen, model: Model) -> Screen:
+def with_members(screen: CandidateScoring, model: EffectSet) -> CandidateScoring:
     return screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in model.members])
 
 
-def adopted(named: Screen, rest: SmoothModel | None) -> Screen:
+def adopted(named: CandidateScoring, rest: RandomEffectsModel | None) -> CandidateScoring:
     """The screen with groups projected out, as far as their sizes allow."""
     return named if rest is None else named.adopted([(named.whiten(rest.columns), rest.sigma**-2)])
 
 
-def outliers(screen: Screen, members: Model) -> np.ndarray:
+def outliers(screen: CandidateScoring, members: EffectSet) -> np.ndarray:
     """(M,) bool of the centres worth keeping, judged with the model in place: within seven sigma of instrument and joint noise."""
     linear = screen.linear
     columns, sigma = columns_of(linear, members, None)
@@ -51,7 +51,7 @@ def outliers(screen: Screen, members: Model) -> np.ndarray:
     return square < typical * chi2.isf(1e-7, linear.width)
 
 
-def settle(linear: Linear, model: Model, sigma: Noise) -> Linear:
+def settle(linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate) -> LinearProblem:
     """Linearised anew with the model in place: what a fit without it bent out of shape no longer bends its derivatives."""
     if not model.members:
         return linear
@@ -64,7 +64,7 @@ def settle(linear: Linear, model: Model, sigma: Noise) -> Linear:
     terms = [term(c.name, c.build(h)) for c, h in model.members]
     ends = layout.size + np.cumsum([0] + [c.k for c, _ in model.members])
     values = [solution[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    new = Linear(linear.obs, linear.moved(solution[: layout.size], layout), linear.keep, accumulate(linear.obs, terms, values))
+    new = LinearProblem(linear.obs, linear.moved(solution[: layout.size], layout), linear.keep, accumulate(linear.obs, terms, values))
     for one, value in zip(terms, values, strict=True):
         new.residual = new.residual + new.columns(list(one.parts)) @ value
     return new

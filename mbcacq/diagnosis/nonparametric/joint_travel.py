@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 
 REACHES = (0.1, 0.3, 1.0)  # rad over which the memory of where a joint came from fades
 STANDING = 1e-4            # rad: less than this is no motion, what was before it lasts
 
 
-def travelled(s: Situation) -> tuple[np.ndarray, np.ndarray]:
+def travelled(s: Context) -> tuple[np.ndarray, np.ndarray]:
     """(P, n) rad each joint's last motion before the pose, and (P, n) its sense as recorded; the first pose came from far away."""
     listed = np.argsort(s.order, kind="stable")
     q, sense = s.obs.q[listed], s.obs.direction[listed].astype(float)
@@ -23,7 +23,7 @@ def travelled(s: Situation) -> tuple[np.ndarray, np.ndarray]:
     return out
 
 
-def functions(s: Situation, i: int) -> np.ndarray:
+def functions(s: Context, i: int) -> np.ndarray:
     """(P, 4): the sense of joint i's last motion, by itself and fading with the distance travelled over each of the reaches."""
     travel, sense = travelled(s)
     fading = [sense[:, i] * np.exp(-travel[:, i] / reach) for reach in REACHES]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 
 PARALLEL = 0.99  # cosine from which two axes count as one
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """at: name of the contract. keys: (place, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
     them. variants: which components may move together, each a tuple of rows of mix. frame: whose gravity moment acts here. joint: index of
     the joint there, or before it.
@@ -30,10 +30,10 @@ class Place:
     joint: int = 0
 
 
-def of_arm(s: Situation) -> list[Place]:
+def of_arm(s: Context) -> list[Location]:
     """Joints, links, base and mount."""
     n = s.n
-    out = [Place(f"A{i + 1}", (("joint", i, 0),), np.eye(1), ((0,),), i, i) for i in range(n)]
+    out = [Location(f"A{i + 1}", (("joint", i, 0),), np.eye(1), ((0,),), i, i) for i in range(n)]
     chain = s.state.chain
     free = np.linalg.inv(chain.link_transforms(-chain.theta[None] * chain.sign)[:, :, :3, :3])[0]
     for i in range(1, n):
@@ -42,13 +42,13 @@ def of_arm(s: Situation) -> list[Place]:
         mix[:3, :3] = across.T
         mix[3:, 3:] = across.T[:2]
         singles = [(c,) for c in range(5) if c < 3 or abs(mix[c, 5]) < PARALLEL]
-        out.append(Place(f"link{i}", frame(i), mix, (*singles, (3, 4), (0, 1, 2), (0, 1, 2, 3, 4)), i, i - 1))
+        out.append(Location(f"link{i}", frame(i), mix, (*singles, (3, 4), (0, 1, 2), (0, 1, 2, 3, 4)), i, i - 1))
     whole = ((0,), (1,), (2,), (3,), (4,), (3, 4), (0, 1, 2), (3, 4, 5), tuple(range(6)))
-    out.append(Place("base", frame(0), np.eye(6), whole, 0, 0))
+    out.append(Location("base", frame(0), np.eye(6), whole, 0, 0))
     if s.scanner_on_flange or s.obs.rotation is not None:
-        out.append(Place("mount", frame(n), np.eye(6), whole, n, n - 1))
+        out.append(Location("mount", frame(n), np.eye(6), whole, n, n - 1))
     else:
-        out.append(Place("mount", frame(n)[:3], np.eye(3), ((0,), (1,), (2,), (0, 1, 2)), n, n - 1))
+        out.append(Location("mount", frame(n)[:3], np.eye(3), ((0,), (1,), (2,), (0, 1, 2)), n, n - 1))
     return out
 
 
@@ -56,7 +56,7 @@ def frame(index: int) -> tuple[tuple[str, int, int], ...]:
     return tuple(("frame", index, c) for c in range(6))
 
 
-def stations(s: Situation) -> list[tuple[int, Place]]:
+def stations(s: Context) -> list[tuple[int, Location]]:
     """(index of the station, its place) where enough was measured to see it move."""
     seen = np.unique(s.obs.station)
     keys = tuple(("station", 0, c) for c in range(6))
@@ -64,4 +64,4 @@ def stations(s: Situation) -> list[tuple[int, Place]]:
     if len(seen) < 2:
         return []
     enough = [int(k) for k in seen if np.sum(s.obs.station == k) > 6]
-    return [(k, Place(f"station{s.obs.cell.stations[k].id}", keys, np.eye(6), variants)) for k in enough]
+    return [(k, Location(f"station{s.obs.cell.stations[k].id}", keys, np.eye(6), variants)) for k in enough]

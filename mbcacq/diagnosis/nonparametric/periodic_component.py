@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.search.candidate_scoring import Screen
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.projected_solve import solve_blocks
 
 SHORTEST = 8.0  # mm
@@ -16,7 +16,7 @@ WAVE = 0.3  # size of a wave beside a polynomial of the same group
 
 
 @dataclass(frozen=True)
-class Ripple:
+class PeriodicComponent:
     """The best wave over one field axis: gain in chi2, its two coefficients' angular frequency in rad/mm, and how many were tried."""
 
     gain: float
@@ -24,7 +24,7 @@ class Ripple:
     independent: float
 
 
-def scan(screen: Screen, values: np.ndarray, chunk: int = 24) -> Ripple | None:
+def scan(screen: CandidateScoring, values: np.ndarray, chunk: int = 24) -> PeriodicComponent | None:
     """values: (M,) mm along one axis of the field; each of the scanner's three components may ripple. None where the field is narrow."""
     width = float(np.ptp(values))
     if width < 2 * SHORTEST:
@@ -43,7 +43,7 @@ def scan(screen: Screen, values: np.ndarray, chunk: int = 24) -> Ripple | None:
             gains.append(solve_blocks(S, (X.T @ screen.r).reshape(-1, 2), np.sum(pairs**2, axis=0)))
     gains = np.concatenate(gains).reshape(3, -1)
     best = int(np.argmax(gains.max(axis=0)))
-    return Ripple(float(gains.max()), float(frequencies[best]), 3.0 * width / SHORTEST)
+    return PeriodicComponent(float(gains.max()), float(frequencies[best]), 3.0 * width / SHORTEST)
 
 
 def waves(values: np.ndarray) -> np.ndarray:

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dtrtri
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.nonparametric import covariates
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.effects.context import Situation
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.context import Context
 
 OWN_ORDER, OTHER_ORDER = 45.0, 9.0
 START_MM = 0.02
@@ -23,7 +23,7 @@ SMALLEST = 0.03  # of the instrument noise: a group that moves nothing is droppe
 
 
 @dataclass(frozen=True)
-class Group:
+class RandomEffect:
     """at, depends_on: for the report. columns: (M, R, k); weight: (k,) relative prior sigma, falling with the order."""
 
     at: str
@@ -33,10 +33,10 @@ class Group:
 
 
 @dataclass(frozen=True)
-class SmoothModel:
+class RandomEffectsModel:
     """Groups with coefficients and prior sigmas (all concatenated), the size of each group; used: how many coefficients are determined."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[RandomEffect, ...]
     coefficients: np.ndarray
     sigma: np.ndarray
     sizes: np.ndarray
@@ -46,7 +46,7 @@ class SmoothModel:
     def columns(self) -> np.ndarray:
         return np.concatenate([g.columns for g in self.groups], axis=2)
 
-    def without(self, at: str) -> SmoothModel | None:
+    def without(self, at: str) -> RandomEffectsModel | None:
         """The groups that are not at a place."""
         chosen = [g for g, group in enumerate(self.groups) if group.at != at]
         if not chosen:
@@ -54,7 +54,7 @@ class SmoothModel:
         parts = self.parts()
         index = np.concatenate([np.arange(parts[g].start, parts[g].stop) for g in chosen])
         groups = tuple(self.groups[g] for g in chosen)
-        return SmoothModel(groups, self.coefficients[index], self.sigma[index], self.sizes[chosen], self.used)
+        return RandomEffectsModel(groups, self.coefficients[index], self.sigma[index], self.sizes[chosen], self.used)
 
     def parts(self) -> list[slice]:
         ends = np.cumsum([0] + [len(g.weight) for g in self.groups])
@@ -69,13 +69,13 @@ def waves(x: np.ndarray, highest: float, least: int = 4) -> tuple[np.ndarray, np
     return np.cos(np.pi * (x - x.min())[:, None] / span * k), 1.0 / (1.0 + (k * np.pi / span / (highest / 4)) ** 2)
 
 
-def everything(linear: Linear, s: Situation) -> list[Group]:
+def everything(linear: LinearProblem, s: Context) -> list[RandomEffect]:
     """Groups for a recording with many poses: gear, bearing, elasticity, coupling and time at every joint."""
     obs, out = linear.obs, []
 
     def group(at, name, keys, F, weight):
         columns = np.concatenate([linear.unit(*key)[:, :, None] * F[obs.pose][:, None, :] for key in keys], axis=2)
-        out.append(Group(at, name, columns, np.tile(weight, len(keys))))
+        out.append(RandomEffect(at, name, columns, np.tile(weight, len(keys))))
 
     moving = [i for i in range(s.n) if np.ptp(obs.q[:, i]) > 0.02]
     for i in moving:
@@ -103,7 +103,7 @@ def everything(linear: Linear, s: Situation) -> list[Group]:
     return out
 
 
-def fit(screen: Screen, groups: tuple[Group, ...] | list[Group], start: np.ndarray | None = None, rounds: int = 25) -> SmoothModel | None:
+def fit(screen: CandidateScoring, groups: tuple[RandomEffect, ...] | list[RandomEffect], start: np.ndarray | None = None, rounds: int = 25) -> RandomEffectsModel | None:
     """Sizes and coefficients of the groups beyond what the screen has projected out. start: (G,) sizes to begin with."""
     if not groups:
         return None
@@ -156,4 +156,4 @@ def fit(screen: Screen, groups: tuple[Group, ...] | list[Group], start: np.ndarr
     normal = mine + np.eye(len(index))
     u = root * np.linalg.solve(normal, root * b[index])
     used = float(np.trace(np.linalg.solve(normal, mine)))
-    return SmoothModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]), used)
+    return RandomEffectsModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]), used)

@@ -8,19 +8,19 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
-from mbcacq.diagnosis.nonparametric.evidence_atlas import Atlas, Cell, Judged
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.effects.context import Situation
+from mbcacq.diagnosis.nonparametric.evidence_atlas import EvidenceMap, JudgedMap, MapCell
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.context import Context
 
 STRUCTURE = float(np.log(100.0))  # log of the map's evidence ratio from which there is something: by chance at most once in a hundred
 NEIGHBOURS = 1e-4
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualTests:
     """judged: the map of what is left. neighbours_p: of dependence between poses that are close in the joints. centres: looked at."""
 
-    judged: Judged
+    judged: JudgedMap
     neighbours_p: float
     centres: int
 
@@ -29,18 +29,18 @@ class Leftover:
         return self.judged.total > STRUCTURE or self.neighbours_p < NEIGHBOURS
 
     @property
-    def places(self) -> list[Cell]:
+    def places(self) -> list[MapCell]:
         """The best cell of every place that is significant by itself, most significant place first."""
         out = [self.judged.best_at(at) for at, log in self.judged.places.items() if log > STRUCTURE + np.log(len(self.judged.places))]
         return out or [self.judged.best()]
 
 
-def examine(screen: Screen, s: Situation, atlas: Atlas) -> Leftover:
+def examine(screen: CandidateScoring, s: Context, atlas: EvidenceMap) -> ResidualTests:
     """screen: with everything adopted that is no longer to be found; atlas: of the same noise."""
-    return Leftover(atlas.judge(screen), neighbour_dependence(screen, s), int(screen.linear.keep.sum()))
+    return ResidualTests(atlas.judge(screen), neighbour_dependence(screen, s), int(screen.linear.keep.sum()))
 
 
-def neighbour_dependence(screen: Screen, s: Situation) -> float:
+def neighbour_dependence(screen: CandidateScoring, s: Context) -> float:
     """p-value of correlated joint-space residuals of each pose and its nearest neighbour of another station or moment.
 
     The residual of a pose is its least-squares joint displacement, whitened; under noise neighbours have nothing in common.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis import noise_consistent_ranking
-from mbcacq.diagnosis.model_fit import Finding
-from mbcacq.diagnosis.problem import Setup
-from mbcacq.diagnosis.search.beam_search import Search
-from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.effect import Candidate
 
 VISIBLE = 2.0  # chi2 that an effect of typical size must make at least, or it would not be seen even several times as large
@@ -16,7 +16,7 @@ STRONG = 10.0  # times the typical size
 UNDECIDED = 2 * float(np.log(20.0))  # an alternative that is more than a twentieth as probable is not excluded
 
 
-def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
+def unseen(setup: DiagnosisProblem, full: ModelFit) -> list[tuple[Candidate, float, bool]]:
     """Elastic main joints that would not show at their typical size, with the share of their effect that geometry leaves, and whether
     even a strong one would not show.
     """
@@ -34,7 +34,7 @@ def unseen(setup: Setup, full: Finding) -> list[tuple[Candidate, float, bool]]:
     return out
 
 
-def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dict], list]:
+def rivals(setup: DiagnosisProblem, full: ModelFit) -> tuple[dict[str, list[dict]], list[dict], list]:
     """For each named effect: what else, or the same elsewhere, could stand in its place; the pairs that cannot be told apart, in words and
     as found.
     """
@@ -44,7 +44,7 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
     model = full.model
     if not model.members or len(model.members) > 6:
         return alternatives, inseparable, pairs
-    search = Search(setup.candidates)
+    search = BeamSearch(setup.candidates)
     excess = max(full.before.chi2 - full.before.dof, 1e-9)
     for name in model.names:
         mine = [j for j, (c, _) in enumerate(model.members) if c.name == name]
@@ -76,7 +76,7 @@ def rivals(setup: Setup, full: Finding) -> tuple[dict[str, list[dict]], list[dic
     return alternatives, inseparable, pairs
 
 
-def excluded(setup: Setup, full: Finding, search: Search, other: Model) -> bool:
+def excluded(setup: DiagnosisProblem, full: ModelFit, search: BeamSearch, other: EffectSet) -> bool:
     """Whether another set of names is less than a twentieth as probable as the one told, each under the noise that it leaves."""
     if other.worth < full.model.worth - noise_consistent_ranking.CLOSE:
         return True

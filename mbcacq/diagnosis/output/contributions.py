@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import Finding
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.search.projected_solve import LARGEST
 
 
-class Worth:
+class Contributions:
     """Of a finding, on the data it was found with."""
 
-    def __init__(self, full: Finding):
+    def __init__(self, full: ModelFit):
         screen, model, rest = full.before, full.model, full.smooth
         blocks, sigma = [], []
         for candidate, hyper in model.members:
@@ -39,7 +39,7 @@ class Worth:
         b = self.b[index]
         return self.total - float(b @ np.linalg.solve(self.S[np.ix_(index, index)], b))
 
-    def groups_at(self, full: Finding, at: str, depends_on: str | None = None) -> list[int]:
+    def groups_at(self, full: ModelFit, at: str, depends_on: str | None = None) -> list[int]:
         """Numbers of the groups at a place."""
         if full.smooth is None:
             return []

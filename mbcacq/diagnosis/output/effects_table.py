@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import Finding
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
-from mbcacq.diagnosis.output.contributions import Worth
+from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound
-from mbcacq.diagnosis.validation.cross_validation import Proof
-from mbcacq.diagnosis.validation.predictive_score import Quality
+from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.pose import payload
 
 ONE_ENTRY = ("A", "link", "station")  # places at which one effect may be several times and is told as one
 
 
-def named_effects(full: Finding, worth: Worth, proof: Proof) -> list[EffectFound]:
+def named_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) -> list[EffectFound]:
     """Members gathered by name (several joints of one effect make one entry), most important first; a wrong tool before the elasticity
     that every arm has and that shows it.
     """
@@ -36,7 +36,7 @@ def named_effects(full: Finding, worth: Worth, proof: Proof) -> list[EffectFound
     return [effect for *_, effect in sorted(out, key=lambda item: (-item[0], -item[1]))]
 
 
-def merge_parameters(full: Finding, members: list[int]) -> dict:
+def merge_parameters(full: ModelFit, members: list[int]) -> dict:
     """Parameters of all members; the same name twice (several orders at one joint) makes lists."""
     out: dict[str, dict] = {}
     parts = full.model.parts()
@@ -53,7 +53,7 @@ def merge_parameters(full: Finding, members: list[int]) -> dict:
     return out
 
 
-def unknown_effects(full: Finding, worth: Worth, proof: Proof) -> list[EffectFound]:
+def unknown_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) -> list[EffectFound]:
     """One entry for each place that moves in a way without a name, largest first; for a long recording, where it stands at all places,
     one entry at the place that the map points to.
     """
@@ -82,7 +82,7 @@ def where_it_is(places: list[dict]) -> list[EffectFound]:
     return [EffectFound("unknown", [place["at"]], place["depends_on"], {}, place["p_value"], 0.0) for place in places[:1]]
 
 
-def sizes(full: Finding) -> dict[tuple[str, str], tuple[float, float]]:
+def sizes(full: ModelFit) -> dict[tuple[str, str], tuple[float, float]]:
     """(place, covariate) -> by how many mm rms its groups move the centres, and the standard deviation of that."""
     smooth, keep = full.smooth, full.before.linear.keep
     X = full.named.whiten(smooth.columns) * smooth.sigma
@@ -106,7 +106,7 @@ def in_words(size: dict[tuple[str, str], tuple[float, float]], keys: list[tuple[
     return {f"{at}({on}).rms_mm": {"value": size[at, on][0], "std": size[at, on][1]} for at, on in keys}
 
 
-def mismatch_list(full: Finding, worth: Worth, before: Quality, anything: bool = False) -> list[dict]:
+def mismatch_list(full: ModelFit, worth: Contributions, before: PredictiveScore, anything: bool = False) -> list[dict]:
     """Where simulation and recording part, each place and covariate with its share of the excess, largest first.
 
     anything: the most suspicious place even where none is significant.

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric.evidence_map import Spot
-from mbcacq.diagnosis.output.response_curves import Curve
+from mbcacq.diagnosis.nonparametric.evidence_map import MapEntry
+from mbcacq.diagnosis.output.response_curves import ResponseCurve
 from mbcacq.diagnosis.result import Diagnosis, plain
 
 FORMAT = "mbcacq-diagnosis-pictures/1"
@@ -19,7 +19,7 @@ FOLDED = 6.0                               # periods a turn from which a wave is
 
 
 @dataclass(frozen=True)
-class Evidence:
+class PlotData:
     """spots: makes the map before any effect. points: (M, 3) mm measured centres, base frame.
 
     before, after: (M, 3) mm residuals in base axes.
@@ -27,14 +27,14 @@ class Evidence:
     covariates: name -> (M,) values. pose, ball: (M,) numbers. curves: makes the shape of each effect.
     """
 
-    spots: Callable[[], list[Spot]]
+    spots: Callable[[], list[MapEntry]]
     points: np.ndarray
     before: np.ndarray
     after: np.ndarray
     covariates: dict[str, np.ndarray]
     pose: np.ndarray | None = None
     ball: np.ndarray | None = None
-    curves: Callable[[], list[Curve]] = list
+    curves: Callable[[], list[ResponseCurve]] = list
 
 
 def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def _cause(name: str, values: np.ndarray) -> dict[str, Any]:
     return {"name": name, "label": label, "unit": unit, "values": _short(factor * values)}
 
 
-def _curve(curve: Curve) -> dict[str, Any]:
+def _curve(curve: ResponseCurve) -> dict[str, Any]:
     label, unit, factor = axis_of(curve.depends_on)
     x = factor * curve.x
     if curve.order is not None and curve.order > FOLDED:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.effects import catalogue
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation import forward_model
 from mbcacq.model.observations import Observations
@@ -19,7 +19,7 @@ TRIED, GIVEN = 400, 6
 IN_TIME = ("joint_step", "mount_shift", "station_drift", "scanner_warmup", "thermal_growth")
 
 
-def elsewhere(situation: Situation, seed: int = 0) -> Situation:
+def elsewhere(situation: Context, seed: int = 0) -> Context:
     """The same cell at random postures within limits and not below the lowest flange so far, one ball in the middle of the field each."""
     obs, robot = situation.obs, situation.obs.cell.robot
     rng = np.random.default_rng(seed)
@@ -42,10 +42,10 @@ def elsewhere(situation: Situation, seed: int = 0) -> Situation:
     )
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))
-    return Situation(blank, situation.state, forward_model.predict(blank, situation.state))
+    return Context(blank, situation.state, forward_model.predict(blank, situation.state))
 
 
-def displacement(there: Situation, linear: Linear, key: str, hyper: float | None, coefficients: np.ndarray) -> np.ndarray | None:
+def displacement(there: Context, linear: LinearProblem, key: str, hyper: float | None, coefficients: np.ndarray) -> np.ndarray | None:
     """(P, 3) mm: what a candidate of the recording would do at other postures; None where it cannot be built there."""
     candidate = next((c for c in catalogue.candidates(there)[0] if c.key == key), None)
     if candidate is None:
@@ -54,13 +54,13 @@ def displacement(there: Situation, linear: Linear, key: str, hyper: float | None
 
 
 def separate(
-    situation: Situation, pairs: Sequence[tuple[tuple[Candidate, float | None, np.ndarray], tuple[Candidate, float | None, np.ndarray]]]
+    situation: Context, pairs: Sequence[tuple[tuple[Candidate, float | None, np.ndarray], tuple[Candidate, float | None, np.ndarray]]]
 ) -> list[dict[str, Any]]:
     """One piece of advice for each pair of rivals, each with hyper-parameter and coefficients."""
     if not pairs:
         return []
     there = elsewhere(situation)
-    linear = Linear(there.obs, there.state)
+    linear = LinearProblem(there.obs, there.state)
     out = []
     for (a, ha, ca), (b, hb, cb) in pairs:
         if a.name in IN_TIME or b.name in IN_TIME:
@@ -86,10 +86,10 @@ def separate(
     return out
 
 
-def show(situation: Situation, candidate: Candidate) -> dict[str, Any]:
+def show(situation: Context, candidate: Candidate) -> dict[str, Any]:
     """Poses at which an effect of typical size, invisible in the recording, would show."""
     there = elsewhere(situation)
-    moved = displacement(there, Linear(there.obs, there.state), candidate.key, None, candidate.typical)
+    moved = displacement(there, LinearProblem(there.obs, there.state), candidate.key, None, candidate.typical)
     chosen = spread(moved) if moved is not None else np.arange(0)
     return {
         "reason": f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "
@@ -107,6 +107,6 @@ def spread(moved: np.ndarray) -> np.ndarray:
     return np.array(chosen)
 
 
-def first_poses(situation: Situation) -> list[list[float]]:
+def first_poses(situation: Context) -> list[list[float]]:
     first = situation.obs.station[np.argmin(situation.order)]
     return np.degrees(situation.obs.q[situation.obs.station == first][:GIVEN]).round(3).tolist()

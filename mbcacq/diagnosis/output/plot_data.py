@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import Finding
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.nonparametric.evidence_map import mismatch
-from mbcacq.diagnosis.output.figures import Evidence
+from mbcacq.diagnosis.output.figures import PlotData
 from mbcacq.diagnosis.output.response_curves import curves
-from mbcacq.diagnosis.problem import Setup
+from mbcacq.diagnosis.problem import DiagnosisProblem
 
 
-def evidence_of(setup: Setup, full: Finding, before: np.ndarray, after: np.ndarray) -> Evidence:
+def evidence_of(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after: np.ndarray) -> PlotData:
     """What pictures are drawn from; the map itself is made only when it is drawn."""
     s, linear = setup.situation, full.before.linear
     obs, keep = linear.obs, linear.keep
@@ -27,5 +27,5 @@ def evidence_of(setup: Setup, full: Finding, before: np.ndarray, after: np.ndarr
         values |= {c.name: np.asarray(c.values, float) for c in covariates.of_centres(s)}
     named = [obs.pose_id[obs.pose][keep], np.array(obs.cell.ball_ids)[obs.ball[keep]]]
     kept = {name: v[keep] for name, v in values.items()}
-    return Evidence(lambda: mismatch(full.before, setup.chart), points[keep], *turned, kept, *named,
+    return PlotData(lambda: mismatch(full.before, setup.chart), points[keep], *turned, kept, *named,
                     lambda: curves(linear, values, full.model, full.smooth, full.named, after))

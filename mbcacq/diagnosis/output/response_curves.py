@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.nonparametric.random_effects import SmoothModel
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.estimation.terms import PER_POSE, Part
 
 MOST = 12
@@ -15,7 +15,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class Curve:
+class ResponseCurve:
     """x (k,): values of ``depends_on``; y, std (k,): what the model moves and its standard deviation, in ``unit``; seen (k,): the same
     from the residual of each pose (or centre) by itself, model included; what: words for the y axis. order: periods a turn of a periodic
     function of a joint's angle."""
@@ -32,10 +32,10 @@ class Curve:
     order: float | None = None
 
 
-def curves(linear: Linear, values: dict[str, np.ndarray], model, rest: SmoothModel | None, screen, left: np.ndarray) -> list[Curve]:
+def curves(linear: LinearProblem, values: dict[str, np.ndarray], model, rest: RandomEffectsModel | None, screen, left: np.ndarray) -> list[ResponseCurve]:
     """linear: of the fit; values: covariate -> (M,) at each centre; model: named effects (``explain.Model``); rest: smooth model with the
     ``screen`` it was fitted beyond; left: (M, R) mm what all of them leave. The largest first."""
-    out: list[tuple[float, Curve]] = []
+    out: list[tuple[float, ResponseCurve]] = []
     for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
         coefficients, covariance = model.coefficients[p], model.covariance[p, p]
         sized = []
@@ -57,8 +57,8 @@ def curves(linear: Linear, values: dict[str, np.ndarray], model, rest: SmoothMod
     return [curve for _, curve in sorted(out, key=lambda item: -item[0])][:MOST]
 
 
-def _of_part(linear: Linear, part: Part, candidate, at: str, unit: np.ndarray, amount: np.ndarray, std: np.ndarray, values: np.ndarray,
-             left: np.ndarray) -> Curve:
+def _of_part(linear: LinearProblem, part: Part, candidate, at: str, unit: np.ndarray, amount: np.ndarray, std: np.ndarray, values: np.ndarray,
+             left: np.ndarray) -> ResponseCurve:
     turn = part.place == "joint" or part.component >= 3
     scale, name = (1e6, "µrad") if turn else (1e3, "µm")
     if part.place == "joint":
@@ -77,10 +77,10 @@ def _of_part(linear: Linear, part: Part, candidate, at: str, unit: np.ndarray, a
         x = values
     good = bottom > 1e-3 * np.median(bottom[bottom > 0]) if np.any(bottom > 0) else bottom > 0
     seen = amount[good] + top[good] / bottom[good]
-    return Curve(candidate.name, at, what, name, candidate.depends_on, x[good], scale * amount[good], scale * std[good], scale * seen)
+    return ResponseCurve(candidate.name, at, what, name, candidate.depends_on, x[good], scale * amount[good], scale * std[good], scale * seen)
 
 
-def _of_groups(linear: Linear, rest: SmoothModel, screen, values: dict[str, np.ndarray], left: np.ndarray) -> list[tuple[float, Curve]]:
+def _of_groups(linear: LinearProblem, rest: RandomEffectsModel, screen, values: dict[str, np.ndarray], left: np.ndarray) -> list[tuple[float, ResponseCurve]]:
     """What each smooth group moves, as it is seen along the axis of the instrument along which it moves most."""
     X = screen.whiten(rest.columns)
     taken = screen.all_projected.T @ X
@@ -101,7 +101,7 @@ def _of_groups(linear: Linear, rest: SmoothModel, screen, values: dict[str, np.n
         std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, covariance[p, p], columns), 0.0))
         at = _mean((x * keep)[:, None], pose, count)[:, 0]
         good = count > 0
-        out.append((size, Curve("unknown", group.at, f"balls seen along {AXES[axis]}", "µm", group.depends_on, at[good], 1e3 * amount[good],
+        out.append((size, ResponseCurve("unknown", group.at, f"balls seen along {AXES[axis]}", "µm", group.depends_on, at[good], 1e3 * amount[good],
                                 1e3 * std[good], 1e3 * seen[good])))
     return out
 

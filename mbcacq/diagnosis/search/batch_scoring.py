@@ -6,20 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import Whitener
 from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_blocks
 from mbcacq.effects.effect import Candidate
 
 
-class Fixed:
+class FixedBlocks:
     """The candidates whose columns need no scan, each at every value of its hyper-parameter; kept with the linearisation.
 
     entries: (candidate, value); columns (M, R, K): all of theirs. sizes: of those with k coefficients, which entries (n,), which columns
     (n, k), their prior weights (n, k).
     """
 
-    def __init__(self, candidates: list[Candidate], linear: Linear):
+    def __init__(self, candidates: list[Candidate], linear: LinearProblem):
         self.candidates = candidates
         self.entries = [(c, h) for c in candidates if not c.separable for h in (c.hyper.values if c.hyper else (None,))]
         each = [linear.columns(c.build(h)) for c, h in self.entries]
@@ -33,25 +33,25 @@ class Fixed:
             self.sizes.append((chosen, starts[chosen][:, None] + np.arange(k), weight))
 
     @staticmethod
-    def of(candidates: list[Candidate], linear: Linear) -> Fixed:
+    def of(candidates: list[Candidate], linear: LinearProblem) -> FixedBlocks:
         found = linear.kept.get(id(candidates))
         if found is None:
-            found = linear.kept[id(candidates)] = Fixed(candidates, linear)
+            found = linear.kept[id(candidates)] = FixedBlocks(candidates, linear)
         return found
 
 
 @dataclass(frozen=True)
-class Bench:
+class BatchScoring:
     """Under one screen: whitened columns X (rows, K), and of each size S (n, k, k), b, raw (n, k), geometry projected out."""
 
-    fixed: Fixed
+    fixed: FixedBlocks
     X: np.ndarray
     blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
     @classmethod
-    def of(cls, candidates: list[Candidate], linear: Linear, whiten: Whitener, Q: np.ndarray, r: np.ndarray) -> Bench:
+    def of(cls, candidates: list[Candidate], linear: LinearProblem, whiten: Whitener, Q: np.ndarray, r: np.ndarray) -> BatchScoring:
         """Q (rows, z): what geometry takes; r (rows,): what it leaves of the residual."""
-        fixed = Fixed.of(candidates, linear)
+        fixed = FixedBlocks.of(candidates, linear)
         X = whiten(fixed.columns)
         taken, raw, b = Q.T @ X, np.sum(X * X, axis=0), X.T @ r
         blocks = []

@@ -12,13 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.search import payload_coupling
-from mbcacq.diagnosis.search.candidate_scoring import Scored, Screen
-from mbcacq.diagnosis.search.effect_prior import Strengths
-from mbcacq.diagnosis.search.effect_set import Members, Model
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ScoredCandidate
+from mbcacq.diagnosis.search.effect_prior import EffectPrior
+from mbcacq.diagnosis.search.effect_set import EffectSet, Members
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.diagnosis.search.selection_criteria import COMPANIONS, Prices
-from mbcacq.effects.context import Situation
+from mbcacq.diagnosis.search.selection_criteria import COMPANIONS, SelectionCriteria
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload
 
@@ -29,7 +29,7 @@ APART = 0.02  # share of a member's information that must be left beside the oth
 
 
 @dataclass(frozen=True)
-class Search:
+class BeamSearch:
     """The candidates of these data and how they are weighed.
 
     beam, branches, most: sets kept in a round, candidates tried for each, rounds. thorough: exchange members until nothing improves.
@@ -44,31 +44,31 @@ class Search:
     thorough: bool = True
     least_share: float = 0.0
     protected: frozenset[str] = frozenset()
-    situation: Situation | None = None
+    situation: Context | None = None
     allowance: float = 0.0
 
     @property
-    def nothing(self) -> Model:
+    def nothing(self) -> EffectSet:
         """No effect; where there is known to be one, a first that falls short of the test by the allowance is better than none."""
-        return Model((), score=-self.allowance)
+        return EffectSet((), score=-self.allowance)
 
     @cached_property
-    def prices(self) -> Prices:
-        return Prices(self.candidates)
+    def prices(self) -> SelectionCriteria:
+        return SelectionCriteria(self.candidates)
 
-    def run(self, screen: Screen, start: Model | None = None) -> Model:
+    def run(self, screen: CandidateScoring, start: EffectSet | None = None) -> EffectSet:
         """The best set of effects under the screen's noise."""
         return self.settled(screen, self.grow(screen, start))
 
-    def settled(self, screen: Screen, model: Model) -> Model:
+    def settled(self, screen: CandidateScoring, model: EffectSet) -> EffectSet:
         return payload_coupling.settled(self, screen, self.polish(screen, model))
 
-    def grow(self, screen: Screen, start: Model | None = None) -> Model:
+    def grow(self, screen: CandidateScoring, start: EffectSet | None = None) -> EffectSet:
         """Sets of effects with one more in each round, the best few kept; the best of all."""
         best = start if start is not None and start.members else self.nothing
         beam = [best]
         for _ in range(self.most):
-            grown: dict[tuple, Model] = {}
+            grown: dict[tuple, EffectSet] = {}
             for model in beam:
                 branches = self.expand(screen, model)
                 for more in [(b,) for b in branches[: self.branches]] + ([] if self.thorough else [at_different_places(branches)]):
@@ -88,13 +88,13 @@ class Search:
                 break  # the smooth model is the better place for what is left
         return best
 
-    def slack(self, model: Model, more: tuple[Scored, ...]) -> float:
+    def slack(self, model: EffectSet, more: tuple[ScoredCandidate, ...]) -> float:
         """chi2 by which a first member may fail the test, if others of its kind are likely beside it: together they may pass."""
         if model.members or len(more) != 1 or more[0].candidate.name not in COMPANIONS:
             return 0.0
         return (1 - NEARLY) * self.prices.threshold(more[0].candidate, more[0].hyper, ())
 
-    def polish(self, screen: Screen, model: Model) -> Model:
+    def polish(self, screen: CandidateScoring, model: EffectSet) -> EffectSet:
         """Drop members that do not pay, exchange members for better ones, until nothing improves."""
         for _ in range(6 if self.thorough else 3 if len(model.members) <= FEW else 1):
             improved = model
@@ -118,12 +118,12 @@ class Search:
             model = improved
         return model
 
-    def is_protected(self, model: Model, j: int) -> bool:
+    def is_protected(self, model: EffectSet, j: int) -> bool:
         """Members that stay as long as they are significant: elasticity, which every arm has, gives way to no periodic error."""
         at = model.parts()[j].start
         return model.members[j][0].key in self.protected and model.coefficients[at] > 3 * np.sqrt(model.covariance[at, at])
 
-    def expand(self, screen: Screen, model: Model, short: float = 0.0) -> list[Scored]:
+    def expand(self, screen: CandidateScoring, model: EffectSet, short: float = 0.0) -> list[ScoredCandidate]:
         """Candidates beyond a model at their best hyper-parameter, best first; those that cannot pay, even were they ``short`` of it,
         are left out.
         """
@@ -146,12 +146,12 @@ class Search:
                 out.append(scored)
         return sorted(out, key=lambda s: self.prices.price(s.candidate, s.hyper, present, self.strengths(*s.fitted)) - s.gain)
 
-    def strengths(self, candidate: Candidate, coefficients: np.ndarray, covariance: np.ndarray) -> Strengths:
+    def strengths(self, candidate: Candidate, coefficients: np.ndarray, covariance: np.ndarray) -> EffectPrior:
         """In a long recording nothing real is hardly seen, and what is strung together of many periodic errors has no typical size."""
-        own = Strengths.of(candidate, coefficients, covariance)
+        own = EffectPrior.of(candidate, coefficients, covariance)
         return own if self.thorough else own.alike
 
-    def beside(self, model: Model) -> list[Candidate]:
+    def beside(self, model: EffectSet) -> list[Candidate]:
         """Candidates that exist only next to what the model has: a wrong payload next to elastic joints."""
         if self.situation is None:
             return []
@@ -159,11 +159,11 @@ class Search:
                    if c.name == "joint_compliance"}
         return payload.beside(self.situation, {i: float(f"{c:.2g}") for i, c in elastic.items()})
 
-    def allowed(self, candidate: Candidate, model: Model) -> bool:
+    def allowed(self, candidate: Candidate, model: EffectSet) -> bool:
         same = [c for c, _ in model.members if c.name == candidate.name and c.where == candidate.where]
         return not same or candidate.several
 
-    def collinear(self, model: Model, S: np.ndarray) -> bool:
+    def collinear(self, model: EffectSet, S: np.ndarray) -> bool:
         """Whether two names cancel each other: coefficients far less certain beside the others than they would be alone."""
         if len(model.names) < 2 or payload.NAME in model.names:
             return False
@@ -174,7 +174,7 @@ class Search:
                 return True
         return False
 
-    def solve(self, screen: Screen, members: Members, permit: bool = False) -> Model | None:
+    def solve(self, screen: CandidateScoring, members: Members, permit: bool = False) -> EffectSet | None:
         """All members and the geometry together; None where physics forbids the result and ``permit`` does not."""
         if not members:
             return self.nothing
@@ -190,7 +190,7 @@ class Search:
         coefficients = covariance @ b
         gain = float(b @ coefficients)
         cost, price, present, owns = 0.0, 0.0, [], []
-        for (candidate, hyper), p in zip(members, Model(members).parts(), strict=True):
+        for (candidate, hyper), p in zip(members, EffectSet(members).parts(), strict=True):
             own = self.strengths(candidate, coefficients[p], covariance[p, p])
             cost += self.prices.cost(candidate, hyper, present, own)
             price += self.prices.price(candidate, hyper, present, own)
@@ -198,7 +198,7 @@ class Search:
             owns.append(own)
         if self.thorough:  # in a long recording nothing real is weak
             cost = min(cost, self.prices.cost_together(members, owns))
-        model = Model(members, gain, gain - cost, gain - price, coefficients, covariance)
+        model = EffectSet(members, gain, gain - cost, gain - price, coefficients, covariance)
         if not permit and any(c.positive and coefficients[p.start] < 0 for (c, _), p in zip(members, model.parts(), strict=True)):
             return None
         if not permit and self.collinear(model, S):
@@ -208,9 +208,9 @@ class Search:
         return model
 
 
-def at_different_places(branches: list[Scored]) -> tuple[Scored, ...]:
+def at_different_places(branches: list[ScoredCandidate]) -> tuple[ScoredCandidate, ...]:
     """The best candidate of every place: many joints of a real arm err at once."""
-    best: dict[tuple[str, ...], Scored] = {}
+    best: dict[tuple[str, ...], ScoredCandidate] = {}
     for scored in branches:
         best.setdefault(scored.candidate.where, scored)
     return tuple(best.values())

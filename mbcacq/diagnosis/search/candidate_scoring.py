@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.variance_components import orthogonal, pose_sums
-from mbcacq.diagnosis.linearized.whitening import Noise
-from mbcacq.diagnosis.search.batch_scoring import Bench
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
+from mbcacq.diagnosis.search.batch_scoring import BatchScoring
 from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, solve_blocks
 from mbcacq.effects.effect import Candidate
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredCandidate:
     """A candidate at one value of its hyper-parameter: gain in chi2, its k coefficients and their covariance."""
 
     candidate: Candidate
@@ -35,10 +35,10 @@ class Scored:
         return self.candidate, self.coefficients, self.covariance
 
 
-class Screen:
+class CandidateScoring:
     """Whitened problem under a noise model. adopted() gives a screen that projects out more; it borrows what this one has computed."""
 
-    def __init__(self, linear: Linear, noise: Noise, beside: tuple[np.ndarray, np.ndarray] | None = None):
+    def __init__(self, linear: LinearProblem, noise: NoiseEstimate, beside: tuple[np.ndarray, np.ndarray] | None = None):
         """beside: more columns (M, R, k) with their prior sigma (k,), to be projected out as geometry is."""
         self.linear, self.noise = linear, noise
         self.whiten = linear.whitener(noise)
@@ -58,11 +58,11 @@ class Screen:
         self._scans: dict[tuple, tuple] = {}
         self._reduced: dict[tuple, tuple] = {}
         self._reduced_more: dict[tuple, np.ndarray] = {}
-        self._benches: list[Bench] = []
+        self._benches: list[BatchScoring] = []
 
-    def adopted(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> Screen:
+    def adopted(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> CandidateScoring:
         """A screen that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
-        out = object.__new__(Screen)
+        out = object.__new__(CandidateScoring)
         out.__dict__.update(self.__dict__)
         out._reduced_more = {}
         for X, weight in blocks:
@@ -99,19 +99,19 @@ class Screen:
                 self._tests.pop(next(iter(self._tests)))
         return self._tests[key]
 
-    def test(self, candidate: Candidate, hyper: float | None = None) -> Scored:
+    def test(self, candidate: Candidate, hyper: float | None = None) -> ScoredCandidate:
         X, S, b = self.prepared(candidate, hyper)
         if self.more.shape[1]:
             taken = self.more.T @ X
             S, b = S - taken.T @ taken, b - taken.T @ self.taken
         gain, coefficients, covariance = solve_block(S, b, np.sum(X * X, axis=0), prior_weight(candidate))
-        return Scored(candidate, hyper, gain, len(b), coefficients, covariance)
+        return ScoredCandidate(candidate, hyper, gain, len(b), coefficients, covariance)
 
     def best_fixed(self, candidates: list[Candidate]) -> dict[str, tuple[float | None, float]]:
         """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
         bench = next((b for b in self._benches if b.fixed.candidates is candidates), None)
         if bench is None:
-            bench = Bench.of(candidates, self.linear, self.whiten, self.Q, self.r0 - self.Q @ (self.Q.T @ self.r0))
+            bench = BatchScoring.of(candidates, self.linear, self.whiten, self.Q, self.r0 - self.Q @ (self.Q.T @ self.r0))
             self._benches.append(bench)
         return bench.best(self.more, self.taken)
 

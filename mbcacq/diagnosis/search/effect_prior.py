@@ -18,14 +18,14 @@ JUST = 10.0  # the same of an effect just about to be found
 
 
 @dataclass(frozen=True)
-class Strengths:
+class EffectPrior:
     """gains: chi2 along each direction (k,). seen: information (k,) on the coefficients, in units of their typical sizes."""
 
     gains: np.ndarray
     seen: np.ndarray
 
     @classmethod
-    def of(cls, candidate: Candidate, coefficients: np.ndarray, covariance: np.ndarray) -> Strengths:
+    def of(cls, candidate: Candidate, coefficients: np.ndarray, covariance: np.ndarray) -> EffectPrior:
         """From coefficients (k,) and their covariance, beside whatever else is fitted."""
         if candidate.k == 1:
             variance = max(float(covariance[0, 0]), 1e-300)
@@ -36,9 +36,9 @@ class Strengths:
         return cls(z**2 / variance[there], 1.0 / variance[there])
 
     @property
-    def alike(self) -> Strengths:
+    def alike(self) -> EffectPrior:
         """The same, were all directions seen alike."""
-        return Strengths(self.gains, np.ones_like(self.gains))
+        return EffectPrior(self.gains, np.ones_like(self.gains))
 
     @property
     def gain(self) -> float:

@@ -12,7 +12,7 @@ Members = tuple[tuple[Candidate, float | None], ...]
 
 
 @dataclass(frozen=True)
-class Model:
+class EffectSet:
     """A set of effects. gain: of all together over free geometry alone; score: gain less what chance gives to the best of their kinds;
     worth: gain less what evidence takes off, twice the log of a ratio of probabilities.
     """
@@ -38,14 +38,14 @@ class Model:
         found = dict.fromkeys((c.name, spot(c)) for c, _ in self.members)
         return tuple(at for name, at in found if sum(name == other for other, _ in found) > 1)
 
-    def without(self, keys: tuple[str, ...]) -> Model:
+    def without(self, keys: tuple[str, ...]) -> EffectSet:
         """The other effects, to be solved anew; this very model where it has none of these. keys: names, or 'name:place'."""
         members = tuple(m for m in self.members if m[0].name not in keys and spot(m[0]) not in keys)
-        return self if len(members) == len(self.members) else Model(members)
+        return self if len(members) == len(self.members) else EffectSet(members)
 
 
 def spot(candidate: Candidate) -> str:
     return f"{candidate.name}:{'+'.join(candidate.where)}"
 
 
-NOTHING = Model(())
+NOTHING = EffectSet(())

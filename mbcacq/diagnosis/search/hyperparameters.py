@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbcacq.diagnosis.search.candidate_scoring import Scored, Screen
-from mbcacq.effects.effect import Candidate, Hyper
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ScoredCandidate
+from mbcacq.effects.effect import Candidate, Hyperparameter
 
 REFINED = 1.3  # times as much as on the grid a candidate may gain between its values
 PREFERRED = 0.8  # share of a candidate's chances that its preferred values have
 
 
-def best_hyper(screen: Screen, candidate: Candidate, least: Callable[[float | None], float] = lambda hyper: -np.inf) -> Scored | None:
+def best_hyper(screen: CandidateScoring, candidate: Candidate, least: Callable[[float | None], float] = lambda hyper: -np.inf) -> ScoredCandidate | None:
     """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good.
 
     least: what must be gained at a value; None where no value gains so much.
@@ -36,18 +36,18 @@ def best_hyper(screen: Screen, candidate: Candidate, least: Callable[[float | No
     return enough(screen.test(candidate, float(value)), least)
 
 
-def enough(scored: Scored, least: Callable[[float | None], float]) -> Scored | None:
+def enough(scored: ScoredCandidate, least: Callable[[float | None], float]) -> ScoredCandidate | None:
     return scored if scored.gain > least(scored.hyper) else None
 
 
-def values(hyper: Hyper, preferred: bool) -> float:
+def values(hyper: Hyperparameter, preferred: bool) -> float:
     """Number of independent values, over the share of the prior that the preferred, or the other, ones have."""
     if not hyper.preferred:
         return hyper.independent
     return len(hyper.preferred) / PREFERRED if preferred else hyper.independent / (1 - PREFERRED)
 
 
-def refine(screen: Screen, candidate: Candidate, value: float, gain: float) -> tuple[float, float]:
+def refine(screen: CandidateScoring, candidate: Candidate, value: float, gain: float) -> tuple[float, float]:
     """Two rounds of a finer grid between the neighbours of the best value."""
     ordered = np.sort(candidate.hyper.values)
     j = int(np.searchsorted(ordered, value))

@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from mbcacq.diagnosis.search.candidate_scoring import Screen
-from mbcacq.diagnosis.search.effect_set import Members, Model
-from mbcacq.effects.context import Situation
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import EffectSet, Members
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part
 from mbcacq.effects.pose import joint_compliance, payload
 
@@ -23,19 +23,19 @@ LEAST_SOFT = 0.02  # of the softest joint: no loaded joint is stiffer than that
 STILL = 0.05  # standard deviations by which the tool may still move
 
 
-class Solver(Protocol):
+class EffectSetSolver(Protocol):
     """What is asked of a search: its candidates, and the solution of one set of effects together with the geometry."""
 
     @property
     def candidates(self) -> list[Candidate]: ...
 
     @property
-    def situation(self) -> Situation | None: ...
+    def situation(self) -> Context | None: ...
 
-    def solve(self, screen: Screen, members: Members, permit: bool = False) -> Model | None: ...
+    def solve(self, screen: CandidateScoring, members: Members, permit: bool = False) -> EffectSet | None: ...
 
 
-def settled(search: Solver, screen: Screen, model: Model) -> Model:
+def settled(search: EffectSetSolver, screen: CandidateScoring, model: EffectSet) -> EffectSet:
     """The model with compliances and tool that agree with each other; the model itself where it has no wrong tool.
 
     Every loaded joint is elastic in this, significantly or not, so that the tool's uncertainty contains theirs.
@@ -71,12 +71,12 @@ def under(candidate: Candidate, torque: np.ndarray, turn: int) -> Candidate:
     return replace(candidate, build=lambda _: [Part("joint", i, 0, torque[:, i:i + 1])], variant=f"heavy {turn} {torque[:, i].sum():.9g}")
 
 
-def compliances(model: Model) -> dict[int, float]:
+def compliances(model: EffectSet) -> dict[int, float]:
     """Index of the joint -> rad/Nm, to four digits; none below a share of the softest."""
     found = {int(c.where[0][1:]) - 1: float(model.coefficients[p.start]) for c, p in _soft(model)}
     least = max(LEAST_SOFT * max(found.values()), 1e-9)
     return {i: float(f"{max(value, least):.4g}") for i, value in found.items()}
 
 
-def _soft(model: Model) -> list[tuple[Candidate, slice]]:
+def _soft(model: EffectSet) -> list[tuple[Candidate, slice]]:
     return [(c, p) for (c, _), p in zip(model.members, model.parts(), strict=True) if c.name == joint_compliance.NAME]

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.stats import chi2
 
-from mbcacq.diagnosis.search.effect_prior import Strengths
+from mbcacq.diagnosis.search.effect_prior import EffectPrior
 from mbcacq.diagnosis.search.effect_set import Members
 from mbcacq.diagnosis.search.hyperparameters import values
 from mbcacq.effects.effect import Candidate
@@ -28,7 +28,7 @@ EXPECTED = 5.0  # times as likely as otherwise is an effect at another joint whe
 COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # of which that holds
 
 
-class Prices:
+class SelectionCriteria:
     """Of the candidates of one recording. ``present``: the candidates that are in the model already."""
 
     def __init__(self, candidates: Collection[Candidate]):
@@ -66,7 +66,7 @@ class Prices:
         level = self.level(candidate) * (EXPECTED if expected(candidate, present) else 1.0)
         return _threshold(dof, log_tries, level) + further(candidate, present)
 
-    def cost(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
+    def cost(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
         """What the test takes off the gain: the threshold, and what was gained where hardly anything is seen.
 
         An effect may be strong just there (a pure turn of the scanner): a second test, ten times as rare by chance, counts all alike.
@@ -77,7 +77,7 @@ class Prices:
         alike = self.threshold(candidate, hyper, present, rarer=10.0)
         return min(self.threshold(candidate, hyper, present, dof) + own.gain - statistic, alike)
 
-    def cost_together(self, members: Members, owns: Sequence[Strengths]) -> float:
+    def cost_together(self, members: Members, owns: Sequence[EffectPrior]) -> float:
         """The same of several effects of one kind, tested as one: each alone may be too weak."""
         kind, log_tries, dof, unseen = members[0][0], 0.0, 0.0, 0.0
         if len(members) < 2 or kind.name not in COMPANIONS or any(c.name != kind.name for c, _ in members):
@@ -88,7 +88,7 @@ class Prices:
             dof, unseen = dof + seen, unseen + own.gain - statistic
         return _threshold(round(dof, 1), round(log_tries, 1), self.level(kind)) + unseen
 
-    def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: Strengths) -> float:
+    def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
         """Twice the log of one over the candidate's share of what may be, and of what its coefficients could have fitted."""
         share = 2 * np.log(self.tries(candidate, hyper, present) * (1.0 if expected(candidate, present) else FAMILIES))
         return share + own.price + further(candidate, present)

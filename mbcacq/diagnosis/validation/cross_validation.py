@@ -10,33 +10,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import Finding
-from mbcacq.diagnosis.problem import Setup
+from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NOTHING, spot
 from mbcacq.diagnosis.validation.folds import Fold, split
-from mbcacq.diagnosis.validation.predictive_score import EMPTY, Quality, better, judge
-from mbcacq.diagnosis.validation.workers import Crew
+from mbcacq.diagnosis.validation.predictive_score import EMPTY, PredictiveScore, better, judge
+from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.effects.pose import payload
 
 MOST = 0.8  # share of the centres that must be elsewhere for them to decide
 
 
 @dataclass(frozen=True)
-class Proof:
+class CrossValidation:
     """before and after on left-out data, how they were left out. without: the same with one effect left out of the model, by its name, or
     'name:place' of one at several; of what has no name by 'unknown:PLACE'. picks: names that each fold found. empty: names, and places of a
     name, beside others that predict nothing better; they are not in ``after``. decides: before and after where the model may be judged, see
     above. named: of a long recording, whose groups could do what names do: with the names alone, to which each name is held.
     """
 
-    before: Quality
-    after: Quality
+    before: PredictiveScore
+    after: PredictiveScore
     split: str
-    without: dict[str, Quality]
+    without: dict[str, PredictiveScore]
     picks: tuple[tuple[str, ...], ...]
     empty: tuple[str, ...] = ()
-    decides: tuple[Quality, Quality] = (EMPTY, EMPTY)
-    named: Quality | None = None
+    decides: tuple[PredictiveScore, PredictiveScore] = (EMPTY, EMPTY)
+    named: PredictiveScore | None = None
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess over the noise floor that an effect removes."""
@@ -51,7 +51,7 @@ class Proof:
         return float(np.clip(((self.named or self.before).chi2 - self.after.chi2) / excess, 0, 1))
 
 
-def prove(setup: Setup, full: Finding, folds: int = 4, workers: int = 1) -> Proof:
+def prove(setup: DiagnosisProblem, full: ModelFit, folds: int = 4, workers: int = 1) -> CrossValidation:
     """The whole search repeated without each fold, its model tried on the fold; weights are those of the full data."""
     linear = full.before.linear
     fold, how = split(linear, folds)
@@ -63,8 +63,8 @@ def prove(setup: Setup, full: Finding, folds: int = 4, workers: int = 1) -> Proo
     if not keys and not everywhere:  # nothing is claimed, there is nothing to prove
         plain = total(judge(linear, linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose], NOTHING, None, full.noise)
                       for test in left_out)
-        return Proof(plain, plain, how, {}, (), (), (plain, plain))
-    with Crew(lambda k: Fold(setup, full, left_out[k], full.smooth is not None), len(left_out), workers) as crew:
+        return CrossValidation(plain, plain, how, {}, (), (), (plain, plain))
+    with WorkerPool(lambda k: Fold(setup, full, left_out[k], full.smooth is not None), len(left_out), workers) as crew:
         answers = crew.ask("answer", keys, away_from(full), everywhere)
         before, after = total(a.before for a in answers), total(a.after for a in answers)
         without = {key: total(a.without[key] for a in answers) for key in keys}
@@ -77,14 +77,14 @@ def prove(setup: Setup, full: Finding, folds: int = 4, workers: int = 1) -> Proo
             after = total(crew.ask("without", empty))
     there = total(a.before_there for a in answers), total(a.after_there for a in answers)
     decides = there if there[0].count > MOST * before.count else (before, after)
-    return Proof(before, after, how, without, tuple(a.picks for a in answers), empty, decides, named)
+    return CrossValidation(before, after, how, without, tuple(a.picks for a in answers), empty, decides, named)
 
 
-def total(qualities: Iterable[Quality]) -> Quality:
+def total(qualities: Iterable[PredictiveScore]) -> PredictiveScore:
     return sum(qualities, EMPTY)
 
 
-def all_but_the_best(spots: tuple[str, ...], without: dict[str, Quality]) -> tuple[str, ...]:
+def all_but_the_best(spots: tuple[str, ...], without: dict[str, PredictiveScore]) -> tuple[str, ...]:
     """The places of each name, but for the one that predicts most."""
     best: dict[str, str] = {}
     for at in sorted(spots, key=lambda s: without[s].chi2):
@@ -92,12 +92,12 @@ def all_but_the_best(spots: tuple[str, ...], without: dict[str, Quality]) -> tup
     return tuple(s for s in spots if s not in best.values())
 
 
-def stays(full: Finding, key: str) -> bool:
+def stays(full: ModelFit, key: str) -> bool:
     """Whether an effect ('name' or 'name:place') happens to single stations alone."""
     return all(w.startswith("station") for c, _ in full.model.members if key in (c.name, spot(c)) for w in c.where)
 
 
-def away_from(full: Finding) -> np.ndarray:
+def away_from(full: ModelFit) -> np.ndarray:
     """(M,) bool of the centres at stations to which nothing of the model happens alone."""
     obs = full.before.linear.obs
     alone = {w for c, _ in full.model.members if stays(full, c.name) for w in c.where}

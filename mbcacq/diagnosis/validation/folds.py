@@ -6,33 +6,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import Linear
-from mbcacq.diagnosis.model_fit import Finding, find
-from mbcacq.diagnosis.nonparametric.random_effects import SmoothModel
-from mbcacq.diagnosis.problem import Setup
-from mbcacq.diagnosis.search.effect_set import NOTHING, Model
-from mbcacq.diagnosis.validation.predictive_score import EMPTY, Quality, judge
+from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.model_fit import ModelFit, find
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
+from mbcacq.diagnosis.validation.predictive_score import EMPTY, PredictiveScore, judge
 
 
 @dataclass(frozen=True)
-class Answer:
+class FoldResult:
     """before, after: quality on the fold with geometry alone and with the model found without it; the same where the model may be judged
     (``there``). without: the same with one effect left out, by its key. named: with the names alone. picks: names found.
     """
 
-    before: Quality
-    after: Quality
-    before_there: Quality
-    after_there: Quality
-    without: dict[str, Quality]
-    named: Quality
+    before: PredictiveScore
+    after: PredictiveScore
+    before_there: PredictiveScore
+    after_there: PredictiveScore
+    without: dict[str, PredictiveScore]
+    named: PredictiveScore
     picks: tuple[str, ...]
 
 
 class Fold:
     """What is found without one fold, and its trials on it. keys: effects to be left out in turn; everywhere: groups stand everywhere."""
 
-    def __init__(self, setup: Setup, full: Finding, test: np.ndarray, expected: bool):
+    def __init__(self, setup: DiagnosisProblem, full: ModelFit, test: np.ndarray, expected: bool):
         """test: (P,) bool, the poses left out."""
         linear = full.before.linear
         self.linear, self.noise = linear, full.noise
@@ -40,10 +40,10 @@ class Fold:
         name_expected = bool(full.model.members) and full.smooth is None
         self.found = find(setup.at(linear), self.train, expected=expected, name_expected=name_expected)
 
-    def judge(self, model: Model, rest: SmoothModel | None, test: np.ndarray | None = None) -> Quality:
+    def judge(self, model: EffectSet, rest: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
         return judge(self.linear, self.train, self.test if test is None else test, model, rest, self.noise)
 
-    def answer(self, keys: tuple[str, ...], elsewhere: np.ndarray, everywhere: bool) -> Answer:
+    def answer(self, keys: tuple[str, ...], elsewhere: np.ndarray, everywhere: bool) -> FoldResult:
         """elsewhere: (M,) bool of the centres by which the model may be judged."""
         model, rest = self.found.model, self.found.smooth
         before, after = self.judge(NOTHING, None), self.judge(model, rest)
@@ -56,14 +56,14 @@ class Fold:
             other, others = less(replace(self.found, smooth=None) if everywhere else self.found, key)
             same = other is model and (everywhere or others is rest)
             without[key] = whole if same else self.judge(other, others)
-        return Answer(before, after, before_there, after_there, without, whole if everywhere else EMPTY, model.names)
+        return FoldResult(before, after, before_there, after_there, without, whole if everywhere else EMPTY, model.names)
 
-    def without(self, names: tuple[str, ...]) -> Quality:
+    def without(self, names: tuple[str, ...]) -> PredictiveScore:
         """With these names left out of the model."""
         return self.judge(self.found.model.without(names), self.found.smooth)
 
 
-def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
+def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement."""
     obs = linear.obs
     stations = np.unique(obs.station)
@@ -79,7 +79,7 @@ def split(linear: Linear, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def less(part: Finding, key: str) -> tuple[Model, SmoothModel | None]:
+def less(part: ModelFit, key: str) -> tuple[EffectSet, RandomEffectsModel | None]:
     """A fold's model without one effect."""
     if key.startswith("unknown:"):
         at = key.removeprefix("unknown:")

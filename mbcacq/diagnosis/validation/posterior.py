@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.linearized.whitening import Whitener
-from mbcacq.diagnosis.search.effect_prior import Strengths
-from mbcacq.diagnosis.search.effect_set import Model
+from mbcacq.diagnosis.search.effect_prior import EffectPrior
+from mbcacq.diagnosis.search.effect_set import EffectSet
 
 
 @dataclass(frozen=True)
-class Known:
+class Posterior:
     """sigma: prior of the coefficients (z,). information (z, z), right (z,): of the centres, without the prior."""
 
     sigma: np.ndarray
@@ -21,7 +21,7 @@ class Known:
     right: np.ndarray
 
     @classmethod
-    def of(cls, whiten: Whitener, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Known:
+    def of(cls, whiten: Whitener, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Posterior:
         """columns (M, R, z), residual (M, R); the whitener says which centres."""
         X = whiten(columns)
         return cls(sigma, X.T @ X, X.T @ whiten(residual))
@@ -35,7 +35,7 @@ class Known:
     def solution(self) -> np.ndarray:
         return self.sigma * np.linalg.solve(self.normal, self.sigma * self.right)
 
-    def sized(self, model: Model, parts: list[slice]) -> Known:
+    def sized(self, model: EffectSet, parts: list[slice]) -> Posterior:
         """With the members' coefficients, at these parts, believed to be of the size that is most probable by these centres: what is hardly
         seen stays near zero.
         """
@@ -44,7 +44,7 @@ class Known:
         covariance = self.sigma[:, None] * np.linalg.inv(self.normal) * self.sigma
         sigma = self.sigma.copy()
         for (candidate, _), p in zip(model.members, parts, strict=True):
-            own = Strengths.of(candidate, self.solution[p], covariance[p, p])
+            own = EffectPrior.of(candidate, self.solution[p], covariance[p, p])
             sigma[p] = np.minimum(sigma[p], own.scale * candidate.typical)
         return replace(self, sigma=sigma)
 

@@ -24,7 +24,7 @@ def cores() -> int:
     return min(free, MOST_WORKERS)
 
 
-class Crew:
+class WorkerPool:
     """make(k): piece k of ``count``, with methods to be asked. Use as a context."""
 
     def __init__(self, make: Callable[[int], Any], count: int, workers: int = 1):
@@ -61,7 +61,7 @@ class Crew:
             answers |= answer
         return [answers[k] for k in sorted(answers)]
 
-    def __enter__(self) -> Crew:
+    def __enter__(self) -> WorkerPool:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -9,25 +9,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.effects.motion.effect import Candidate, Group, Report, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Report
 
 NAME = "channel_latency"
 RESOLUTION_S = 1e-7   # two clocks are not compared better: splines between samples
 WINDOW_S = 0.25       # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
 
 
-def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name == "q_set":  # a late set point and a late drive are one and the same: drive_lag says it, joint by joint
         return []
     columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
-    return [Candidate(NAME, (group.name,), depends, group.joints, columns, _report(), hyper=np.array([0.0]), refine=False, tuned=True)]
+    return [MotionCandidate(NAME, (group.name,), depends, group.joints, columns, _report(), hyper=np.array([0.0]), refine=False, tuned=True)]
 
 
-def _encoder(run: Run, joint: int, _: float | None) -> np.ndarray:
+def _encoder(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
     return -run.qd[:, [joint]]
 
 
-def _torque(run: Run, joint: int, _: float | None) -> np.ndarray:
+def _torque(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
     window = min(max(2 * int(WINDOW_S / run.step_s / 2) + 1, 7), (len(run.q) - 1) // 2 * 2 - 1)
     return -savgol_filter(run.torque[:, joint], window, 5, deriv=1, delta=run.step_s)[:, None]
 

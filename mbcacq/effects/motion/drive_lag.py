@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbcacq.effects.motion.effect import Candidate, Group, Run, low_pass, plain_report
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, low_pass, plain_report
 
 NAME = "drive_lag"
 RESOLUTION_S = 2e-6   # neither dead time nor lag is claimed to be known better: both filters, the arm's and this one, step in time
@@ -22,26 +22,26 @@ SLOW = np.geomspace(0.25, 100.0, 12)
 BETWEEN = float(np.log(SLOW[1] / SLOW[0])) / np.sqrt(12.0)   # share by which a slow one lies off those tried
 
 
-def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_set":
         return []
     out = []
     for j in group.joints:
         axis = f"A{j + 1}"
         place = ((axis,), f"qd{j + 1}", (j,))
-        out.append(Candidate(NAME, *place, _following, _report(axis), hyper=FAST, search=4.0, positive=True,
+        out.append(MotionCandidate(NAME, *place, _following, _report(axis), hyper=FAST, search=4.0, positive=True,
                              tag="fast"))
-        out.append(Candidate(NAME, *place, _loop, _loop_report(axis), hyper=SLOW, search=4.0, refine=False, tag="slow",
+        out.append(MotionCandidate(NAME, *place, _loop, _loop_report(axis), hyper=SLOW, search=4.0, refine=False, tag="slow",
                              sigma=LIKELY))
         pushes = [("friction", _friction, "rad_per_s")]
         pushes += [(name, _push_by(signal), "rad_per_Nms") for name, signal in (("drive", "torque"), ("load", "rigid_set"))
                    if all(getattr(run, signal) is not None for run in runs)]
-        out += [Candidate(NAME, *place, columns, plain_report(f"{axis}.{name}_push_{unit}"), extends=True, follows=True, refine=False,
+        out += [MotionCandidate(NAME, *place, columns, plain_report(f"{axis}.{name}_push_{unit}"), extends=True, follows=True, refine=False,
                           tag=name) for name, columns, unit in pushes]
     return out
 
 
-def _following(run: Run, joint: int, lag: float | None) -> np.ndarray:
+def _following(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
     """What a dead time and a lag leave, by one second of both together (T, 1)."""
     q_set, time = run.q_set[:, joint], run.step_s * np.arange(len(run.q))
     total = _later(run, joint)
@@ -51,7 +51,7 @@ def _following(run: Run, joint: int, lag: float | None) -> np.ndarray:
     return ((low_pass(shifted, lag, run.step_s) - q_set) / total)[:, None]
 
 
-def _later(run: Run, joint: int) -> float:
+def _later(run: MotionSignals, joint: int) -> float:
     """By how much (s) the actual angle is late in all: slope over the speed beside the next terms of the series."""
     rates = np.stack([-run.qd_set[:, joint], run.qdd_set[:, joint], -run.qddd_set[:, joint], np.ones(len(run.q))], axis=1)
     scale = np.maximum(np.linalg.norm(rates, axis=0), 1e-300)
@@ -59,7 +59,7 @@ def _later(run: Run, joint: int) -> float:
     return max(float(slope[0]), 1e-6)
 
 
-def _loop(run: Run, joint: int, lag: float | None) -> np.ndarray:
+def _loop(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
     """Pushed by speed and acceleration; and what was away at the start fades."""
     time = run.step_s * np.arange(len(run.q))
     away = float(np.mean(run.q[:5, joint] - run.q_set[:5, joint]))
@@ -67,12 +67,12 @@ def _loop(run: Run, joint: int, lag: float | None) -> np.ndarray:
     return np.stack([*pushed, away * np.exp(-time / lag)], axis=1)
 
 
-def _friction(run: Run, joint: int, lag: float | None) -> np.ndarray:
+def _friction(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
     return lag * low_pass(np.r_[0.0, np.tanh(run.qd_set[1:, joint] / 1e-3)], lag, run.step_s)[:, None]
 
 
 def _push_by(signal: str):
-    def columns(run: Run, joint: int, lag: float | None) -> np.ndarray:
+    def columns(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
         push = getattr(run, signal)[:, joint]
         return lag * low_pass(np.r_[0.0, push[1:]], lag, run.step_s)[:, None]
 

@@ -14,7 +14,7 @@ FINER = 4     # samples between samples where a filter is as fast as the clock
 
 
 @dataclass(frozen=True)
-class Run:
+class MotionSignals:
     """One trajectory on an equidistant clock. Arrays (T, n), rad, rad/s, rad/s^2, N m on the joint side; None where not recorded.
 
     q is the motor-side angle the controller reports, smooth, qd and qdd the same and its rates by a zero-phase filter; q_set the
@@ -47,7 +47,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Group:
+class ChannelGroup:
     """One kind of mismatch (recorded minus simulated) of all joints that show it. name: 'tau', 'q_joint' or 'q_set'.
 
     joints: which; mismatch[run] and use[run]: (T, J), use False where a sample says nothing (standstill in torque).
@@ -71,7 +71,7 @@ Report = Callable[[np.ndarray, np.ndarray, "float | None", float], dict]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class MotionCandidate:
     """columns(run, joint, hyper) -> (T, k), with the same k coefficients for all of ``joints``.
 
     report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: values to try, or None.
@@ -87,7 +87,7 @@ class Candidate:
     where: tuple[str, ...]
     depends_on: str
     joints: tuple[int, ...]
-    columns: Callable[[Run, int, float | None], np.ndarray]
+    columns: Callable[[MotionSignals, int, float | None], np.ndarray]
     report: Report
     hyper: np.ndarray | None = None
     positive: bool = False

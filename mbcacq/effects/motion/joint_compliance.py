@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import Candidate, Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
 
 NAME = "joint_compliance"
 
 
-def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    return [Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), lambda run, joint, _: -run.load[:, [joint]],
+    return [MotionCandidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), lambda run, joint, _: -run.load[:, [joint]],
                       _report(f"A{j + 1}.compliance_rad_per_Nm", runs, j), positive=True) for j in group.joints]
 
 
-def _report(name: str, runs: tuple[Run, ...], joint: int):
+def _report(name: str, runs: tuple[MotionSignals, ...], joint: int):
     """The load is known only as well as the arm's inertial parameters: that much the compliance is uncertain besides."""
     doubt = max(0.0 if run.load_doubt is None else float(run.load_doubt[joint]) for run in runs)
 

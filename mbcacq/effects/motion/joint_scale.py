@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from mbcacq.effects.motion.effect import Candidate, Group, Run, plain_report
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, plain_report
 
 NAME = "joint_scale"
 
 
-def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_joint":
         return []
-    return [Candidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), lambda run, joint, _: run.q[:, [joint]],
+    return [MotionCandidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), lambda run, joint, _: run.q[:, [joint]],
                       plain_report(f"A{j + 1}.ratio")) for j in group.joints]

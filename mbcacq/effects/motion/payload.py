@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import Candidate, Group, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
 
 NAME = "payload"
 
 
-def candidates(group: Group, runs: tuple[Run, ...]) -> list[Candidate]:
+def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "tau" or any(run.payload is None for run in runs):
         return []
-    return [Candidate(NAME, ("mount",), "gravity_torque", group.joints, lambda run, joint, _: run.payload[:, joint], _report)]
+    return [MotionCandidate(NAME, ("mount",), "gravity_torque", group.joints, lambda run, joint, _: run.payload[:, joint], _report)]
 
 
 def _report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> dict:

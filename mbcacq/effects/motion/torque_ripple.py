@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import Candidate, Group, Report, Run
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Report
 
 ANGLE, TORQUE = "gear_transmission_error", "torque_ripple"
 SLOWEST = {ANGLE: 0.0, TORQUE: 6.0}     # slower waves of torque are gravity's
@@ -12,16 +12,16 @@ BEYOND = np.radians(0.5)
 FASTEST = {ANGLE: 1500.0, TORQUE: 1500.0}  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
 
 
-def wave(group: Group, joint: int, order: float, spacing: float, tried: float, seen: tuple[float, float]) -> Candidate:
+def wave(group: ChannelGroup, joint: int, order: float, spacing: float, tried: float, seen: tuple[float, float]) -> MotionCandidate:
     """The candidate of one order. spacing: how far apart two orders are that the travelled angle tells apart; tried: how many; seen: the
     angles (rad) at which it was seen: elsewhere its phase is not known, and nothing is claimed."""
     name = ANGLE if group.name == "q_joint" else TORQUE
     key, scale = ("amplitude_deg", float(np.degrees(1))) if name == ANGLE else ("amplitude_Nm", 1.0)
-    return Candidate(name, (f"A{joint + 1}",), f"q{joint + 1}", (joint,), _columns(seen), _report(f"A{joint + 1}", key, scale),
+    return MotionCandidate(name, (f"A{joint + 1}",), f"q{joint + 1}", (joint,), _columns(seen), _report(f"A{joint + 1}", key, scale),
                      hyper=order + spacing * np.array([-0.5, 0.0, 0.5]), search=tried, tag=f"{order:.4g}")
 
 
-def range_of_orders(group: Group, runs: tuple[Run, ...], joint: int) -> tuple[float, float, float] | None:
+def range_of_orders(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int) -> tuple[float, float, float] | None:
     """(lowest, highest, spacing) of the orders that the recording can show, None if the joint hardly moved or no wave is physical."""
     if group.name == "q_set":
         return None
@@ -37,7 +37,7 @@ def range_of_orders(group: Group, runs: tuple[Run, ...], joint: int) -> tuple[fl
 
 
 def _columns(seen: tuple[float, float]):
-    def columns(run: Run, joint: int, order: float | None) -> np.ndarray:
+    def columns(run: MotionSignals, joint: int, order: float | None) -> np.ndarray:
         q = run.q[:, joint]
         inside = (q >= seen[0] - BEYOND) & (q <= seen[1] + BEYOND)
         return np.stack([np.sin(order * q), np.cos(order * q)], axis=1) * inside[:, None]

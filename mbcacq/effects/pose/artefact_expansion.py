@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number
 
 NAME = "artefact_expansion"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     cell, out = s.obs.cell, []
     if not s.scanner_on_flange:
         raise Missing("no artefact with several balls")

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
-from mbcacq.effects.effect import Candidate, Hyper, Missing, Part, number
+from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Part, number
 
 NAME = "backlash"
 FEWEST, LEAST = 4, 0.005  # poses, and share of them, that the torque must push the other way
 TRANSITIONS = np.array([0.0, 0.03, 0.1, 0.3, 1.0])  # N m over which the teeth change sides: tanh(torque / transition); 0: at once
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     out = []
     if s.obs.direction is not None:
         out += [make(i, f"direction_{i + 1}", s.obs.direction[:, i].astype(float)) for i in range(s.n) if np.ptp(s.obs.direction[:, i]) > 0]
@@ -36,7 +36,7 @@ def under_load(i: int, torque: np.ndarray) -> Candidate:
         sense = np.tanh(torque / transition) if transition else np.sign(torque)
         return [Part("joint", i, 0, sense[:, None])]
 
-    hyper = Hyper("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
+    hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
     return Candidate(NAME, (f"A{i + 1}",), f"gravity_torque_{i + 1}", build, report_of(i), np.array([3e-5]), hyper)
 
 

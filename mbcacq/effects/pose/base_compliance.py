@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, scalar_report
 
 NAME = "base_compliance"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     if not s.masses_known:
         raise Missing("no masses of the links given")
     moment = s.gravity_moment(0)

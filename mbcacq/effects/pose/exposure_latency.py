@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, scalar_report
 
 NAME = "exposure_latency"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     if s.obs.velocity is None or np.abs(s.obs.velocity).max() < 1e-6:
         raise Missing("no velocities at the exposure recorded (qd1_deg_s..)")
     velocity = np.nan_to_num(s.obs.velocity)

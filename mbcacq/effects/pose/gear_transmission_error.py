@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
-from mbcacq.effects.effect import Candidate, Hyper, Part, number
+from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate, Hyperparameter, Part, number
 
 NAME = "gear_transmission_error"
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     gear = s.obs.cell.robot.gear_ratio
     out = []
     for i in range(s.n):
@@ -22,7 +22,7 @@ def candidates(s: Situation) -> list[Candidate]:
         step = 0.25 * 2 * np.pi / span
         orders = np.arange(max(LOWEST_ORDER, 0.0), highest, min(step, 0.5))
         preferred = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
-        hyper = Hyper("order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred)
+        hyper = Hyperparameter("order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred)
 
         functions = waves(q, hyper.values)
 

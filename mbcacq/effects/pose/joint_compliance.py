@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, scalar_report
 
 NAME = "joint_compliance"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     torque = s.gravity_torque
     out = []
     for i in range(s.n):

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, number
 from mbcacq.effects.pose import steps
 
 NAME = "joint_step"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     functions, hyper = steps.step_functions(s), steps.moment(s)
 
     def make(i: int) -> Candidate:

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, number
 from mbcacq.geometry.gravity import STANDARD_GRAVITY
 
 NAME = "mount_compliance"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     mass = s.payload_mass if np.all(s.payload_mass > 0) else np.ones(s.obs.n_poses)
     com = s.obs.cell.robot.payload_com
     if not np.any(com):

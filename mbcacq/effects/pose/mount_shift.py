@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
 from mbcacq.effects.pose import steps
 
 NAME = "mount_shift"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     if not s.scanner_on_flange and s.obs.rotation is None:
         components = (0, 1, 2)
     else:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
 from mbcacq.geometry import gravity
 
@@ -16,14 +16,14 @@ NAME = "payload"
 NEXT_IN_LINE = 0.15  # of the largest range of gravity torque
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     """None by itself: elasticity has to be found first, then ``beside`` applies."""
     if not s.masses_known:
         raise Missing("no masses of the links and the tool given")
     return []
 
 
-def unit_torques(s: Situation) -> np.ndarray:
+def unit_torques(s: Context) -> np.ndarray:
     """(P, n, 4) N m: by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
     robot = s.obs.cell.robot
     frames = robot.chain.frames(s.obs.q)
@@ -36,13 +36,13 @@ def unit_torques(s: Situation) -> np.ndarray:
     return np.stack([at_origin] + [torque(e) - at_origin for e in np.eye(3)], axis=2)
 
 
-def loaded(s: Situation) -> list[int]:
+def loaded(s: Context) -> list[int]:
     """Joints whose gravity torque varies enough for their elasticity to matter."""
     load = np.ptp(s.gravity_torque, axis=0)
     return [i for i in range(s.n) if load[i] > NEXT_IN_LINE * load.max()]
 
 
-def beside(s: Situation, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False) -> list[Candidate]:
+def beside(s: Context, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False) -> list[Candidate]:
     """The candidate that goes with joints of known compliance: index -> rad/Nm. spread: covariance (4, 4) of mass and first moments
     where it is known with the compliances' own uncertainty in it.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number
 
 NAME = "scanner_distortion"
@@ -34,7 +34,7 @@ def shapes(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
     }
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     if not s.scanner_on_flange or np.ptp(s.obs.xyz, axis=0).max() == 0:
         raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
     every = shapes(s.obs.xyz)

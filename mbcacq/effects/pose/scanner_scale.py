@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
 
 NAME = "scanner_scale"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     if not s.scanner_on_flange or np.ptp(s.obs.xyz, axis=0).max() == 0:
         raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
     ppm, xyz = 1e-6, s.obs.xyz

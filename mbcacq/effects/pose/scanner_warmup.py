@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, number, vector
 from mbcacq.effects.pose import warm_up
 
@@ -10,7 +10,7 @@ NAME = "scanner_warmup"
 UNCERTAIN_TAU = 2.0  # growth of the offset's variance because the time constant is estimated beside it
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     hyper, functions = warm_up.time_constant(s), warm_up.fading(s)
 
     def build(tau):

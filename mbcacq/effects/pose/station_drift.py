@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, vector
 
 NAME = "station_drift"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     key = s.order.astype(float) if s.obs.time_s is None else s.time
     out = []
     for k, station in enumerate(s.obs.cell.stations):

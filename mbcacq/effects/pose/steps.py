@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation, in_time
-from mbcacq.effects.effect import Candidate, Hyper
+from mbcacq.effects.context import Context, in_time
+from mbcacq.effects.effect import Candidate, Hyperparameter
 from mbcacq.model.observations import Observations
 
 NAME = "at_pose"
 
 
-def moment(s: Situation) -> Hyper:
+def moment(s: Context) -> Hyperparameter:
     """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread.
 
     Neighbouring moments split the poses nearly alike: independent ones are as many as the recording can be halved, a few times over.
@@ -18,10 +18,10 @@ def moment(s: Situation) -> Hyper:
     ranks = np.arange(margin, s.obs.n_poses - margin + 1)
     if len(ranks) > 400:
         ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
-    return Hyper(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
+    return Hyperparameter(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
 
 
-def step_functions(s: Situation):
+def step_functions(s: Context):
     order = s.order
 
     def functions(values: np.ndarray) -> np.ndarray:
@@ -42,6 +42,6 @@ def undecided(candidate: Candidate, hyper: float | None, obs: Observations, seen
     return [float(r) for r in range(int(before[-1]) + 1, int(after[0]) + 1) if r != hyper]
 
 
-def pose_at(s: Situation, rank: float) -> int:
+def pose_at(s: Context, rank: float) -> int:
     """Number of the pose (column ``pose``) that is the first after the change."""
     return int(s.obs.pose_id[np.flatnonzero(s.order == int(rank))[0]])

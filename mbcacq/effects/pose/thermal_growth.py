@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number
 from mbcacq.effects.pose import warm_up
 
 NAME = "thermal_growth"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     recorded = {k: v for k, v in s.obs.temperatures.items() if np.ptp(v) > 0.2}
     if not recorded and s.obs.time_s is None:
         raise Missing("neither temperatures nor times recorded")
@@ -20,7 +20,7 @@ def candidates(s: Situation) -> list[Candidate]:
     return out
 
 
-def direction(s: Situation, i: int) -> np.ndarray:
+def direction(s: Context, i: int) -> np.ndarray:
     """(3,) unit vector along link i in the frame behind it: d along the joint's axis and a along x, as seen after the MD-H rotation."""
     chain = s.obs.cell.robot.chain
     one = chain.link_transforms(np.zeros((1, s.n)))[0, i]
@@ -28,7 +28,7 @@ def direction(s: Situation, i: int) -> np.ndarray:
     return along / max(float(np.linalg.norm(along)), 1e-12)
 
 
-def make(s: Situation, i: int, column: str, temperature: np.ndarray) -> Candidate:
+def make(s: Context, i: int, column: str, temperature: np.ndarray) -> Candidate:
     along = direction(s, i)
     change = (temperature - temperature[np.argmin(s.order)])[:, None]
     parts = [Part("frame", i + 1, c, change * along[c]) for c in range(3) if abs(along[c]) > 1e-6]
@@ -39,7 +39,7 @@ def make(s: Situation, i: int, column: str, temperature: np.ndarray) -> Candidat
     return Candidate(NAME, (f"link{i + 1}",), column, lambda _: parts, report, np.array([0.01]))
 
 
-def make_warmup(s: Situation, i: int) -> Candidate:
+def make_warmup(s: Context, i: int) -> Candidate:
     along, hyper, fade = direction(s, i), warm_up.time_constant(s), warm_up.fading(s)
     used = [c for c in range(3) if abs(along[c]) > 1e-6]
 

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
-from mbcacq.effects.effect import Hyper
+from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Hyperparameter
 
 
-def time_constant(s: Situation) -> Hyper:
+def time_constant(s: Context) -> Hyperparameter:
     total = float(np.ptp(s.time))
-    return Hyper("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
+    return Hyperparameter("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
 
 
-def fading(s: Situation):
+def fading(s: Context):
     """exp(-t / tau): (H,) s -> (H, P, 1)."""
     time = s.time
     return lambda values: np.exp(-time[None] / np.asarray(values)[:, None])[..., None]

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mbcacq.effects.context import Situation
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, scalar_report
 
 NAME = "wrist_coupling"
 
 
-def candidates(s: Situation) -> list[Candidate]:
+def candidates(s: Context) -> list[Candidate]:
     first = max(s.n - 3, 0)
     pairs = [(i, j) for i in range(first, s.n) for j in range(first, s.n) if i != j and np.ptp(s.obs.q[:, i]) > 0.02]
     return [Candidate(NAME, (f"A{i + 1}", f"A{j + 1}"), f"q{i + 1}", lambda _, i=i, j=j: [Part("joint", j, 0, s.obs.q[:, i:i + 1])],

@@ -20,7 +20,7 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass
-class Table:
+class CsvTable:
     """A CSV file as text. columns: header name -> cells of that column; line: (rows,) line of each row in the file."""
 
     path: Path
@@ -95,7 +95,7 @@ class Table:
                 raise ConfigError(f"{where}: '{_short(cell)}' is not a finite number; remove the row or correct it")
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> CsvTable:
     """Read a CSV file. Raises ConfigError if it is absent, empty, not UTF-8, or a row has more or fewer cells than the header."""
     reader = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
     rows, line = [], []
@@ -118,7 +118,7 @@ def read_table(path: Path) -> Table:
                               f"the header {len(header)}; correct the row (decimal point '.', separator ',')")
     if not rows:
         raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
-    return Table(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
+    return CsvTable(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[str]]) -> None:

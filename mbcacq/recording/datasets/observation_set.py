@@ -15,7 +15,7 @@ from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.cell_yaml import read_cell
-from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, Table, numbered, read_table
+from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable, numbered, read_table
 from mbcacq.recording.datasets.observation_writer import write_observation_set
 
 __all__ = ["read_observation_set", "write_observation_set"]
@@ -39,7 +39,7 @@ def read_observation_set(folder: Path | str) -> Observations:
     return Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
 
 
-def _read_poses(table: Table, cell: Cell) -> dict:
+def _read_poses(table: CsvTable, cell: Cell) -> dict:
     n = cell.robot.n
     joints = numbered("q{}_deg", n)
     table.require(["pose", "station", *joints])
@@ -65,7 +65,7 @@ def _read_poses(table: Table, cell: Cell) -> dict:
     return out
 
 
-def _read_centres(table: Table, cell: Cell, poses: dict) -> dict:
+def _read_centres(table: CsvTable, cell: Cell, poses: dict) -> dict:
     table.require(["pose", "ball", *XYZ])
     pose_index = {pose: i for i, pose in enumerate(poses["pose_id"].tolist())}
     table.taken |= {"pose", "ball"}
@@ -101,7 +101,7 @@ def _read_centres(table: Table, cell: Cell, poses: dict) -> dict:
     return out
 
 
-def _rotation(table: Table) -> np.ndarray:
+def _rotation(table: CsvTable) -> np.ndarray:
     q = table.group(QUATERNION)
     length = np.linalg.norm(q, axis=1)
     bad = np.abs(length - 1) > 0.01
@@ -111,7 +111,7 @@ def _rotation(table: Table) -> np.ndarray:
     return quaternions.to_matrix(q)
 
 
-def _direction(table: Table, name: str) -> np.ndarray:
+def _direction(table: CsvTable, name: str) -> np.ndarray:
     values = table.integer(name)
     if (np.abs(values) > 1).any():
         row = int(np.argmax(np.abs(values) > 1))
@@ -119,12 +119,12 @@ def _direction(table: Table, name: str) -> np.ndarray:
     return values
 
 
-def _look_up(table: Table, column: str, index: dict[str, int], message: str) -> np.ndarray:
+def _look_up(table: CsvTable, column: str, index: dict[str, int], message: str) -> np.ndarray:
     cells = [cell.strip() for cell in table.text(column)]
     return _match(table, column, cells, index, message)
 
 
-def _match(table: Table, column: str, cells: Sequence | np.ndarray, index: dict, message: str) -> np.ndarray:
+def _match(table: CsvTable, column: str, cells: Sequence | np.ndarray, index: dict, message: str) -> np.ndarray:
     cells = cells.tolist() if isinstance(cells, np.ndarray) else cells
     try:
         return np.array([index[cell] for cell in cells], dtype=np.int64)
@@ -134,7 +134,7 @@ def _match(table: Table, column: str, cells: Sequence | np.ndarray, index: dict,
         raise ConfigError(f"{table.where(row, column)}: {message.format(cells[row], known)}; correct it") from None
 
 
-def _refuse_repeated(table: Table, column: str, keys: np.ndarray, message: str) -> None:
+def _refuse_repeated(table: CsvTable, column: str, keys: np.ndarray, message: str) -> None:
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     again = first[inverse] != np.arange(len(keys))
     if again.any():

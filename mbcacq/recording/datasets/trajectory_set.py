@@ -16,7 +16,7 @@ from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.recording.datasets import angles
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
-from mbcacq.recording.datasets.csvfile import Table, numbers, read_table, write_table, write_text
+from mbcacq.recording.datasets.csvfile import CsvTable, numbers, read_table, write_table, write_text
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
 
 FORMAT = "mbcacq-trajectory-set/1"
@@ -106,7 +106,7 @@ def _robot(use: _RobotUse, file: str) -> RobotModel:
     return replace(robot, gear_ratio=np.array(use.gear_ratio))
 
 
-def _signal(table: Table, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:
+def _signal(table: CsvTable, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:
     """(T, n) with NaN for joints that have no such column; None where no joint has one."""
     names = [pattern.format(i + 1) for i in range(n)]
     if not any(name in table.columns for name in names):

@@ -30,14 +30,14 @@ class Enlarged:
 
 
 @dataclass(frozen=True)
-class Camera:
+class ViewerCamera:
     """Where it stands and where it looks, mm in the base frame."""
 
     eye: Point = (1900.0, -1900.0, 1500.0)
     target: Point = (450.0, 0.0, 450.0)
 
 
-def blueprint(at: Camera = Camera(), enlarged: Enlarged = Enlarged(), live: bool = False, balls: int = 10) -> rrb.Blueprint:
+def blueprint(at: ViewerCamera = ViewerCamera(), enlarged: Enlarged = Enlarged(), live: bool = False, balls: int = 10) -> rrb.Blueprint:
     """The five tabs; those of calibration and diagnosis without their curves until there are some. live: follow what comes. balls: how many
     the cell has."""
     return rrb.Blueprint(
@@ -49,7 +49,7 @@ def blueprint(at: Camera = Camera(), enlarged: Enlarged = Enlarged(), live: bool
     )
 
 
-def _cell(at: Camera, enlarged: Enlarged, balls: int) -> rrb.Container:
+def _cell(at: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
     arrows = "" if enlarged.pose is None else f", arrows: error after calibration, {enlarged.pose:g} times enlarged"
     cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], at)
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
@@ -61,7 +61,7 @@ def _cell(at: Camera, enlarged: Enlarged, balls: int) -> rrb.Container:
                           column_shares=[3, 2], name="Cell")
 
 
-def _motion(at: Camera, enlarged: Enlarged) -> rrb.Container:
+def _motion(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Vertical(
         _curves("Axes in deg: set (broad), actual (thin)", [layout.SET, layout.JOINTS]),
         rrb.Horizontal(_curves("Set minus actual, deg", [layout.FOLLOWING]), _curves("Motor current, %", [layout.CURRENT])),
@@ -70,7 +70,7 @@ def _motion(at: Camera, enlarged: Enlarged) -> rrb.Container:
         row_shares=[15, 8, 6], name="Motion")
 
 
-def _spheres(at: Camera, enlarged: Enlarged) -> rrb.Container:
+def _spheres(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Vertical(_scan(), _curves("Scatter between exposures and fit, um", [layout.SCATTER, layout.FIT_RMS]), row_shares=[3, 1]),
         rrb.Vertical(_curves("Fit residual of each ball (rms), um", [layout.BALL_RMS]),
@@ -80,7 +80,7 @@ def _spheres(at: Camera, enlarged: Enlarged) -> rrb.Container:
         column_shares=[2, 3], name="Spheres")
 
 
-def _calibration(at: Camera, enlarged: Enlarged) -> rrb.Container:
+def _calibration(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     told = "The cell" if enlarged.all is None else f"Errors before (orange) and after (blue), {enlarged.all:g} times enlarged"
     errors = _space(told, [
         f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], at)
@@ -97,7 +97,7 @@ def _calibration(at: Camera, enlarged: Enlarged) -> rrb.Container:
         column_shares=[1, 1], name="Calibration")
 
 
-def _diagnosis(at: Camera, enlarged: Enlarged) -> rrb.Container:
+def _diagnosis(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     told = "The cell" if enlarged.diagnosis is None else (
         f"Recorded (white); from where it was simulated, before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
     cell = _space(told, [
@@ -112,7 +112,7 @@ def _diagnosis(at: Camera, enlarged: Enlarged) -> rrb.Container:
         column_shares=[1, 1], name="Diagnosis")
 
 
-def _space(name: str, contents: list[str], at: Camera) -> rrb.Spatial3DView:
+def _space(name: str, contents: list[str], at: ViewerCamera) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name, origin=layout.WORLD, contents=contents, background=rrb.Background(color=NIGHT),
         line_grid=rrb.LineGrid3D(visible=True, spacing=100.0, color=GRID),
@@ -136,7 +136,7 @@ def _bars(name: str, entity: str) -> rrb.BarChartView:
     return rrb.BarChartView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
 
 
-def alone(at: Camera, diagnosis: float) -> rrb.Blueprint:
+def alone(at: ViewerCamera, diagnosis: float) -> rrb.Blueprint:
     """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
     return rrb.Blueprint(_diagnosis(at, Enlarged(diagnosis=diagnosis)), rrb.TimePanel(state="collapsed", timeline=layout.POSE),
                          rrb.SelectionPanel(state="collapsed"), rrb.BlueprintPanel(state="collapsed"))
@@ -147,7 +147,7 @@ def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: 
     return blueprint(camera(cell.robot.chain, stations(plan_yaml)), enlarged, live, len(cell.ball_ids))
 
 
-def camera(chain: Chain, places: np.ndarray) -> Camera:
+def camera(chain: Chain, places: np.ndarray) -> ViewerCamera:
     """Where to stand and where to look to have the arm and some places (S, 3) mm in view."""
     reach = float(np.sum(np.hypot(chain.a, chain.d)))
     aim = places.mean(axis=0) if len(places) else np.array([0.5 * reach, 0.0, 0.3 * reach])
@@ -155,7 +155,7 @@ def camera(chain: Chain, places: np.ndarray) -> Camera:
     side = -1.0 if aim[1] <= 0 else 1.0
     size = max(0.66 * reach, float(np.ptp(places, axis=0).max()) if len(places) else 0.0)
     eye = target + size * np.array([0.95, side * 1.25, 0.7])
-    return Camera(tuple(eye.tolist()), tuple(target.tolist()))
+    return ViewerCamera(tuple(eye.tolist()), tuple(target.tolist()))
 
 
 def stations(plan_yaml: str) -> np.ndarray:

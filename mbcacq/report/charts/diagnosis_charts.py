@@ -9,12 +9,12 @@ import numpy as np
 import plotly.graph_objects as go
 
 from mbcacq.report.charts.calibration_charts import AFTER, BEFORE, ESCAPES, look, thinned
-from mbcacq.report.sources.diagnosis_content import Told
+from mbcacq.report.sources.diagnosis_content import DiagnosisContent
 
 ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a shape is no line
 
 
-def heat_map(told: Told) -> go.Figure:
+def heat_map(told: DiagnosisContent) -> go.Figure:
     """Place by covariate: how improbable it is that chance alone explains as much, beyond what free geometry absorbs."""
     at, on, z = told.map
     top = max(float(np.nanmax(z)), 3.0)
@@ -90,7 +90,7 @@ def shape(curve: Mapping[str, Any]) -> go.Figure:
     return look(figure, 300)
 
 
-def along(told: Told, cause: Mapping[str, Any]) -> go.Figure:
+def along(told: DiagnosisContent, cause: Mapping[str, Any]) -> go.Figure:
     """Size of the difference between simulation and recording along a variable held responsible, before and after."""
     x = np.array(cause["values"], dtype=float)
     before, after = (

@@ -38,7 +38,7 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class Effect:
+class EffectContent:
     """parameters: (name, value, standard deviation, unit) as texts; alternatives: sentences."""
 
     title: str
@@ -50,13 +50,13 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Told:
+class DiagnosisContent:
     """map: (places, covariates, (a, c) strengths, NaN where nothing was tested); curves, causes, centres as in the pictures' file."""
 
     level: str
     headline: str
     reason: str
-    effects: list[Effect] = field(default_factory=list)
+    effects: list[EffectContent] = field(default_factory=list)
     mismatch: list[tuple[str, str, str]] = field(default_factory=list)
     proof: list[tuple[str, str, str, str]] = field(default_factory=list)
     floor: str = ""
@@ -67,7 +67,7 @@ class Told:
     centres: Mapping[str, Any] | None = None
 
 
-def told(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> Told:
+def told(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
     """Raises KeyError or TypeError where the diagnosis is damaged. Pictures that are damaged are left out."""
     if pictures is not None and not _whole(pictures):
         pictures = None
@@ -85,7 +85,7 @@ def told(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> To
     ]
     sentences += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
     sentences += [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.get("notes", ())]
-    return Told(
+    return DiagnosisContent(
         level,
         headline,
         reason,
@@ -113,12 +113,12 @@ def _whole(pictures: Mapping[str, Any]) -> bool:
     return all(even)
 
 
-def _effect(effect: Mapping[str, Any], axis_of: Any) -> Effect:
+def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
     name = "an effect without a name" if effect["name"] == "unknown" else readable(effect["name"])
     alternatives = [
         f"{readable(a['name'])} at {', '.join(a['where'])} (would remove {a['held_out_gain']:.0%})" for a in effect["alternatives"]
     ]
-    return Effect(
+    return EffectContent(
         f"{name[0].upper()}{name[1:]} at {', '.join(effect['where'])}",
         axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
         "below 1e-12" if effect["p_value"] < 1e-12 else f"about {effect['p_value']:.1g}",

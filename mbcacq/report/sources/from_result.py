@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq import __version__
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
-from mbcacq.report.content import AccuracyGrid, Content, Parameter, Spacing
+from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.diagnosis_content import told
 from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
 
@@ -145,7 +145,7 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     return out
 
 
-def _parameters(result: Mapping[str, Any]) -> list[Parameter]:
+def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
     out = []
     for p in result["parameters"]:
         name = str(p["name"])
@@ -159,7 +159,7 @@ def _parameters(result: Mapping[str, Any]) -> list[Parameter]:
         bare = turn or group == "Effects"
         held = str(p.get("reason") or "held") if p["status"] == "held" else None
         nominal, value = (None, None) if bare else (value - error, value)
-        out.append(Parameter(group, name.removeprefix("hand_eye."), unit, nominal, error, value, std, held))
+        out.append(ParameterRow(group, name.removeprefix("hand_eye."), unit, nominal, error, value, std, held))
     return out
 
 

@@ -8,7 +8,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from mbcacq_fakes.protocols.gocator.commands import HANDLERS, STREAMED
-from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, INVALID_STATE, OK, UNKNOWN_COMMAND, Refused
+from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, INVALID_STATE, OK, UNKNOWN_COMMAND, CommandRefused
 
 if TYPE_CHECKING:
     from mbcacq_fakes.protocols.gocator.server import FakeGocator
@@ -46,7 +46,7 @@ def reply_to(sensor: FakeGocator, identifier: int, payload: bytes) -> bytes:
             return _streamed(identifier, STREAMED[identifier](sensor, payload))
         handler = HANDLERS.get(identifier)
         return _frame(answered, UNKNOWN_COMMAND) if handler is None else _frame(answered, OK, handler(sensor, payload))
-    except Refused as refused:
+    except CommandRefused as refused:
         return _frame(answered, refused.status)
     except struct.error:
         return _frame(answered, BAD_PARAMETER)

@@ -1,6 +1,6 @@
 """What the fake answers to every command of the control channel: payload in, payload out.
 
-A handler gets the sensor and the request's payload and returns the reply's payload, or raises ``Refused``. Commands that
+A handler gets the sensor and the request's payload and returns the reply's payload, or raises ``CommandRefused``. Commands that
 only need an OK stand in ``ACCEPTED``. Anything else is answered with "command not recognised" by the channel, because an
 unanswered command would leave a client waiting for that reply for ever.
 """
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from mbcacq_fakes.protocols.gocator.files import CAPACITY
-from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, NOT_FOUND, Refused
+from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, NOT_FOUND, CommandRefused
 
 if TYPE_CHECKING:
     from mbcacq_fakes.protocols.gocator.server import FakeGocator
@@ -35,7 +35,7 @@ _SETTINGS = (
 
 def name_at(payload: bytes, at: int = 0, size: int = 64) -> str:
     if len(payload) < at + size:
-        raise Refused(BAD_PARAMETER)
+        raise CommandRefused(BAD_PARAMETER)
     return payload[at:at + size].split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
@@ -78,7 +78,7 @@ def _get_address(sensor: FakeGocator, payload: bytes) -> bytes:
 def _write_file(sensor: FakeGocator, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 64)
     if len(payload) < 68 + size:
-        raise Refused(BAD_PARAMETER)
+        raise CommandRefused(BAD_PARAMETER)
     sensor.files.write(name_at(payload), payload[68:68 + size])
     return b""
 
@@ -116,7 +116,7 @@ def _getter(code: str, name: str) -> Handler:
 def _set_variables(sensor: FakeGocator, payload: bytes) -> bytes:
     first, count = struct.unpack_from("<II", payload)
     if first + count > len(sensor.variables):
-        raise Refused(BAD_PARAMETER)
+        raise CommandRefused(BAD_PARAMETER)
     sensor.variables[first:first + count] = struct.unpack_from(f"<{count}i", payload, 8)
     return b""
 
@@ -124,14 +124,14 @@ def _set_variables(sensor: FakeGocator, payload: bytes) -> bytes:
 def _get_variables(sensor: FakeGocator, payload: bytes) -> bytes:
     first, count = struct.unpack_from("<II", payload)
     if first + count > len(sensor.variables):
-        raise Refused(BAD_PARAMETER)
+        raise CommandRefused(BAD_PARAMETER)
     return struct.pack(f"<II{count}i", first, count, *sensor.variables[first:first + count])
 
 
 def _set_flag(sensor: FakeGocator, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 256)
     if len(sensor.flags) >= 1000:
-        raise Refused(BAD_PARAMETER)
+        raise CommandRefused(BAD_PARAMETER)
     sensor.flags[name_at(payload, size=256)] = payload[260:260 + size]
     return b""
 
@@ -140,7 +140,7 @@ def _get_flag(sensor: FakeGocator, payload: bytes) -> bytes:
     try:
         return block(sensor.flags[name_at(payload, size=256)])
     except KeyError:
-        raise Refused(NOT_FOUND) from None
+        raise CommandRefused(NOT_FOUND) from None
 
 
 def _action(name: str) -> Handler:

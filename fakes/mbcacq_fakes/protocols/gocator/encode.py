@@ -7,7 +7,7 @@ import struct
 import numpy as np
 
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, quantise, uniform_grid
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.world.frame import ScannerFrame
 
 LAST = 0x8000
 HEALTH, STAMP, UNIFORM_SURFACE, INTENSITY, MEASUREMENT, SURFACE_POINTS, MEASUREMENT_2 = 0, 1, 8, 9, 10, 28, 31
@@ -18,7 +18,7 @@ _INVALID_VALUE = -2147483648
 _MISSING = {4: 16, 5: 8, 6: 0}
 
 
-def data_set(frame: Frame, *, exposure_us: float, ticks: int, index: int, serial: int, encoder: int = 0, uniform: bool = False,
+def data_set(frame: ScannerFrame, *, exposure_us: float, ticks: int, index: int, serial: int, encoder: int = 0, uniform: bool = False,
              intensity: bool = True, generation: int = 6, volume: tuple[np.ndarray, np.ndarray] | None = None) -> list[bytearray]:
     """Stamp, surface, intensity if there is one, measurements; the last one marked. volume: measuring volume (low, high) mm or None."""
     messages = [stamp(index, ticks, encoder, serial, generation)]

@@ -9,7 +9,7 @@ import time
 from typing import TYPE_CHECKING
 
 from mbcacq_fakes.protocols.gocator import encode
-from mbcacq_fakes.protocols.gocator.replies import BUSY, Refused
+from mbcacq_fakes.protocols.gocator.replies import BUSY, CommandRefused
 from mbcacq_fakes.protocols.gocator.spoil import spoil
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Exposures:
         try:
             self._asked.put_nowait(self._sensor.ticks())
         except queue.Full:
-            raise Refused(BUSY) from None
+            raise CommandRefused(BUSY) from None
 
     def run(self) -> None:
         while not self._closing.is_set():

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from defusedxml import ElementTree as SafeTree
 from defusedxml.common import DefusedXmlException
 
-from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, EXISTS, FORMAT, NOT_FOUND, Refused
+from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, EXISTS, FORMAT, NOT_FOUND, CommandRefused
 
 CAPACITY = 256 * 2**20
 LIVE_CFG, LIVE_TFM, LIVE_JOB, LIVE_LOG = "_live.cfg", "_live.tfm", "_live.job", "_live.log"
@@ -41,12 +41,12 @@ class Files:
         with self._lock:
             found = self._stored.get(LIVE_CFG if name == LIVE_JOB else name)
         if found is None:
-            raise Refused(NOT_FOUND)
+            raise CommandRefused(NOT_FOUND)
         return found
 
     def write(self, name: str, data: bytes) -> None:
         if not name or sum(map(len, self._stored.values())) + len(data) > CAPACITY:
-            raise Refused(BAD_PARAMETER)
+            raise CommandRefused(BAD_PARAMETER)
         with self._lock:
             if name == LIVE_CFG:
                 self._merge(data)
@@ -56,7 +56,7 @@ class Files:
     def copy(self, source: str, target: str) -> None:
         """Loads a job if the target is the live one, else copies (saves)."""
         if not target:
-            raise Refused(BAD_PARAMETER)
+            raise CommandRefused(BAD_PARAMETER)
         with self._lock:
             data = self.read(source)
             if target == LIVE_JOB:
@@ -71,9 +71,9 @@ class Files:
     def delete(self, name: str) -> None:
         with self._lock:
             if name.startswith("_live"):
-                raise Refused(EXISTS)
+                raise CommandRefused(EXISTS)
             if self._stored.pop(name, None) is None:
-                raise Refused(NOT_FOUND)
+                raise CommandRefused(NOT_FOUND)
 
     def used(self) -> int:
         with self._lock:
@@ -81,7 +81,7 @@ class Files:
 
     def set_default(self, name: str) -> None:
         if name and name not in self._stored:
-            raise Refused(NOT_FOUND)
+            raise CommandRefused(NOT_FOUND)
         self.default_job = name
 
     def number(self, path: str) -> float:
@@ -115,9 +115,9 @@ def _parse(data: bytes) -> ElementTree.Element:
     try:
         root = SafeTree.fromstring(data, forbid_dtd=True)
     except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError):
-        raise Refused(FORMAT) from None
+        raise CommandRefused(FORMAT) from None
     if root.tag != "Configuration":
-        raise Refused(FORMAT)
+        raise CommandRefused(FORMAT)
     return root
 
 

@@ -7,7 +7,7 @@ INVALID_STATE, NOT_FOUND, UNKNOWN_COMMAND, BAD_PARAMETER, NOT_SUPPORTED = -1000,
 EXISTS, FORMAT, BUSY = -987, -984, -981
 
 
-class Refused(Exception):
+class CommandRefused(Exception):
     """A command ends with a bad status and no payload."""
 
     def __init__(self, status: int) -> None:

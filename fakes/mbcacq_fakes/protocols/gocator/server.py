@@ -18,10 +18,10 @@ from mbcacq_fakes.protocols.gocator.faults import Faults
 from mbcacq_fakes.protocols.gocator.files import Files
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.publish import Publisher
-from mbcacq_fakes.protocols.gocator.replies import INVALID_STATE, UNKNOWN_COMMAND, Refused
-from mbcacq_fakes.world.frame import Frame
+from mbcacq_fakes.protocols.gocator.replies import INVALID_STATE, UNKNOWN_COMMAND, CommandRefused
+from mbcacq_fakes.world.frame import ScannerFrame
 
-Source = Callable[[float], Frame]
+Source = Callable[[float], ScannerFrame]
 _FIRMWARE = {4: (4, 8, 2, 29), 5: (5, 3, 23, 10), 6: (6, 1, 32, 12)}
 _PROTOCOL = {4: (101, 4), 5: (101, 10), 6: (101, 11)}
 
@@ -36,7 +36,7 @@ class FakeGocator:
     """``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the world's Frame.
 
     scan_time_s: how long an exposure takes. clock: the world's time in s; without it the sensor counts from its start.
-    With a clock, ``Frame.time_s`` becomes the stamp; without, the moment of the exposure does. generation: 4, 5 or 6, the
+    With a clock, ``ScannerFrame.time_s`` becomes the stamp; without, the moment of the exposure does. generation: 4, 5 or 6, the
     firmware whose message layouts are used. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
     """
 
@@ -143,7 +143,7 @@ class FakeGocator:
         """Command start."""
         with self._lock:
             if self.running:
-                raise Refused(INVALID_STATE)
+                raise CommandRefused(INVALID_STATE)
             self.running = True
 
     def halt(self) -> None:
@@ -153,14 +153,14 @@ class FakeGocator:
 
     def snapshot(self) -> None:
         if self.generation < 5:
-            raise Refused(UNKNOWN_COMMAND)
+            raise CommandRefused(UNKNOWN_COMMAND)
         if self.running:
-            raise Refused(INVALID_STATE)
+            raise CommandRefused(INVALID_STATE)
         self._exposures.ask()
 
     def trigger(self) -> None:
         if not self.running:
-            raise Refused(INVALID_STATE)
+            raise CommandRefused(INVALID_STATE)
         self._exposures.ask()
 
     def reboot(self) -> None:

@@ -29,7 +29,7 @@ _IDLE_S = 1.0            # fast: after standing so long the clock is everybody's
 _SOFT_LIMIT, _OPERATOR = 5, 1  # indices into arm_state.FAULTS
 
 
-class Controller:
+class EkiController:
     """``tick`` is 4 ms of the robot's time."""
 
     def __init__(self, settings: EkiSettings, state: ArmState | None = None) -> None:
@@ -122,7 +122,7 @@ class Controller:
         self._state.write(self.seconds, q, qd, arm.direction, arm.standstill, arm.arrivals, fault)
 
 
-def run(controller: Controller, commands: queue.SimpleQueue, gone: threading.Event) -> None:
+def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.Event) -> None:
     """Until the parent is gone."""
     due = time.monotonic()
     while not gone.is_set():
@@ -142,7 +142,7 @@ def run(controller: Controller, commands: queue.SimpleQueue, gone: threading.Eve
                 break
 
 
-def _obey(controller: Controller, command: dict[str, Any]) -> None:
+def _obey(controller: EkiController, command: dict[str, Any]) -> None:
     if "faults" in command:
         controller.outlet.inject(command["faults"])
     print(json.dumps(controller.report()), flush=True)
@@ -153,7 +153,7 @@ def main() -> int:
     start = json.loads(sys.stdin.readline())
     state = ArmState.attach(start["state"])
     try:
-        controller = Controller(EkiSettings(**start["settings"]), state)
+        controller = EkiController(EkiSettings(**start["settings"]), state)
     except (KrlError, ValueError, OSError) as error:
         print(json.dumps({"error": str(error)}), flush=True)
         return 1

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import radians
 from typing import Any
 
-from mbcacq_fakes.dynamics.ideal_arm import Arm, Kinematics
+from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, Struct
 from mbcacq_fakes.protocols.krc.motion import (
@@ -107,7 +107,7 @@ class Machine:
 
     def __init__(self, system: System, settings: EkiSettings) -> None:
         self._system, self._settings = system, settings
-        self.arm = Arm(settings.start_deg, TICK_S, settings.lag_s)
+        self.arm = IdealArm(settings.start_deg, TICK_S, settings.lag_s)
         self.kinematics = Kinematics(settings.dh)
         self._set_point: tuple[float, ...] = tuple(settings.start_deg)
         self._path: Path | None = None

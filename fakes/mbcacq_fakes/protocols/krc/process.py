@@ -13,19 +13,19 @@ import threading
 import time
 from math import radians
 
-from mbcacq_fakes.dynamics.ideal_arm import Arm, Kinematics
+from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
 from mbcacq_fakes.protocols.krc.session import OPERATOR, RsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, KrcSettings
-from mbcacq_fakes.protocols.krc.wire import Answer, RobTemplate, SenReader
+from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
 _PATIENCE_S = (0.5, 0.01)  # lock-step: how long to wait for an answer, and when the last cycle had none at all
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = ((2.0, 0.004), (1.0, 0.001))  # lock-step: after standing still so long (robot s), sleep so long a cycle
 
 
-class Controller:
+class RsiController:
     """``cycle`` is one sensor cycle: move the arm, send, wait for the answer, count."""
 
     def __init__(self, settings: KrcSettings, state: ArmState, control: Control, sock: socket.socket, foreign: socket.socket) -> None:
@@ -94,7 +94,7 @@ class Controller:
             self._control.log(ipoc, latency, accepted, *self._arm.q, *correction)
         self._pace()
 
-    def _await(self, ipoc: int, sent: float, on_its_way: bool) -> tuple[Answer | None, float]:
+    def _await(self, ipoc: int, sent: float, on_its_way: bool) -> tuple[RsiAnswer | None, float]:
         """The first answer of this cycle that belongs to it, else the last one that came; and how long it took."""
         if self._settings.realtime:
             deadline = self._next
@@ -221,9 +221,9 @@ class Controller:
             control.count(name, value)
 
 
-def _arm(settings: KrcSettings, cycle_s: float) -> Arm:
+def _arm(settings: KrcSettings, cycle_s: float) -> IdealArm:
     if settings.moving is None:
-        return Arm(settings.start_deg, cycle_s, settings.lag_s)
+        return IdealArm(settings.start_deg, cycle_s, settings.lag_s)
     from mbcacq_fakes.dynamics.online import MovingArm
 
     return MovingArm(settings.start_deg, cycle_s, settings.lag_s, settings.moving)
@@ -246,7 +246,7 @@ def main() -> int:
             pass
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
         sock.bind((start["bind"], 0))
-        controller = Controller(settings, state, control, sock, foreign)
+        controller = RsiController(settings, state, control, sock, foreign)
         print(json.dumps({"ready": sock.getsockname()[1]}), flush=True)
         while not gone.is_set():
             controller.cycle()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
-from mbcacq_fakes.protocols.krc.wire import Answer
+from mbcacq_fakes.protocols.krc.wire import RsiAnswer
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 OPERATOR, LATE, OVERSPEED, MONITOR, SOFT_LIMIT = 1, 2, 3, 4, 5  # indices into arm_state.FAULTS
@@ -26,7 +26,7 @@ class RsiSession:
         self._largest_step = [v * settings.overspeed * settings.cycle_ms * 1e-3 + 1e-6 for v in settings.speed_deg_s]
         self._range: tuple[float | None, list[tuple[float, float]]] | None = None
 
-    def accept(self, answer: Answer | None, ipoc: int) -> bool:
+    def accept(self, answer: RsiAnswer | None, ipoc: int) -> bool:
         """True for an answer with the right IPOC and type; anything else is thrown away without a word."""
         if answer is None or answer.ipoc != str(ipoc) or answer.sen_type != self._settings.sen_type:
             return False

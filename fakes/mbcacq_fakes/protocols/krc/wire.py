@@ -42,7 +42,7 @@ class RobTemplate:
 
 
 @dataclass(frozen=True)
-class Answer:
+class RsiAnswer:
     ipoc: str
     sen_type: str
     correction: dict[str, float]
@@ -59,7 +59,7 @@ class SenReader:
         self._axis = re.compile(rb"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
         self._stop = re.compile(b"<" + stop_element.encode() + rb"\s*>\s*(\d+)\s*</") if stop_element else None
 
-    def read(self, data: bytes) -> Answer | None:
+    def read(self, data: bytes) -> RsiAnswer | None:
         root = self._root.fullmatch(data) if len(data) <= _MAX_ANSWER and b"<!" not in data else None
         ipoc = self._ipoc.search(root[2]) if root else None
         if root is None or ipoc is None:
@@ -70,4 +70,4 @@ class SenReader:
         except ValueError:
             return None
         stop = self._stop.search(root[2]) if self._stop else None
-        return Answer(ipoc[1].decode(), root[1].decode(), correction, stop is not None and int(stop[1]) != 0)
+        return RsiAnswer(ipoc[1].decode(), root[1].decode(), correction, stop is not None and int(stop[1]) != 0)

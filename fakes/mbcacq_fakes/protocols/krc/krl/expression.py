@@ -29,7 +29,7 @@ def tokens(text: str) -> list[tuple[str, str]]:
     return found
 
 
-class Reader:
+class ExpressionReader:
     """One expression or reference. ``name(identifier, is_call)`` gives the Python text for an identifier."""
 
     def __init__(self, text: str, name: Callable[[str, bool], str]) -> None:

@@ -11,7 +11,7 @@ from mbcacq_fakes.protocols.krc.krl.values import KrlError
 _MAX_TURNS = 10_000  # of loops, without waiting
 
 
-class Motion(Protocol):
+class KrlMotion(Protocol):
     """What a robot interpreter drives."""
 
     def begin(self, kind: str, target: Any) -> None: ...
@@ -27,7 +27,7 @@ class Interpreter:
     Interrupts fire on the rising edge of their condition only, as on a controller.
     """
 
-    def __init__(self, program: Program, name: str, motion: Motion | None = None) -> None:
+    def __init__(self, program: Program, name: str, motion: KrlMotion | None = None) -> None:
         self._program, self._name, self._motion = program, name, motion
         self._interrupts: dict[int, tuple[Callable[[], Any], Any]] = {}
         self._on: dict[int, bool] = {}

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from mbcacq_fakes.protocols.krc.krl import values as V
-from mbcacq_fakes.protocols.krc.krl.expression import Reader
+from mbcacq_fakes.protocols.krc.krl.expression import ExpressionReader
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, fit
 
 _DEF = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)$", re.I)
@@ -74,14 +74,14 @@ class Program:
         exec("\n".join(code), dict(self._space))
 
     def _store(self, target: str, value: str, scope: _Scope) -> list[str]:
-        reference = Reader(target, scope.name).reference()
+        reference = ExpressionReader(target, scope.name).reference()
         kind = scope.kind(target)
         if got := _EKI_GET.match(value):
-            given = Reader(f"({got[2]})", scope.name).arguments()
-            into, into_kind = Reader(got[3], scope.name).reference(), scope.kind(got[3])
+            given = ExpressionReader(f"({got[2]})", scope.name).arguments()
+            into, into_kind = ExpressionReader(got[3], scope.name).reference(), scope.kind(got[3])
             call = f"(yield from {scope.name(got[1], True)}(P, {', '.join(given)}))"
             return [f"{reference}, _got = {call}", "if _got is not None:", f"   {into} = fit({into_kind!r}, _got)"]
-        return [f"{reference} = fit({kind!r}, {Reader(value, scope.name).expression()})"]
+        return [f"{reference} = fit({kind!r}, {ExpressionReader(value, scope.name).expression()})"]
 
     def _read_program(self, name: str, text: str) -> None:
         body: list[tuple[int, str]] = []
@@ -142,7 +142,7 @@ class Program:
 
     def _statement(self, line: str, word: str, scope: _Scope) -> tuple[list[str], bool]:
         """Python lines, and whether they open a block."""
-        read = lambda text: Reader(text, scope.name).expression()  # noqa: E731
+        read = lambda text: ExpressionReader(text, scope.name).expression()  # noqa: E731
         if declared := _DECLARE.match(line):
             kind, variable, size, value = declared.groups()
             new = variable.lower() not in scope.local
@@ -179,7 +179,7 @@ class Program:
         if assigned := _ASSIGN.match(line):
             return self._store(assigned[1], assigned[2], scope), False
         if re.match(r"\w+\s*\(", line):
-            return [Reader(line, scope.name).expression().removeprefix("(").removesuffix(")")], False
+            return [ExpressionReader(line, scope.name).expression().removeprefix("(").removesuffix(")")], False
         raise KrlError("not understood")
 
 
