@@ -131,12 +131,18 @@ def bounds(part: str, scores: list[Score]) -> list[str]:
 
 
 def failures(records: list[dict], scores: list[Score]) -> list[str]:
-    bad = [(r, s) for r, s in zip(records, scores, strict=True)
-           if (s.counts and not (s.placed or s.located and s.kind in kinds("outside") and not s.confident)) or (not s.truth and s.detected)]
+    bad = [
+        (r, s)
+        for r, s in zip(records, scores, strict=True)
+        if (s.counts and not (s.placed or s.located and s.kind in kinds("outside") and not s.confident)) or (not s.truth and s.detected)
+    ]
     if not bad:
         return []
-    told = [f"- number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was told as "
-            f"{', '.join(s.told) or 'nothing'}, {s.verdict}" for r, s in bad]
+    told = [
+        f"- number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was told as "
+        f"{', '.join(s.told) or 'nothing'}, {s.verdict}"
+        for r, s in bad
+    ]
     return ["Not right:", "", *told, ""]
 
 
@@ -144,8 +150,14 @@ def power_lines(kept: list[dict]) -> list[str]:
     mine = [r for r in kept if r["part"] == "power"]
     if not mine:
         return []
-    lines = ["## Power", *POWER_TEXT, "", "| effect | cells | " + " | ".join(f"{m:g}" for m in MULTIPLES) + " | 90 % at | all known | "
-             "ratio | name and place known | ratio | best search |", "|---|--:|" + "--:|" * (len(MULTIPLES) + 6)]
+    lines = [
+        "## Power",
+        *POWER_TEXT,
+        "",
+        "| effect | cells | " + " | ".join(f"{m:g}" for m in MULTIPLES) + " | 90 % at | all known | "
+        "ratio | name and place known | ratio | best search |",
+        "|---|--:|" + "--:|" * (len(MULTIPLES) + 6),
+    ]
     for name in POWER:
         cells = [r for r in mine if r["effect"] == name]
         if not cells:

@@ -21,8 +21,12 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))  # its made cells
 MBCACQ = Path(sys.executable).parent / "mbcacq"
-CASES = (("nothing concealed", "none", 41), ("an elastic joint", "joint_compliance", 42), ("two effects", "two", 43),
-         ("an effect without a name", "link_bending", 44))
+CASES = (
+    ("nothing concealed", "none", 41),
+    ("an elastic joint", "joint_compliance", 42),
+    ("two effects", "two", 43),
+    ("an effect without a name", "link_bending", 44),
+)
 LIMITS = {"made": (10.0, 2.0), "tracker": (120.0, 2.0)}
 ELASTIC = ("joint_compliance", ("A2",), [2.5e-6], None)
 SLIPPED = ("mount_shift", ("mount",), [0.02, 0.01, -0.02, 1e-4, -5e-5, 5e-5], 60.0)
@@ -38,8 +42,11 @@ How right it is: [challenge.md](challenge.md).
 
 def made(effect: str, seed: int, folder: Path) -> Path:
     """An observation set of a challenge."""
-    subprocess.run([MBCACQ, "challenge", "--fast", "--effects", effect, "--seed", str(seed), "--count", "1", "--out", folder],
-                   check=True, capture_output=True)
+    subprocess.run(
+        [MBCACQ, "challenge", "--fast", "--effects", effect, "--seed", str(seed), "--count", "1", "--out", folder],
+        check=True,
+        capture_output=True,
+    )
     return next(folder.rglob("observations"))
 
 

@@ -97,7 +97,7 @@ def main() -> None:
             square.append(error**2)
             limit.append(best**2)
             ours.append(np.abs(error).mean())
-            std = np.sqrt(np.diag(found.covariance))[:int(found.layout.blocks[0].free.sum())]
+            std = np.sqrt(np.diag(found.covariance))[: int(found.layout.blocks[0].free.sum())]
             off = (found.errors - cell.errors).reshape(-1)[found.layout.blocks[0].free]
             inside, count = inside + int(np.sum(np.abs(off) < 3 * std)), count + len(std)
             if reading == 0:
@@ -111,18 +111,22 @@ def main() -> None:
     normalised = np.sqrt((square / limit).mean(axis=1))
     spread = normalised.std() / np.sqrt(len(normalised)) if len(normalised) > 1 else np.nan
     print(f"cells {arguments.cells}, readings {arguments.readings} each")
-    print(f"bar length: rms error {1e3 * np.sqrt(square.mean()):.1f} um, bound {1e3 * np.sqrt(limit.mean()):.1f} um, ratio {ratio:.3f}; "
-          f"rms of normalised errors {np.sqrt((square / limit).mean()):.3f} +- {spread:.3f}")
-    first = np.array(ours)[::arguments.readings]
+    print(
+        f"bar length: rms error {1e3 * np.sqrt(square.mean()):.1f} um, bound {1e3 * np.sqrt(limit.mean()):.1f} um, ratio {ratio:.3f}; "
+        f"rms of normalised errors {np.sqrt((square / limit).mean()):.3f} +- {spread:.3f}"
+    )
+    first = np.array(ours)[:: arguments.readings]
     floor = 1e3 * np.sqrt(2 / np.pi) * np.sqrt(limit).mean()
     print(f"mean bar error: maximum likelihood {1e3 * first.mean():.1f} um; no unbiased method below {floor:.1f} um")
     for pairs, errors in theirs.items():
         mean, square_ratio = np.array(errors).T
         drawn = np.random.default_rng(1).integers(len(mean), size=(2000, len(mean)))
         low, high = np.quantile(first[drawn].mean(axis=1) / mean[drawn].mean(axis=1), [0.025, 0.975])
-        print(f"paper, pairs of balls '{pairs}': {1e3 * mean.mean():.1f} um, ours / theirs {first.mean() / mean.mean():.3f} "
-              f"(95 % {low:.3f} to {high:.3f}), ours smaller in {np.mean(first < mean):.0%} of the cells; the bound / theirs "
-              f"{floor / 1e3 / mean.mean():.3f}; its error over its stated uncertainty: rms {np.sqrt(square_ratio.mean()):.2f}")
+        print(
+            f"paper, pairs of balls '{pairs}': {1e3 * mean.mean():.1f} um, ours / theirs {first.mean() / mean.mean():.3f} "
+            f"(95 % {low:.3f} to {high:.3f}), ours smaller in {np.mean(first < mean):.0%} of the cells; the bound / theirs "
+            f"{floor / 1e3 / mean.mean():.3f}; its error over its stated uncertainty: rms {np.sqrt(square_ratio.mean()):.2f}"
+        )
     print(f"MD-H parameters within 3 sigma: {inside / count:.2%} of {count}")
 
 

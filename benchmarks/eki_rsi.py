@@ -25,9 +25,14 @@ from mbcacq.workflow import run
 PLANS = Path(__file__).parents[1] / "plans"
 EKI = {"address": "127.0.0.1", "port": 54610}
 # one true cell for all seeds: what a seed draws is noise only
-CELL = {"errors": "paper", "station_error": {"mm": 0.0, "deg": 0.0},
-        "hand_eye": {"rotation": [[-0.0240, -0.9997, -0.0080], [-0.9997, 0.0240, 0.0010], [-0.0008, 0.0080, -1.0]],
-                     "translation_mm": [2.2, -1.4, 265.6]}}
+CELL = {
+    "errors": "paper",
+    "station_error": {"mm": 0.0, "deg": 0.0},
+    "hand_eye": {
+        "rotation": [[-0.0240, -0.9997, -0.0080], [-0.9997, 0.0240, 0.0010], [-0.0008, 0.0080, -1.0]],
+        "translation_mm": [2.2, -1.4, 265.6],
+    },
+}
 
 
 def plan(name: str, driver: str, seed: int):
@@ -83,12 +88,18 @@ def main() -> None:
                 calibration = calibrate(observations, CalibrationOptions())
                 results[driver] = calibration.to_dict()
                 after = verify(observations, calibration, limit_mm=0.1).to_dict()["after"]
-                print(f"{driver} seed {seed}: {len(observations.phase)} poses in {took:.0f} s, bar error mean {after['mean_mm']:.4f} mm, "
-                      f"largest {after['max_mm']:.4f} mm", flush=True)
+                print(
+                    f"{driver} seed {seed}: {len(observations.phase)} poses in {took:.0f} s, bar error mean {after['mean_mm']:.4f} mm, "
+                    f"largest {after['max_mm']:.4f} mm",
+                    flush=True,
+                )
             z, value, n = difference(results["kuka_rsi"], results["kuka_eki"])
             total, count = total + value, count + n
-            print(f"  apart by {np.sqrt(np.mean(z**2)):.2f} sigma rms, {np.abs(z).max():.2f} at most; chi2 {value:.1f} for {n}, "
-                  f"p = {chi2.sf(value, n):.2f}", flush=True)
+            print(
+                f"  apart by {np.sqrt(np.mean(z**2)):.2f} sigma rms, {np.abs(z).max():.2f} at most; chi2 {value:.1f} for {n}, "
+                f"p = {chi2.sf(value, n):.2f}",
+                flush=True,
+            )
     print(f"all pairs: chi2 {total:.1f} for {count:.0f}, p = {chi2.sf(total, count):.2f}")
 
 

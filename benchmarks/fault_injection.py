@@ -45,15 +45,20 @@ def examine(name: str, most: int) -> list[InjectionVerdict]:
     if name == WHOLE:
         run.close()
     slowest = max((v.seconds for v in verdicts), default=0.0)
-    print(f"\n{name}: {len(verdicts)} cases in {time.monotonic() - began:.0f} s, slowest {slowest:.1f} s; undisturbed messages: "
-          + ", ".join(f"{link} {sender} {n}" for (link, sender), n in counts.items()), flush=True)
+    print(
+        f"\n{name}: {len(verdicts)} cases in {time.monotonic() - began:.0f} s, slowest {slowest:.1f} s; undisturbed messages: "
+        + ", ".join(f"{link} {sender} {n}" for (link, sender), n in counts.items()),
+        flush=True,
+    )
     table(verdicts)
     return verdicts
 
 
 def table(verdicts: list[InjectionVerdict]) -> None:
-    results = sorted({v.result for v in verdicts}, key=lambda r: ("recovered", "named error", "not reached").index(r) if r in (
-        "recovered", "named error", "not reached") else 9)
+    results = sorted(
+        {v.result for v in verdicts},
+        key=lambda r: ("recovered", "named error", "not reached").index(r) if r in ("recovered", "named error", "not reached") else 9,
+    )
     print("| fault | " + " | ".join(results) + " |\n|---|" + "---|" * len(results))
     for action in ACTIONS:
         count = Counter(v.result for v in verdicts if v.case.action == action)
@@ -71,8 +76,16 @@ def main() -> int:
     given = parser.parse_args()
     found = {name: examine(name, given.most) for name in given.only}
     if given.json:
-        given.json.write_text(json.dumps([{"bench": name, "case": str(v.case), "result": v.result, "detail": v.detail,
-                                           "seconds": v.seconds} for name, verdicts in found.items() for v in verdicts], indent=0))
+        given.json.write_text(
+            json.dumps(
+                [
+                    {"bench": name, "case": str(v.case), "result": v.result, "detail": v.detail, "seconds": v.seconds}
+                    for name, verdicts in found.items()
+                    for v in verdicts
+                ],
+                indent=0,
+            )
+        )
     bad = [v for verdicts in found.values() for v in verdicts if not v.good]
     total = sum(map(len, found.values()))
     print(f"\n{total} cases, {total - len(bad)} good, {len(bad)} not good")

@@ -23,11 +23,20 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests" / "conformance")]
 
-if "--atheris" in sys.argv:    # ours are instrumented while they are imported
+if "--atheris" in sys.argv:  # ours are instrumented while they are imported
     import atheris
 
-    with atheris.instrument_imports(include=["mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq.recording", "mbcacq.plan.yaml_source",
-                                             "mbcacq.exports", "mbcacq.spheres.ply_header"]):
+    with atheris.instrument_imports(
+        include=[
+            "mbcacq_kuka",
+            "mbcacq_gocator",
+            "mbcacq_bus",
+            "mbcacq.recording",
+            "mbcacq.plan.yaml_source",
+            "mbcacq.exports",
+            "mbcacq.spheres.ply_header",
+        ]
+    ):
         from fuzz_targets import Target, targets
 else:
     from fuzz_targets import Target, targets  # noqa: E402
@@ -58,8 +67,11 @@ def fuzz(target: Target, inputs: int, seed: int, keep: Path | None) -> bool:
                     (keep / f"{target.name.replace(' ', '-')}-{len(faults)}").write_bytes(data)
         slowest = max(slowest, time.perf_counter() - start)
     seconds = time.perf_counter() - began
-    print(f"| {target.name} | {inputs} | {100 * accepted / inputs:.1f} % | {inputs / seconds:.0f} | {1e3 * slowest:.0f} ms | "
-          f"{resident_MB() - memory:+.0f} MB | {largest / 1024:.0f} KiB | {len(faults) or 'none'} |", flush=True)
+    print(
+        f"| {target.name} | {inputs} | {100 * accepted / inputs:.1f} % | {inputs / seconds:.0f} | {1e3 * slowest:.0f} ms | "
+        f"{resident_MB() - memory:+.0f} MB | {largest / 1024:.0f} KiB | {len(faults) or 'none'} |",
+        flush=True,
+    )
     for key, data in faults.items():
         print(f"    {key}\n        {data[:300]!r}", flush=True)
     return not faults
@@ -76,7 +88,7 @@ def trace(target: Target, rng: random.Random) -> int:
         try:
             target.run(data)
         except Exception:
-            continue    # counted in the long run
+            continue  # counted in the long run
         largest = max(largest, tracemalloc.get_traced_memory()[1] - before)
     tracemalloc.stop()
     return largest

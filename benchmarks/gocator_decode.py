@@ -27,12 +27,12 @@ SHAPE = (1250, 1650)
 def frame(missing: float) -> ScannerFrame:
     """A wavy surface; ``missing`` is the share of pixels lost, in patches as shadows are and in single pixels."""
     rng = np.random.default_rng(1)
-    y, x = np.mgrid[:SHAPE[0], :SHAPE[1]].astype(np.float32)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
     xyz = np.stack([x * 0.05 - 41, y * 0.05 - 31, 210 + 8 * np.sin(x / 90) * np.cos(y / 70)], axis=2)
     lost = rng.random(SHAPE) < missing / 50
     while lost.mean() < missing:
         row, column = rng.integers(0, SHAPE[0] - 60), rng.integers(0, SHAPE[1] - 80)
-        lost[row:row + 60, column:column + 80] = True
+        lost[row : row + 60, column : column + 80] = True
     xyz[lost] = np.nan
     return ScannerFrame(xyz, (x + y).astype(np.uint32).astype(np.uint8))
 
@@ -60,9 +60,11 @@ def rows(repetitions: int) -> list[tuple[str, float, float, float, float]]:
         def with_intensity(cloud: bytes = cloud, grey: bytes = grey) -> None:
             intensity_of(decode(grey)[0], surface_points(decode(cloud)[0]))
 
-        cases = (("surface point cloud", len(cloud), lambda cloud=cloud: surface_points(decode(cloud)[0])),
-                 ("point cloud and intensity", len(cloud) + len(grey), with_intensity),
-                 ("uniform surface", len(height), lambda height=height: surface_points(decode(height)[0])))
+        cases = (
+            ("surface point cloud", len(cloud), lambda cloud=cloud: surface_points(decode(cloud)[0])),
+            ("point cloud and intensity", len(cloud) + len(grey), with_intensity),
+            ("uniform surface", len(height), lambda height=height: surface_points(decode(height)[0])),
+        )
         for name, size, action in cases:
             source, target = np.zeros(size, np.uint8) + 1, np.zeros(size, np.uint8) + 1
             copy_s = seconds(lambda target=target, source=source: np.copyto(target, source), repetitions)
@@ -74,17 +76,31 @@ def rows(repetitions: int) -> list[tuple[str, float, float, float, float]]:
 def captures(repetitions: int) -> float:
     """Median seconds from snapshot to Scan over the loopback, the fake sensor in the same process."""
     seen = frame(0.3)
-    with FakeGocator(lambda exposure_us: seen) as sensor, Gocator("eye", "", {
-            "address": "127.0.0.1", "control_port": sensor.ports.control, "health_port": sensor.ports.health,
-            "data_port": sensor.ports.data}) as scanner:
+    with (
+        FakeGocator(lambda exposure_us: seen) as sensor,
+        Gocator(
+            "eye",
+            "",
+            {
+                "address": "127.0.0.1",
+                "control_port": sensor.ports.control,
+                "health_port": sensor.ports.health,
+                "data_port": sensor.ports.data,
+            },
+        ) as scanner,
+    ):
         scanner.capture()
         return seconds(scanner.capture, repetitions, time.perf_counter)
 
 
 def main() -> None:
     repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 41
-    lines = [f"{SHAPE[0]} x {SHAPE[1]} pixels, median of {repetitions}, numpy {np.__version__}, {platform.machine()}.", "",
-             "| message | MB | ms | GB/s | of a plain copy of the same bytes |", "|---|---|---|---|---|"]
+    lines = [
+        f"{SHAPE[0]} x {SHAPE[1]} pixels, median of {repetitions}, numpy {np.__version__}, {platform.machine()}.",
+        "",
+        "| message | MB | ms | GB/s | of a plain copy of the same bytes |",
+        "|---|---|---|---|---|",
+    ]
     lines += [f"| {name} | {size:.1f} | {ms:.2f} | {speed:.1f} | {ratio:.2f} |" for name, size, ms, speed, ratio in rows(repetitions)]
     whole_ms = captures(max(repetitions // 4, 5)) * 1e3
     lines += ["", f"Snapshot to points over the loopback, sensor and driver in one process: {whole_ms:.0f} ms."]

@@ -26,8 +26,8 @@ import yaml
 
 ROOT = Path(__file__).parents[1]
 MBCACQ = Path(sys.executable).parent / "mbcacq"
-EARLY, LATE = 0.3, 1.5      # s before the first motion and after the last that a kill may hit as well
-SAME_Q = 1e-12      # rad; the mean over another number of equal cycles differs in its last bits
+EARLY, LATE = 0.3, 1.5  # s before the first motion and after the last that a kill may hit as well
+SAME_Q = 1e-12  # rad; the mean over another number of equal cycles differs in its last bits
 
 
 def plan_file(folder: Path) -> Path:
@@ -45,8 +45,13 @@ def plan_file(folder: Path) -> Path:
 
 
 def start(*arguments: object) -> subprocess.Popen:
-    return subprocess.Popen([MBCACQ, "run", *map(str, arguments), "--dry-run", "--json"], stdout=subprocess.DEVNULL,
-                            stderr=subprocess.PIPE, text=True, start_new_session=True)
+    return subprocess.Popen(
+        [MBCACQ, "run", *map(str, arguments), "--dry-run", "--json"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
 
 
 def compare(folder: Path, whole) -> str:
@@ -85,8 +90,15 @@ def one_round(plan: Path, folder: Path, after_s: float, whole) -> tuple[str, str
     process.communicate()
     journal = folder / "journal.jsonl"
     poses = journal.read_text(encoding="utf-8").count("pose_done") if journal.exists() else -1
-    hit = "before the journal" if poses < 0 else "before the first pose" if not poses else \
-        "between the poses" if poses < len(whole.pose_id) else "after the last pose"
+    hit = (
+        "before the journal"
+        if poses < 0
+        else "before the first pose"
+        if not poses
+        else "between the poses"
+        if poses < len(whole.pose_id)
+        else "after the last pose"
+    )
     again = start(plan, *(("--resume", folder) if (folder / "plan.yaml").exists() else ("--out", folder)))
     _, text = again.communicate(timeout=300)
     return hit, compare(folder, whole) if again.returncode == 0 else f"exit code {again.returncode}: {text.strip()[-300:]}"

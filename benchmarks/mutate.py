@@ -9,9 +9,41 @@ from collections.abc import Sequence
 
 _BYTES = (0, 1, 2, 10, 32, 34, 38, 39, 44, 60, 62, 91, 123, 127, 128, 255)
 _WHOLE = (0, 1, 2, 7, 255, 256, 32767, 32768, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1)
-_TEXTS = (b"nan", b"inf", b"-inf", b"1e999", b"-1e-999", b"9" * 30, b"-1", b"0", b"", b"1_0", b"0x10", b"1,5", b"+.5", b"true", b"null",
-          b"~", b"!!python/object:os.system x", b"&a [*a]", b"[" * 200, b"{" * 200, b"<![CDATA[", b"<!ENTITY", b"\xff\xfe", b"\0", b"\r\n",
-          b"'", b'"', b"\xc3\xa4", "\u2028".encode(), "\u0665".encode(), b"$$", b"<!--", b"x" * 300)
+_TEXTS = (
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e999",
+    b"-1e-999",
+    b"9" * 30,
+    b"-1",
+    b"0",
+    b"",
+    b"1_0",
+    b"0x10",
+    b"1,5",
+    b"+.5",
+    b"true",
+    b"null",
+    b"~",
+    b"!!python/object:os.system x",
+    b"&a [*a]",
+    b"[" * 200,
+    b"{" * 200,
+    b"<![CDATA[",
+    b"<!ENTITY",
+    b"\xff\xfe",
+    b"\0",
+    b"\r\n",
+    b"'",
+    b'"',
+    b"\xc3\xa4",
+    "\u2028".encode(),
+    "\u0665".encode(),
+    b"$$",
+    b"<!--",
+    b"x" * 300,
+)
 _NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 
@@ -46,17 +78,17 @@ def _whole(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None
 
 
 def _cut(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
-    del data[_at(data, rng):]
+    del data[_at(data, rng) :]
 
 
 def _remove(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
     at = _at(data, rng)
-    del data[at:at + 1 + int(rng.random() * 16)]
+    del data[at : at + 1 + int(rng.random() * 16)]
 
 
 def _double(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
     at = _at(data, rng)
-    data[at:at] = data[at:at + 1 + int(rng.random() * 64)]
+    data[at:at] = data[at : at + 1 + int(rng.random() * 64)]
 
 
 def _noise(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
@@ -72,13 +104,13 @@ def _text(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
 def _number(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
     found = _NUMBER.search(data, _at(data, rng))
     if found:
-        data[found.start():found.end()] = rng.choice(_TEXTS)
+        data[found.start() : found.end()] = rng.choice(_TEXTS)
 
 
 def _splice(data: bytearray, others: Sequence[bytes], rng: random.Random) -> None:
     other = rng.choice(others)
     start, at = int(rng.random() * len(other)), _at(data, rng)
-    data[at:at + int(rng.random() * 64)] = other[start:start + int(rng.random() * 128)]
+    data[at : at + int(rng.random() * 64)] = other[start : start + int(rng.random() * 128)]
 
 
 _MUTATIONS = (_flip, _byte, _whole, _cut, _remove, _double, _noise, _text, _number, _number, _splice)

@@ -33,16 +33,29 @@ from mbcacq.model.shipped import robot_file  # noqa: E402
 from mbcacq.plan import expand, load  # noqa: E402
 from mbcacq.workflow.run import solver_cell  # noqa: E402
 
-TABLE_1 = np.array([  # deg, mm, mm, deg, deg
-    [0.021, 0.454, 0.143, 0.007, 0], [-0.017, 0, -0.261, 0.002, 0.008], [0.031, -0.217, 0.051, -0.013, 0],
-    [-0.041, 0.067, 0.0268, 0.001, 0], [0.027, -0.081, -0.002, -0.014, 0], [-0.024, 0.102, 0.036, 0.021, 0]])
-HAND_EYE = se3.transform(se3.nearest_rotation(np.array([[-0.0169, -0.9998, -0.0045], [-0.9999, 0.0173, -0.0011], [0.0003, 0.0052, -1.0]])),
-                         np.array([1.2621, -0.5610, 264.7998]))
+TABLE_1 = np.array(
+    [  # deg, mm, mm, deg, deg
+        [0.021, 0.454, 0.143, 0.007, 0],
+        [-0.017, 0, -0.261, 0.002, 0.008],
+        [0.031, -0.217, 0.051, -0.013, 0],
+        [-0.041, 0.067, 0.0268, 0.001, 0],
+        [0.027, -0.081, -0.002, -0.014, 0],
+        [-0.024, 0.102, 0.036, 0.021, 0],
+    ]
+)
+HAND_EYE = se3.transform(
+    se3.nearest_rotation(np.array([[-0.0169, -0.9998, -0.0045], [-0.9999, 0.0173, -0.0011], [0.0003, 0.0052, -1.0]])),
+    np.array([1.2621, -0.5610, 264.7998]),
+)
 PUBLISHED = {"before": ([0.721, 0.837, 1.041, 0.712, 0.734], 1.041, 0.809), "after": ([0.457, 0.347, 0.428, 0.375, 0.364], 0.428, 0.394)}
-RP = 0.04   # mm, as the paper states of its robot
+RP = 0.04  # mm, as the paper states of its robot
 CENTRE = np.array([0.005, 0.005, 0.009])
-WAYS = {"paper": CalibrationOptions(method="paper", refuse=False), "paper (four balls)": CalibrationOptions(method="paper", pairs="four", refuse=False),
-        "paper (all pairs)": CalibrationOptions(method="paper", pairs="all", refuse=False), "maximum likelihood": CalibrationOptions()}
+WAYS = {
+    "paper": CalibrationOptions(method="paper", refuse=False),
+    "paper (four balls)": CalibrationOptions(method="paper", pairs="four", refuse=False),
+    "paper (all pairs)": CalibrationOptions(method="paper", pairs="all", refuse=False),
+    "maximum likelihood": CalibrationOptions(),
+}
 TO_RAD = np.array([np.pi / 180, 1, 1, np.pi / 180, np.pi / 180])
 
 
@@ -57,8 +70,10 @@ def experiment(robot: str, bar_mm: float) -> tuple[Observations, CellState]:
     T_station = before.copy()
     shoulder = np.array([0, 0, old.d[0]])
     T_station[:, :3, 3] = (before[:, :3, 3] - shoulder) * ratio + [0, 0, model.chain.d[0]]
-    artefacts = [replace(a, centres=a.centres * bar_mm / np.linalg.norm(a.centres[0] - a.centres[1])) if len(a.ball_ids) == 2 else a
-                 for a in cell.artefacts]
+    artefacts = [
+        replace(a, centres=a.centres * bar_mm / np.linalg.norm(a.centres[0] - a.centres[1])) if len(a.ball_ids) == 2 else a
+        for a in cell.artefacts
+    ]
     longer = replace(cell, robot=model, artefacts=tuple(artefacts))
     balls = {b: i for i, b in enumerate(cell.ball_ids)}
     q, lost = [], set()
@@ -75,8 +90,16 @@ def experiment(robot: str, bar_mm: float) -> tuple[Observations, CellState]:
     keep = [i for i, p in enumerate(poses) if p.station not in lost]
     rows = [(k, balls[b]) for k, i in enumerate(keep) for b in poses[i].balls]
     pose, ball = np.array(rows).T
-    obs = Observations(longer, np.arange(len(keep)), np.array([index[poses[i].station] for i in keep]), np.array(q)[keep], pose, ball,
-                       np.zeros((len(rows), 3)), phase=np.array([poses[i].phase for i in keep]))
+    obs = Observations(
+        longer,
+        np.arange(len(keep)),
+        np.array([index[poses[i].station] for i in keep]),
+        np.array(q)[keep],
+        pose,
+        ball,
+        np.zeros((len(rows), 3)),
+        phase=np.array([poses[i].phase for i in keep]),
+    )
     return obs, CellState(model.chain.with_errors(TABLE_1 * TO_RAD), HAND_EYE, T_station, longer.ball_centres)
 
 
@@ -98,7 +121,8 @@ def what_decides_before(seeds: int) -> None:
     """Error before calibration by arm, bar and noise."""
     print("| arm | bar mm | places | RP mm | centres um | before: mean | max | min |\n|---|---|---|---|---|---|---|---|")
     for robot, bar, times in [("kr10_r1100_2", 1050, t) for t in (0, 1, 4, 10, 20)] + [
-            (r, b, 1) for r in ("kr10_r1100_2", "kr16_r1610_2", "kr20_r1810_2", "kr16_r2010_2") for b in (735, 1000, 1250)]:
+        (r, b, 1) for r in ("kr10_r1100_2", "kr16_r1610_2", "kr20_r1810_2", "kr16_r2010_2") for b in (735, 1000, 1250)
+    ]:
         empty, truth = experiment(robot, bar)
         sigma = joint_sigma(empty, truth, RP)
         places = len(np.unique(empty.station[empty.phase == "verification"]))
@@ -109,8 +133,11 @@ def what_decides_before(seeds: int) -> None:
             first = CellState(obs.cell.robot.chain, stages.preliminary(adjusted)[0], truth.T_base_station, obs.cell.ball_centres)
             errors.append(np.abs(verify(obs, first).errors("after")))
         e = np.array(errors)
-        print(f"| {robot} | {bar} | {places} | {times * RP:.2f} | {times * 5}, {times * 5}, {times * 9} | {e.mean():.3f} | "
-              f"{e.max(axis=1).mean():.3f} | {e.min(axis=1).mean():.3f} |", flush=True)
+        print(
+            f"| {robot} | {bar} | {places} | {times * RP:.2f} | {times * 5}, {times * 5}, {times * 9} | {e.mean():.3f} | "
+            f"{e.max(axis=1).mean():.3f} | {e.min(axis=1).mean():.3f} |",
+            flush=True,
+        )
 
 
 def table_1(found) -> None:
@@ -154,8 +181,9 @@ def main() -> None:
         found = {name: calibrate(obs, options) for name, options in WAYS.items()}
         results = {name: verify(obs, c).to_dict() for name, c in found.items()}
         for name, result in results.items():
-            means[name].append((result["before"]["mean_mm"], result["before"]["max_mm"], result["after"]["mean_mm"],
-                                np.std(result["after"]["errors_mm"])))
+            means[name].append(
+                (result["before"]["mean_mm"], result["before"]["max_mm"], result["after"]["mean_mm"], np.std(result["after"]["errors_mm"]))
+            )
         if seed == 0:
             table_1([found["paper"], found["paper (all pairs)"], found["maximum likelihood"]])
             print("\n| | sphere spacing error, mm | max | mean |\n|---|---|---|---|")
@@ -165,9 +193,11 @@ def main() -> None:
             table_2(results.items())
     for name, values in means.items():
         before, worst, after, scatter = np.array(values).T
-        print(f"\n{name}, {arguments.seeds} repetitions: before {before.mean():.3f}, max {worst.mean():.3f}; after, mean of |error|: "
-              f"median {np.median(after):.3f}, mean {after.mean():.3f} (from {after.min():.3f} to {after.max():.3f}), "
-              f"scatter between places {np.median(scatter):.3f} mm")
+        print(
+            f"\n{name}, {arguments.seeds} repetitions: before {before.mean():.3f}, max {worst.mean():.3f}; after, mean of |error|: "
+            f"median {np.median(after):.3f}, mean {after.mean():.3f} (from {after.min():.3f} to {after.max():.3f}), "
+            f"scatter between places {np.median(scatter):.3f} mm"
+        )
 
 
 if __name__ == "__main__":

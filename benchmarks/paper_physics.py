@@ -26,7 +26,7 @@ from mbcacq.geometry import se3
 
 PUBLISHED = np.array([0.457, 0.347, 0.428, 0.375, 0.364])
 WANTED = float(PUBLISHED.mean())
-QUIET, STATED = 5.0, 15.0          # urad of each joint; the second gives the paper's 0.04 mm (see repeatability_of)
+QUIET, STATED = 5.0, 15.0  # urad of each joint; the second gives the paper's 0.04 mm (see repeatability_of)
 EXACT = {"noise": 1e-3, "repeatability_urad": 5e-3}
 BAR = 735.2364
 RESPONSE_SEEDS = (1, 2)
@@ -46,7 +46,9 @@ class Judged:
 
 def judge(obs, method: str) -> Judged:
     ours = method == "ml"
-    c: Calibration = calibrate(obs, CalibrationOptions(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto"))
+    c: Calibration = calibrate(
+        obs, CalibrationOptions(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto")
+    )
     v = verify(obs, c)
     group = np.array([p.station[0] for p in v.places])
     after = v.errors("after")
@@ -95,12 +97,21 @@ def noise_alone(made, cells: int) -> list[dict[str, Any]]:
                 b = np.array([j.places["b"] for j in found])
                 mean, scatter = b.mean(axis=1), b.std(axis=1, ddof=1)
                 a = np.array([j.places["a"] for j in found])
-                rows.append({"plan": name, "urad": urad, "method": m, "mean": mean.tolist(), "scatter": float(np.sqrt(np.mean(scatter**2))),
-                             "scatter_alike": float(np.sqrt(np.mean(a.var(axis=1, ddof=1)))), "rms_mean": float(np.sqrt(np.mean(mean**2))),
-                             "one_sign": float(np.mean(np.abs(np.sign(b).sum(axis=1)) == b.shape[1])),
-                             "reach": float(np.mean(np.abs(mean) >= WANTED)), "expected": float(np.median([j.expected for j in found])),
-                             "before": [float(np.mean([j.before.mean() for j in found])),
-                                        float(np.mean([j.before.std(ddof=1) for j in found]))]})
+                rows.append(
+                    {
+                        "plan": name,
+                        "urad": urad,
+                        "method": m,
+                        "mean": mean.tolist(),
+                        "scatter": float(np.sqrt(np.mean(scatter**2))),
+                        "scatter_alike": float(np.sqrt(np.mean(a.var(axis=1, ddof=1)))),
+                        "rms_mean": float(np.sqrt(np.mean(mean**2))),
+                        "one_sign": float(np.mean(np.abs(np.sign(b).sum(axis=1)) == b.shape[1])),
+                        "reach": float(np.mean(np.abs(mean) >= WANTED)),
+                        "expected": float(np.median([j.expected for j in found])),
+                        "before": [float(np.mean([j.before.mean() for j in found])), float(np.mean([j.before.std(ddof=1) for j in found]))],
+                    }
+                )
     return rows
 
 
@@ -117,16 +128,19 @@ def responses(plan, effects: list[Effect], method: str) -> list[dict[str, Any]]:
     for effect in effects:
         small = 0.1 * effect.step
         profile = np.array([bar_errors(exact(plan, effect, small, s), method) - base[s] for s in RESPONSE_SEEDS])
-        mean = float(np.sqrt(np.mean(profile.mean(axis=1) ** 2)))     # the sign may differ from cell to cell
+        mean = float(np.sqrt(np.mean(profile.mean(axis=1) ** 2)))  # the sign may differ from cell to cell
         figures = small * WANTED, profile.std(axis=1, ddof=1).mean(), abs(profile.mean(axis=1).std(ddof=1))
         names = "size", "ratio", "between_cells"
-        rows.append({"family": effect.family, "form": effect.form, "unit": effect.unit, "plausible": effect.plausible}
-                    | {k: float(f / abs(mean)) if abs(mean) > 1e-6 else np.inf for k, f in zip(names, figures, strict=True)})
+        rows.append(
+            {"family": effect.family, "form": effect.form, "unit": effect.unit, "plausible": effect.plausible}
+            | {k: float(f / abs(mean)) if abs(mean) > 1e-6 else np.inf for k, f in zip(names, figures, strict=True)}
+        )
     return rows
 
 
 def best_forms(rows) -> list[dict[str, Any]]:
     """Of each family the form that needs the smallest share of its plausible size."""
+
     def share(row):
         return row["size"] / row["plausible"]
 
@@ -153,7 +167,7 @@ def stretch_signal(plan) -> float:
         longer = np.zeros((chain.n, 5))
         longer[:, 1:3] = stretch * chain.rows[:, 1:3]
         left.append(distance_constraint.identify(chain.with_errors(longer), hand_eye, obs.q, obs.pose, obs.xyz, at, free).rms_after)
-    return 1e3 * float(np.sqrt(max(left[1] ** 2 - left[0] ** 2, 0.0)))    # the certificate's own errors are in both
+    return 1e3 * float(np.sqrt(max(left[1] ** 2 - left[0] ** 2, 0.0)))  # the certificate's own errors are in both
 
 
 def in_scan_ppm(obs, station: str) -> tuple[float, float]:
@@ -222,10 +236,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     made = plans()
-    report: dict[str, Any] = {"published": [WANTED, float(PUBLISHED.std(ddof=1))], "folded_chance": folded_chance(),
-                              "RP_mm": {u: repeatability_of(*made["tree"], u) for u in (QUIET, STATED)}}
-    print(f"published: mean {WANTED:.3f} mm, scatter {PUBLISHED.std(ddof=1):.3f} mm; chance of so even a row of |zero-mean errors| "
-          f"{report['folded_chance']:.4f}; RP {report['RP_mm']}")
+    report: dict[str, Any] = {
+        "published": [WANTED, float(PUBLISHED.std(ddof=1))],
+        "folded_chance": folded_chance(),
+        "RP_mm": {u: repeatability_of(*made["tree"], u) for u in (QUIET, STATED)},
+    }
+    print(
+        f"published: mean {WANTED:.3f} mm, scatter {PUBLISHED.std(ddof=1):.3f} mm; chance of so even a row of |zero-mean errors| "
+        f"{report['folded_chance']:.4f}; RP {report['RP_mm']}"
+    )
     report["stretch_signal_um"] = {name: stretch_signal(plan) for name, plan in made.items()}
     print("the arm 536 ppm longer changes the distances by (rms, um):", {k: round(v, 2) for k, v in report["stretch_signal_um"].items()})
     report["stopped_early"] = {name: stopped_early(made[name]) for name in ("tree", "aim 3")}
@@ -233,8 +252,10 @@ def main() -> None:
     report["noise"] = noise_alone(made, arguments.cells)
     print("\nplan | urad | method | rms of the mean | scatter b, a | one sign | reaches 0.394 | stated | before mean, scatter")
     for r in report["noise"]:
-        print(f"{r['plan']} | {r['urad']:.0f} | {r['method']} | {r['rms_mean']:.3f} | {r['scatter']:.3f}, {r['scatter_alike']:.3f} | "
-              f"{r['one_sign']:.0%} | {r['reach']:.0%} | {r['expected']:.3f} | {r['before'][0]:.3f}, {r['before'][1]:.3f}")
+        print(
+            f"{r['plan']} | {r['urad']:.0f} | {r['method']} | {r['rms_mean']:.3f} | {r['scatter']:.3f}, {r['scatter_alike']:.3f} | "
+            f"{r['one_sign']:.0%} | {r['reach']:.0%} | {r['expected']:.3f} | {r['before'][0]:.3f}, {r['before'][1]:.3f}"
+        )
     effects = catalogue()
     by_name = {(e.family, e.form): e for e in effects}
     report["effects"], report["candidates"] = {}, {}
@@ -246,8 +267,11 @@ def main() -> None:
         print(f"\n{name}: family | form | size for 0.394 | plausible | share | scatter/mean | between cells | ml: size")
         for r, o in zip(best, ours, strict=True):
             r["ml_size"] = o["size"]
-            print(f"{r['family']} | {r['form']} | {r['size']:.3g} {r['unit']} | {r['plausible']:.3g} | {r['size'] / r['plausible']:.3g} | "
-                  f"{r['ratio']:.2f} | {r['between_cells']:.2f} | {o['size']:.3g}", flush=True)
+            print(
+                f"{r['family']} | {r['form']} | {r['size']:.3g} {r['unit']} | {r['plausible']:.3g} | {r['size'] / r['plausible']:.3g} | "
+                f"{r['ratio']:.2f} | {r['between_cells']:.2f} | {o['size']:.3g}",
+                flush=True,
+            )
     for name in EFFECT_PLANS:
         report["candidates"][name] = []
         print(f"\n{name}, at that size: effect | " + " | ".join(READINGS))

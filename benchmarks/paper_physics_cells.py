@@ -17,7 +17,7 @@ from mbcacq.plan import expand, load
 from mbcacq.workflow.run import solver_cell
 
 PLANS = Path(__file__).parents[1] / "plans"
-NOISE = np.array([0.005, 0.005, 0.009])    # mm, of a ball centre in one exposure
+NOISE = np.array([0.005, 0.005, 0.009])  # mm, of a ball centre in one exposure
 TILTED = [{"tilt_deg": 20, "azimuth_deg": 45 * k, "roll_deg": roll} for k, roll in enumerate((0, 60, -60, 90, -30, 30, -90, 45))]
 # Verification: ten places as planned (b), five alike (a), the same five with a short bar (s), the bar steep (v), a gauge of two balls
 # that fits into one view (g).
@@ -48,7 +48,7 @@ class Effect:
     vector: tuple[float, ...] | None = None
 
     def hidden(self, size: float) -> list[dict[str, Any]]:
-        if self.key is None:    # effects that only know a strength
+        if self.key is None:  # effects that only know a strength
             return [{"name": self.name, "seed": 3, **self.fixed, "strength": size / self.step}]
         value = size if self.vector is None else [size * v for v in self.vector]
         return [{"name": self.name, "seed": 3, **self.fixed, self.key: value}]
@@ -56,6 +56,7 @@ class Effect:
 
 def catalogue() -> list[Effect]:
     """Every effect of the catalogue that acts on an arm at standstill, and those outside it, in their forms."""
+
     def one(family, form, unit, step, plausible, key, name=None, vector=None, **fixed):
         return Effect(family, form, unit, step, plausible, name or family, key, fixed, vector)
 
@@ -63,37 +64,67 @@ def catalogue() -> list[Effect]:
     out += [one("joint_compliance", "A5", "rad/Nm", 2e-5, 5e-5, "compliance_rad_per_Nm", where="A5")]
     out += [one("base_compliance", "", "rad/Nm", 5e-7, 2e-6, "compliance_rad_per_Nm")]
     out += [one("mount_compliance", kind, "strength", 1.0, 1.0, None, kind=kind) for kind in ("tilt", "shift")]
-    out += [one("gear_transmission_error", f"{a}, order {order}, phase {phase}", "deg", 0.01, 0.017, "amplitude_deg", where=a,
-                order=order, phase_deg=phase) for a in ("A1", "A2", "A3", "A5") for order in (1, 2) for phase in (0, 90)]
+    out += [
+        one(
+            "gear_transmission_error",
+            f"{a}, order {order}, phase {phase}",
+            "deg",
+            0.01,
+            0.017,
+            "amplitude_deg",
+            where=a,
+            order=order,
+            phase_deg=phase,
+        )
+        for a in ("A1", "A2", "A3", "A5")
+        for order in (1, 2)
+        for phase in (0, 90)
+    ]
     out += [one("backlash", a, "deg", 0.01, 0.017, "width_deg", where=a) for a in ("A1", "A2", "A3", "A5")]
     out += [one("joint_scale", a, "", 2e-4, 1e-4, "ratio", where=a) for a in ("A1", "A2", "A3", "A4", "A5", "A6")]
-    out += [one("wrist_coupling", f"{a}-{b}", "", 5e-4, 1e-3, "ratio", where=[a, b])
-            for a, b in (("A4", "A5"), ("A4", "A6"), ("A5", "A6"))]
+    out += [one("wrist_coupling", f"{a}-{b}", "", 5e-4, 1e-3, "ratio", where=[a, b]) for a, b in (("A4", "A5"), ("A4", "A6"), ("A5", "A6"))]
     out += [one("joint_step", f"{a} at pose 44", "deg", 0.01, 0.02, "step_deg", where=a, at_pose=44) for a in ("A1", "A2", "A3", "A5")]
     out += [one("joint_step", f"{a} before the bar", "deg", 0.01, 0.02, "step_deg", where=a, at_pose=76) for a in ("A1", "A2", "A3", "A5")]
     out += [one("thermal_growth", f"{link} in the run", "mm/K", 0.02, 0.03, "growth_mm_per_K", where=link) for link in ("link2", "link4")]
     axes = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    out += [one("mount_shift", f"{x} at pose 44", "mm", 0.05, 0.2, "translation_mm", vector=v, at_pose=44, rotation_deg=[0, 0, 0])
-            for x, v in axes.items()]
-    out += [one("mount_shift", f"turn {x} at pose 44", "deg", 0.01, 0.05, "rotation_deg", vector=v, at_pose=44, translation_mm=[0, 0, 0])
-            for x, v in axes.items()]
-    out += [one("mount_shift", f"{x} before the bar", "mm", 0.05, 0.2, "translation_mm", vector=v, at_pose=76, rotation_deg=[0, 0, 0])
-            for x, v in axes.items()]
+    out += [
+        one("mount_shift", f"{x} at pose 44", "mm", 0.05, 0.2, "translation_mm", vector=v, at_pose=44, rotation_deg=[0, 0, 0])
+        for x, v in axes.items()
+    ]
+    out += [
+        one("mount_shift", f"turn {x} at pose 44", "deg", 0.01, 0.05, "rotation_deg", vector=v, at_pose=44, translation_mm=[0, 0, 0])
+        for x, v in axes.items()
+    ]
+    out += [
+        one("mount_shift", f"{x} before the bar", "mm", 0.05, 0.2, "translation_mm", vector=v, at_pose=76, rotation_deg=[0, 0, 0])
+        for x, v in axes.items()
+    ]
     out += [one("scanner_scale", "all axes", "ppm", 300.0, 500.0, "scale_ppm", vector=(1.0, 1.0, 1.0))]
     out += [one("scanner_scale", f"{x} only", "ppm", 300.0, 500.0, "scale_ppm", vector=v) for x, v in axes.items()]
     out += [one("scanner_distortion", kind, "strength", 1.0, 0.6, None, kind=kind) for kind in ("curvature", "radial", "depth")]
     out += [one("scanner_warmup", x, "mm", 0.05, 0.1, "offset_mm", vector=v, time_constant_s=600) for x, v in axes.items()]
-    out += [one("ball_shift", f"ball {b}, {x}", "mm", 0.02, 0.01, "shift_mm", vector=v, ball=b)
-            for b in (1, 2, 3, 4) for x, v in axes.items()]
+    out += [
+        one("ball_shift", f"ball {b}, {x}", "mm", 0.02, 0.01, "shift_mm", vector=v, ball=b) for b in (1, 2, 3, 4) for x, v in axes.items()
+    ]
     out += [one("artefact_expansion", "MBC", "ppm", 300.0, 50.0, "scale_ppm", artefact="mbc")]
     out += [one("artefact_expansion", "bar", "ppm", 300.0, 120.0, "scale_ppm", artefact="bar")]
     out += [one("station_drift", f"p3, {x}", "mm", 0.05, 0.1, "drift_mm", vector=v, station="p3") for x, v in axes.items()]
     out += [one("payload", "5 kg more, A2 and A3", "rad/Nm", 2e-6, 1e-5, "compliance_rad_per_Nm", mass_kg=7.3, com_mm=[0, 0, 60])]
     out += [one("exposure_latency", "", "s", 0.01, 0.05, "latency_s")]
     out += [one("arm_warmer_at_bar", "all links, 23 ppm/K", "K", 5.0, 10.0, None)]
-    out += [one(name, "(outside the catalogue)", "strength", 1.0, 1.0, None)
-            for name in ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory",
-                         "tilt_bias")]
+    out += [
+        one(name, "(outside the catalogue)", "strength", 1.0, 1.0, None)
+        for name in (
+            "axis_wobble",
+            "cable_drag",
+            "floor_heave",
+            "fringe_ripple",
+            "link_bending",
+            "loose_anchor",
+            "short_memory",
+            "tilt_bias",
+        )
+    ]
     return out
 
 
@@ -120,15 +151,17 @@ def _plan(name: str, folder: Path) -> dict[str, Any]:
     if name != "tree":
         at = plan["steps"].index(steps["positions"])
         aim = 3.0 if name == "heights" else float(name.split()[1])
-        plan["steps"][at:at + 1] = [_aimed(steps["positions"], s, aim, k) for k, s in enumerate(steps["positions"]["stations"])]
+        plan["steps"][at : at + 1] = [_aimed(steps["positions"], s, aim, k) for k, s in enumerate(steps["positions"]["stations"])]
     if name == "heights":
         for k, s in enumerate(s for s in plan["stations"] if s["artefact"] == "mbc"):
             s["pose_in_base"] = {"translation_mm": [650, 0, -300 + 100 * k], "abc_deg": [0, 0, 0]}
     groups = (("a", "bar", ALIKE, 0), ("s", "short", ALIKE, 0), ("v", "bar", STEEP, -75), ("g", "gauge", ALIKE, 0))
     for letter, artefact, places, tilt in groups:
         ids = [f"{letter}{k + 1}" for k in range(len(places))]
-        plan["stations"] += [{"id": i, "artefact": artefact, "pose_in_base": {"translation_mm": list(p), "abc_deg": [90, tilt, 0]}}
-                             for i, p in zip(ids, places, strict=True)]
+        plan["stations"] += [
+            {"id": i, "artefact": artefact, "pose_in_base": {"translation_mm": list(p), "abc_deg": [90, tilt, 0]}}
+            for i, p in zip(ids, places, strict=True)
+        ]
         plan["steps"].append({**steps["bar"], "name": artefact + letter, "stations": ids, "balls": "all" if letter == "g" else "each"})
     return plan
 
@@ -136,12 +169,25 @@ def _plan(name: str, folder: Path) -> dict[str, Any]:
 def _aimed(step: dict[str, Any], station: str, aim: float, seed: int) -> dict[str, Any]:
     """The views of one station, the artefact ``aim`` mm (sigma, cut at 1.5) beside the middle of the view."""
     off = aim * np.clip(np.random.default_rng([7, seed]).standard_normal((len(TILTED), 3)), -1.5, 1.5)
-    return {**step, "name": f"position {station}", "stations": [station],
-            "views": [{**view, "shift_mm": o} for view, o in zip(TILTED, off.round(3).tolist(), strict=True)]}
+    return {
+        **step,
+        "name": f"position {station}",
+        "stations": [station],
+        "views": [{**view, "shift_mm": o} for view, o in zip(TILTED, off.round(3).tolist(), strict=True)],
+    }
 
 
-def record(loaded: Any, poses: Sequence[Any], effect: Effect | None, size: float, seed: int, *, noise: float = 1.0,
-           repeatability_urad: float = 5.0, errors: str = "paper") -> Observations:
+def record(
+    loaded: Any,
+    poses: Sequence[Any],
+    effect: Effect | None,
+    size: float,
+    seed: int,
+    *,
+    noise: float = 1.0,
+    repeatability_urad: float = 5.0,
+    errors: str = "paper",
+) -> Observations:
     """One run of one cell; the same seed gives the same cell and the same noise with and without an effect."""
     fake = {"noise_mm": (noise * NOISE).tolist(), "repeatability_urad": repeatability_urad, "errors": errors}
     between = effect is not None and effect.family == "arm_warmer_at_bar"
@@ -154,8 +200,18 @@ def record(loaded: Any, poses: Sequence[Any], effect: Effect | None, size: float
         xyz = np.where((phase == "verification")[got.pose, None], warm.xyz, xyz)
     robot = replace(loaded.cell.robot, repeatability_mm=None)
     cell = replace(solver_cell(loaded), robot=robot, noise_mm=noise * NOISE / np.sqrt(loaded.plan.exposures))
-    return Observations(cell=cell, pose_id=np.array([p.number for p in poses]), station=got.station, q=got.q, pose=got.pose, ball=got.ball,
-                        xyz=xyz, phase=phase, time_s=got.time_s, direction=got.direction.astype(int))
+    return Observations(
+        cell=cell,
+        pose_id=np.array([p.number for p in poses]),
+        station=got.station,
+        q=got.q,
+        pose=got.pose,
+        ball=got.ball,
+        xyz=xyz,
+        phase=phase,
+        time_s=got.time_s,
+        direction=got.direction.astype(int),
+    )
 
 
 def _grown(loaded: Any, share: float) -> list[list[float]]:

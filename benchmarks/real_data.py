@@ -62,7 +62,7 @@ class Data:
     def compliance(self, who):
         torque = self.situation.gravity_torque[who]
         scale = np.abs(torque).max()
-        return [self.block([("joint", i, 0)], torque[:, i:i + 1] / scale, WIND_UP) for i in range(1, self.n)]
+        return [self.block([("joint", i, 0)], torque[:, i : i + 1] / scale, WIND_UP) for i in range(1, self.n)]
 
     def bending(self, who):
         out = []
@@ -78,6 +78,7 @@ class Data:
             phase = self.obs.q[who][:, :, None] * k
             F = np.concatenate([np.sin(phase), np.cos(phase)], axis=2)
             return [self.block([("joint", i, 0)], F[:, i], sigma) for i in range(self.n)]
+
         return columns
 
     def strain_wave(self, who):
@@ -104,17 +105,30 @@ class Data:
         F = np.cos(np.pi * ((time[who] - time.min()) / np.ptp(time))[:, None] * np.arange(1, 9))
         for T in self.obs.temperatures.values():
             F = np.column_stack([F, (T[who] - T.mean()) / max(T.std(), 1e-9)])
-        return [self.block([("frame", 0, c) for c in range(3)], F, DRIFT),
-                self.block([("frame", 0, 3 + c) for c in range(3)], F, DRIFT / 1000)]
+        return [
+            self.block([("frame", 0, c) for c in range(3)], F, DRIFT),
+            self.block([("frame", 0, 3 + c) for c in range(3)], F, DRIFT / 1000),
+        ]
 
     def ladder(self) -> list[tuple[str, list]]:
         steps = [("geometry", None), ("joint elasticity under gravity", self.compliance)]
         if self.places:
-            return [*steps, ("bending of the links", self.bending), ("orders 80, 120, 160, 240", self.strain_wave),
-                    ("periodic errors, orders 1..4", self.periodic(1, 4))]
-        return [*steps, ("bending of the links", self.bending), ("periodic errors, orders 1..4", self.periodic(1, 4)),
-                ("orders 5..12", self.periodic(5, 12)), ("orders 13..32", self.periodic(13, 32)), ("orders 33..60", self.periodic(33, 60)),
-                ("axes running out", self.wobble), ("instrument or base drifting", self.base_drift)]
+            return [
+                *steps,
+                ("bending of the links", self.bending),
+                ("orders 80, 120, 160, 240", self.strain_wave),
+                ("periodic errors, orders 1..4", self.periodic(1, 4)),
+            ]
+        return [
+            *steps,
+            ("bending of the links", self.bending),
+            ("periodic errors, orders 1..4", self.periodic(1, 4)),
+            ("orders 5..12", self.periodic(5, 12)),
+            ("orders 13..32", self.periodic(13, 32)),
+            ("orders 33..60", self.periodic(33, 60)),
+            ("axes running out", self.wobble),
+            ("instrument or base drifting", self.base_drift),
+        ]
 
     # Judging ----------------------------------------------------------------------------------------------------------
 

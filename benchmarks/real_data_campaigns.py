@@ -35,13 +35,13 @@ def whole(data: Data) -> tuple[np.ndarray, int, np.ndarray]:
 
 def coefficients(data: Data) -> np.ndarray:
     """(n, 2, 32) sine and cosine coefficients (rad) of every joint."""
-    return whole(data)[0][-2 * FASTEST * data.n:].reshape(data.n, 2, FASTEST)
+    return whole(data)[0][-2 * FASTEST * data.n :].reshape(data.n, 2, FASTEST)
 
 
 def curve(values: np.ndarray, angle: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Arc seconds at the angles (rad), orders SLOWEST..FASTEST only, free of a straight line over those seen."""
     k = np.arange(SLOWEST, FASTEST + 1)
-    y = np.sin(np.outer(angle, k)) @ values[0, SLOWEST - 1:] + np.cos(np.outer(angle, k)) @ values[1, SLOWEST - 1:]
+    y = np.sin(np.outer(angle, k)) @ values[0, SLOWEST - 1 :] + np.cos(np.outer(angle, k)) @ values[1, SLOWEST - 1 :]
     return np.degrees(y - np.polyval(np.polyfit(angle[seen], y[seen], 1), angle)) * 3600
 
 

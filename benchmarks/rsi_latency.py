@@ -1,6 +1,6 @@
 """How soon is an RSI telegram answered? Measured where it counts: at the (fake) controller, every 4 ms, by the clock.
 
-    python benchmarks/rsi_latency.py --seconds 30 --load both --lock-step --write
+python benchmarks/rsi_latency.py --seconds 30 --load both --lock-step --write
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ with tempfile.TemporaryDirectory() as folder:
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--seconds", type=float, default=20.0)
-    arguments.add_argument("--load", choices=("none", "scans", "both"), default="both",
-                           help="another process decodes scans and logs them to rerun")
+    arguments.add_argument(
+        "--load", choices=("none", "scans", "both"), default="both", help="another process decodes scans and logs them to rerun"
+    )
     arguments.add_argument("--lock-step", action="store_true", help="also time a plan's worth of cycles as fast as they go")
     arguments.add_argument("--write", action="store_true", help="write the figures to rsi_latency.md")
     given = arguments.parse_args()
@@ -65,9 +66,12 @@ def measure(seconds: float, loaded: bool) -> dict[str, float]:
     try:
         if load is not None:
             load.stdout.readline()
-        with (FakeKrc(client=("127.0.0.1", port), realtime=True, log=True, timeout=10**9, start_deg=tuple(HOME_DEG),
-                      limits_deg=LIMITS_DEG) as krc,
-              KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "late_limit": 10**8}) as robot):
+        with (
+            FakeKrc(
+                client=("127.0.0.1", port), realtime=True, log=True, timeout=10**9, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG
+            ) as krc,
+            KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "late_limit": 10**8}) as robot,
+        ):
             before = krc.counters()["late"]
             end, i = time.monotonic() + seconds, 0
             while time.monotonic() < end:
@@ -83,15 +87,24 @@ def measure(seconds: float, loaded: bool) -> dict[str, float]:
             load.kill()
             load.communicate()
     latency = log["latency_s"][log["accepted"]] * 1e6
-    return {"loaded": loaded, "fifo": fifo, "cycles": len(latency), "median": np.median(latency), "p999": np.percentile(latency, 99.9),
-            "worst": latency.max(), "missed": missed}
+    return {
+        "loaded": loaded,
+        "fifo": fifo,
+        "cycles": len(latency),
+        "median": np.median(latency),
+        "p999": np.percentile(latency, 99.9),
+        "worst": latency.max(),
+        "missed": missed,
+    }
 
 
 def lock_step(n: int = 60) -> tuple[int, float]:
     """Cycles and seconds of a row of motions in lock-step."""
     port = free_port()
-    with (FakeKrc(client=("127.0.0.1", port), realtime=False, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG) as krc,
-          KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port}) as robot):
+    with (
+        FakeKrc(client=("127.0.0.1", port), realtime=False, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG) as krc,
+        KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port}) as robot,
+    ):
         rng, start = np.random.default_rng(0), time.perf_counter()
         cycles = 0
         for _ in range(n):
@@ -104,11 +117,16 @@ def lock_step(n: int = 60) -> tuple[int, float]:
 
 
 def report(rows: list[dict[str, float]], plan: tuple[int, float] | None) -> str:
-    lines = ["# Reply latency of the RSI cycle", "",
-             f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from "
-             "sending a telegram to having the answer, at the controller's side. The machine was shared with other work: the median is a "
-             "property of the program, the tail mostly of the machine.", "",
-             "| other load | SCHED_FIFO | cycles | median us | 99.9 % us | worst us | missed |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "# Reply latency of the RSI cycle",
+        "",
+        f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from "
+        "sending a telegram to having the answer, at the controller's side. The machine was shared with other work: the median is a "
+        "property of the program, the tail mostly of the machine.",
+        "",
+        "| other load | SCHED_FIFO | cycles | median us | 99.9 % us | worst us | missed |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for r in rows:
         load, fifo = "decoding scans and logging to rerun" if r["loaded"] else "none of ours", "yes" if r["fifo"] else "no"
         lines.append(f"| {load} | {fifo} | {r['cycles']} | {r['median']:.0f} | {r['p999']:.0f} | {r['worst']:.0f} | {r['missed']} |")

@@ -59,7 +59,7 @@ def peer(lineariser: Lineariser, begin: Estimate, weights: Weights) -> float:
     pattern = lil_matrix((len(residual(np.zeros(g + 6 * s))), g + 6 * s), dtype=int)
     pattern[:, :g] = 1
     for p, run in enumerate(rows.run):
-        pattern[p * count:(p + 1) * count, g + 6 * run:g + 6 * run + 6] = 1
+        pattern[p * count : (p + 1) * count, g + 6 * run : g + 6 * run + 6] = 1
     scale = np.concatenate([layout.gather("scale") * 0.01, np.tile([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3], s)])
     found = least_squares(residual, np.zeros(g + 6 * s), jac_sparsity=pattern, x_scale=scale, method="trf", max_nfev=PEER_EVALUATIONS)
     return 2 * float(found.cost)
@@ -93,8 +93,11 @@ def main() -> None:
         calibrate(obs)
         peak = tracemalloc.get_traced_memory()[1] / 1e6
         tracemalloc.stop()
-        print(f"| {poses} | {poses // 8} | {1e3 * low:.0f} / {1e3 * middle:.0f} | {1e3 * own:.0f} | {1e3 * alone:.0f} | "
-              f"{other} | {ratio} | {peak:.0f} |", flush=True)
+        print(
+            f"| {poses} | {poses // 8} | {1e3 * low:.0f} / {1e3 * middle:.0f} | {1e3 * own:.0f} | {1e3 * alone:.0f} | "
+            f"{other} | {ratio} | {peak:.0f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -89,8 +89,10 @@ def accuracy(runs: int, n: int = 1500, noise: float = 0.01, outliers: float = 0.
     fits = sphere_fits(points, rough_fits(points, start, radii, 0.08), radii, VIEW, LIMIT, 0.08)
     ours_s = (time.perf_counter() - begin) / runs
     begin = time.perf_counter()
-    peers = [least_squares(lambda c, p=p: np.linalg.norm(p - c, axis=1) - 6.0, s, loss="soft_l1", f_scale=0.02).x
-             for p, s in zip(points, start, strict=True)]
+    peers = [
+        least_squares(lambda c, p=p: np.linalg.norm(p - c, axis=1) - 6.0, s, loss="soft_l1", f_scale=0.02).x
+        for p, s in zip(points, start, strict=True)
+    ]
     peer_s = (time.perf_counter() - begin) / runs
     used = n * (1 - outliers) * (np.sin(LIMIT) / np.sin(np.radians(75))) ** 2
     side = np.sin(LIMIT) ** 2 / 4
@@ -98,8 +100,12 @@ def accuracy(runs: int, n: int = 1500, noise: float = 0.01, outliers: float = 0.
     out = {"runs": runs, "points": n, "noise_um": 1e3 * noise, "outliers": outliers, "bound_um": (1e3 * bound).tolist()}
     for name, centre, seconds in (("ours", np.array([f.centre for f in fits]), ours_s), ("scipy", np.array(peers), peer_s)):
         error = centre - truth
-        out[name] = {"std_over_bound": (error.std(axis=0) / bound).tolist(), "bias_um": (1e3 * error.mean(axis=0)).tolist(),
-                     "bias_sigma_um": (1e3 * error.std(axis=0) / np.sqrt(runs)).tolist(), "ms_per_ball": 1e3 * seconds}
+        out[name] = {
+            "std_over_bound": (error.std(axis=0) / bound).tolist(),
+            "bias_um": (1e3 * error.mean(axis=0)).tolist(),
+            "bias_sigma_um": (1e3 * error.std(axis=0) / np.sqrt(runs)).tolist(),
+            "ms_per_ball": 1e3 * seconds,
+        }
     return out
 
 

@@ -44,10 +44,16 @@ def summary(results: list[MotionResult]) -> dict:
                 row[0] += f"{t['name']}:{'+'.join(t['where'])}" in r.told
                 row[1] += 1
     return {
-        "challenges": len(results), "with_faults_that_matter": len(faulty), "clean": len(clean),
-        "detected": sum(r.verdict != "none" for r in faulty), "named_and_placed_first": sum(r.named for r in faulty),
-        "with_a_false_name": sum(bool(r.extra) for r in results), "clean_with_a_false_name": sum(bool(r.extra) for r in clean),
-        "parameters": len(sigmas), "parameters_within_3_sigma": sum(s <= WITHIN for s in sigmas), "found_by_name": by_name,
+        "challenges": len(results),
+        "with_faults_that_matter": len(faulty),
+        "clean": len(clean),
+        "detected": sum(r.verdict != "none" for r in faulty),
+        "named_and_placed_first": sum(r.named for r in faulty),
+        "with_a_false_name": sum(bool(r.extra) for r in results),
+        "clean_with_a_false_name": sum(bool(r.extra) for r in clean),
+        "parameters": len(sigmas),
+        "parameters_within_3_sigma": sum(s <= WITHIN for s in sigmas),
+        "found_by_name": by_name,
     }
 
 
@@ -62,8 +68,9 @@ def main() -> None:
     with ProcessPoolExecutor(given.jobs) as pool:
         for r in pool.map(one, range(given.first, given.first + given.challenges)):
             results.append(r)
-            truth = ", ".join(f"{t['name']}:{'+'.join(t['where'])}{'' if m else ' (small)'}"
-                              for t, m in zip(r.truth, r.matters, strict=True))
+            truth = ", ".join(
+                f"{t['name']}:{'+'.join(t['where'])}{'' if m else ' (small)'}" for t, m in zip(r.truth, r.matters, strict=True)
+            )
             far = {k: round(v, 1) for k, v in r.sigmas.items() if v > WITHIN}
             ending = f"{r.verdict:<17} {truth or 'nothing'} | extra {r.extra} | far {far}"
             print(f"{r.challenge.number} {'ok ' if r.named else 'MISS'} {ending}", flush=True)

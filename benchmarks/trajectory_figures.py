@@ -1,6 +1,6 @@
 """The pictures of docs/data/kr300.md: before and after, of each trajectory what the other one tells.
 
-    python benchmarks/trajectory_figures.py ../shared/data/kr300-trajectory-a ../shared/data/kr300-trajectory-b --out docs/data
+python benchmarks/trajectory_figures.py ../shared/data/kr300-trajectory-a ../shared/data/kr300-trajectory-b --out docs/data
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ from mbcacq.recording import read_trajectory_set
 
 WIDTH, HEIGHT, LEFT, TOP = 430, 110, 56, 34
 GREY, BLUE = "#bbbbbb", "#1f6fb2"
-TITLES = {"q_joint": "Joint-side minus motor-side angle, mdeg", "q_set": "Actual angle minus set point, deg",
-          "tau": "Torque minus rigid arm, N m"}
+TITLES = {
+    "q_joint": "Joint-side minus motor-side angle, mdeg",
+    "q_set": "Actual angle minus set point, deg",
+    "tau": "Torque minus rigid arm, N m",
+}
 
 
 def figure(kind: str, panels: list[list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]]) -> str:
@@ -32,12 +35,16 @@ def figure(kind: str, panels: list[list[tuple[str, np.ndarray, np.ndarray, np.nd
             out.append(_text(x - 4, y + 10, f"{top:.3g}", 10, "end"))
             out.append(f'<line x1="{x}" y1="{y + HEIGHT / 2}" x2="{x + WIDTH}" y2="{y + HEIGHT / 2}" stroke="#dddddd"/>')
             for values, colour in ((before, GREY), (after, BLUE)):
-                points = " ".join(f"{x + WIDTH * (t - time[0]) / (time[-1] - time[0]):.1f},{y + HEIGHT / 2 * (1 - v / top):.1f}"
-                                  for t, v in zip(time[::6], np.clip(values[::6], -top, top), strict=True))
+                points = " ".join(
+                    f"{x + WIDTH * (t - time[0]) / (time[-1] - time[0]):.1f},{y + HEIGHT / 2 * (1 - v / top):.1f}"
+                    for t, v in zip(time[::6], np.clip(values[::6], -top, top), strict=True)
+                )
                 out.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1"/>')
     width, height = LEFT + columns * (WIDTH + LEFT), TOP + rows * (HEIGHT + 22) + 8
-    return (f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif">'
-            f'<rect width="{width}" height="{height}" fill="white"/>{"".join(out)}</svg>\n')
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif">'
+        f'<rect width="{width}" height="{height}" fill="white"/>{"".join(out)}</svg>\n'
+    )
 
 
 def _text(x: float, y: float, words: str, size: int, anchor: str = "start") -> str:

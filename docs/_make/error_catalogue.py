@@ -21,9 +21,13 @@ def error_catalogue() -> str:
             module = ".".join(path.relative_to(ROOT / package).with_suffix("").parts[:-1]) or path.stem
             for kind, text in raised(path):
                 found.setdefault(kind, {}).setdefault(text, f"{package.split('/')[-1]}.{module}")
-    out = ["# Errors and their cures", "",
-           "Every message is one sentence: what happened, where, and what to do. This list is read from the code; what varies "
-           "stands in braces. A sentence that begins in one place and is finished in another appears in its parts.", ""]
+    out = [
+        "# Errors and their cures",
+        "",
+        "Every message is one sentence: what happened, where, and what to do. This list is read from the code; what varies "
+        "stands in braces. A sentence that begins in one place and is finished in another appears in its parts.",
+        "",
+    ]
     for name, kind in CLASSES.items():
         if name not in found:
             continue

@@ -17,15 +17,24 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 MBCACQ = str(Path(sys.executable).parent / "mbcacq")
-CHROMIUM = ("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-            "--disable-component-update", "--hide-scrollbars", "--window-size=1280,860")
+CHROMIUM = (
+    "chromium",
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--hide-scrollbars",
+    "--window-size=1280,860",
+)
 ELASTIC = """
 fake:
   hidden:
     - {name: joint_compliance, where: A2, compliance_rad_per_Nm: 2.1e-6}
     - {name: joint_compliance, where: A3, compliance_rad_per_Nm: 1.9e-6}
 """
-MENU_PX = 36   # height of the viewer's menu, which tells of the machine that drew the picture
+MENU_PX = 36  # height of the viewer's menu, which tells of the machine that drew the picture
 
 
 def main() -> None:
@@ -34,7 +43,7 @@ def main() -> None:
         shutil.copytree(ROOT / "plans", work / "plans")
 
         def call(*command: object) -> None:
-            subprocess.run([str(part) for part in command], check=True, cwd=work)   # pages show paths as a user has them, not this folder
+            subprocess.run([str(part) for part in command], check=True, cwd=work)  # pages show paths as a user has them, not this folder
 
         def tab(run: str, name: str, pose: int, picture: str) -> None:
             """One tab of the viewer as a picture of the documentation."""

@@ -17,9 +17,13 @@ FIELD = re.compile(r"^\s{4}(\w+)\s*:[^#]*(?:#\s*(.*))?$")
 
 def plan_schema() -> str:
     """Markdown of every object of the three files, each once, in the order met."""
-    out = ["# Plan, robot and artefact files", "",
-           "Made from the schemas. Lengths mm, angles deg, times s, masses kg. Unknown keys are refused, with file and line; "
-           "`mbcacq schema` prints JSON Schema for editors. How the parts work together: [writing a plan](../plan.md).", ""]
+    out = [
+        "# Plan, robot and artefact files",
+        "",
+        "Made from the schemas. Lengths mm, angles deg, times s, masses kg. Unknown keys are refused, with file and line; "
+        "`mbcacq schema` prints JSON Schema for editors. How the parts work together: [writing a plan](../plan.md).",
+        "",
+    ]
     seen: set[type] = set()
     for title, model in (("A plan", Plan), ("A robot file", RobotSpec), ("An artefact file", ArtefactSpec)):
         out += [f"## {title}", ""]
@@ -90,8 +94,14 @@ def kind(annotation) -> str:
 
 
 def limits(field) -> list[str]:
-    words = {"gt": "above {:g}", "ge": "at least {:g}", "lt": "below {:g}", "le": "at most {:g}",
-             "min_length": "at least {:g} of them", "max_length": "at most {:g} of them"}
+    words = {
+        "gt": "above {:g}",
+        "ge": "at least {:g}",
+        "lt": "below {:g}",
+        "le": "at most {:g}",
+        "min_length": "at least {:g} of them",
+        "max_length": "at most {:g} of them",
+    }
     return [word.format(getattr(m, key)) for m in field.metadata for key, word in words.items() if getattr(m, key, None) is not None]
 
 

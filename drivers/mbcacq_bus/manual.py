@@ -35,8 +35,10 @@ class ManualPositioner:
         """Raises ConfigError where nobody can be asked."""
         self._stopped.clear()
         if not self._options.assume_yes and not _interactive():
-            raise ConfigError("the manual positioner must ask an operator, but standard input is not a terminal; "
-                              "run in a terminal, or use --yes if every artefact is already in place")
+            raise ConfigError(
+                "the manual positioner must ask an operator, but standard input is not a terminal; "
+                "run in a terminal, or use --yes if every artefact is already in place"
+            )
 
     def describe(self) -> Description:
         return Description("positioner", "operator", (Field("station", "", meaning="where the operator has put the artefact"),))

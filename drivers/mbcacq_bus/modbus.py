@@ -149,8 +149,10 @@ class ModbusPositioner(_ModbusDevice):
             if flag:
                 return
             if elapsed > o.move_timeout_s:
-                raise DeviceTimeout(f"the positioner did not reach station {station} ({target:g}) within {o.move_timeout_s:g} s: "
-                                    f"it is {where}; see what holds it")
+                raise DeviceTimeout(
+                    f"the positioner did not reach station {station} ({target:g}) within {o.move_timeout_s:g} s: "
+                    f"it is {where}; see what holds it"
+                )
             self._stopped.wait(POLL_S)
 
 

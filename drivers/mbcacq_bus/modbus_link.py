@@ -16,8 +16,13 @@ from mbcacq_bus.registers import Register
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its failures reach the user as our errors, once
 
-REASONS = {1: "the function is not supported", 2: "there is no such address", 3: "the value is not allowed", 4: "the device failed",
-           6: "the device is busy"}
+REASONS = {
+    1: "the function is not supported",
+    2: "there is no such address",
+    3: "the value is not allowed",
+    4: "the device failed",
+    6: "the device is busy",
+}
 
 
 class Identity(BusOptions):
@@ -71,8 +76,11 @@ class ModbusLink:
 
         o = self._options
         common: dict[str, Any] = {"timeout": o.timeout_s, "retries": o.retries}
-        client = (ModbusTcpClient(o.host, port=o.port, **common) if o.host else
-                  ModbusSerialClient(o.serial, baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, **common))
+        client = (
+            ModbusTcpClient(o.host, port=o.port, **common)
+            if o.host
+            else ModbusSerialClient(o.serial, baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, **common)
+        )
         try:
             reached = client.connect()
         except (ModbusException, OSError, ValueError) as error:
@@ -92,10 +100,12 @@ class ModbusLink:
 
     def read(self, register: Register) -> float:
         c, n = self._client, register.count
-        call = {"holding": lambda: c.read_holding_registers(register.address, count=n, device_id=self._options.device_id),
-                "input": lambda: c.read_input_registers(register.address, count=n, device_id=self._options.device_id),
-                "coil": lambda: c.read_coils(register.address, count=n, device_id=self._options.device_id),
-                "discrete": lambda: c.read_discrete_inputs(register.address, count=n, device_id=self._options.device_id)}[register.table]
+        call = {
+            "holding": lambda: c.read_holding_registers(register.address, count=n, device_id=self._options.device_id),
+            "input": lambda: c.read_input_registers(register.address, count=n, device_id=self._options.device_id),
+            "coil": lambda: c.read_coils(register.address, count=n, device_id=self._options.device_id),
+            "discrete": lambda: c.read_discrete_inputs(register.address, count=n, device_id=self._options.device_id),
+        }[register.table]
         answer = self._ask(call, f"reading {register.table} {register.address}")
         words = list(answer.bits if register.is_bit else answer.registers)
         if len(words) < n:
@@ -138,5 +148,7 @@ class ModbusLink:
             raise IdentityError(f"{self._device} at {self._options.address} cannot be identified: {error}") from error
         if abs(value - identity.equals) > 1e-6 * max(abs(identity.equals), 1.0):
             self.close()
-            raise IdentityError(f"{self._device} at {self._options.address} identifies itself as {value:g}, "
-                                f"not as {identity.equals:g}; is this the right box?")
+            raise IdentityError(
+                f"{self._device} at {self._options.address} identifies itself as {value:g}, "
+                f"not as {identity.equals:g}; is this the right box?"
+            )

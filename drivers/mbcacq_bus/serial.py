@@ -17,7 +17,7 @@ from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, 
 from mbcacq_bus.options import BusOptions, parse
 
 MAX_LINE = 1024
-ASKED = 3    # times, for its identity
+ASKED = 3  # times, for its identity
 
 
 class SerialIdentity(BusOptions):
@@ -118,7 +118,7 @@ class SerialSensor:
             self._thread.join(timeout=2.0)
             self._thread = None
         if port is not None:
-            sock = getattr(port, "_socket", None)    # pyserial leaves the socket of a lost connection open
+            sock = getattr(port, "_socket", None)  # pyserial leaves the socket of a lost connection open
             with suppress(Exception):
                 port.close()
             if sock is not None:
@@ -148,7 +148,7 @@ class SerialSensor:
                 asked += 1
             try:
                 pending += self._port.read_until(b"\n", MAX_LINE)
-            except Exception as error:   # pyserial lets termios.error of a lost terminal through
+            except Exception as error:  # pyserial lets termios.error of a lost terminal through
                 raise ConnectError(f"{self._device} was lost while it was being identified: {error}; check the cable") from error
             if not pending.endswith(b"\n"):
                 pending = pending[-MAX_LINE:]
@@ -157,8 +157,9 @@ class SerialSensor:
             if self._identity.fullmatch(line):
                 return
             heard = line or heard
-        raise IdentityError(f"{self._device} answered '{heard[:60]}' where '{self._options.identity.expect}' was expected; "
-                            "is this the right sensor?")
+        raise IdentityError(
+            f"{self._device} answered '{heard[:60]}' where '{self._options.identity.expect}' was expected; is this the right sensor?"
+        )
 
     def _listen(self) -> None:
         # A line that was already under way when we came may be cut, and a cut number is a wrong number.

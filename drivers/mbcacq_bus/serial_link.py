@@ -56,11 +56,19 @@ class SerialLink:
 
         o = self._options
         try:
-            self._port = serial.serial_for_url(o.port, baudrate=o.baudrate, bytesize=o.bytesize, parity=o.parity, stopbits=o.stopbits,
-                                               timeout=POLL_S, write_timeout=o.timeout_s)
+            self._port = serial.serial_for_url(
+                o.port,
+                baudrate=o.baudrate,
+                bytesize=o.bytesize,
+                parity=o.parity,
+                stopbits=o.stopbits,
+                timeout=POLL_S,
+                write_timeout=o.timeout_s,
+            )
         except (serial.SerialException, ValueError, OSError) as error:
-            raise ConnectError(f"{self.name} cannot be opened: {error}; check the port's name, the cable and your right to use "
-                               "it") from error
+            raise ConnectError(
+                f"{self.name} cannot be opened: {error}; check the port's name, the cable and your right to use it"
+            ) from error
         if self._identity is not None:
             try:
                 self._identify()
@@ -71,7 +79,7 @@ class SerialLink:
     def close(self) -> None:
         port, self._port = self._port, None
         if port is not None:
-            sock = getattr(port, "_socket", None)    # pyserial leaves the socket of a lost connection open
+            sock = getattr(port, "_socket", None)  # pyserial leaves the socket of a lost connection open
             with suppress(Exception):
                 port.close()
             if sock is not None:
@@ -98,15 +106,16 @@ class SerialLink:
             if self._identity.fullmatch(line):
                 return
             time.sleep(min(_QUIET_S, self._options.timeout_s))
-        raise IdentityError(f"{self.name} answered '{line[:60]}' where '{self._options.identity.expect}' was expected; "
-                            "is this the right device?")
+        raise IdentityError(
+            f"{self.name} answered '{line[:60]}' where '{self._options.identity.expect}' was expected; is this the right device?"
+        )
 
     def _write(self, text: str) -> None:
         port = self._opened()
         try:
             port.write(text.encode())
             port.flush()
-        except Exception as error:   # not only OSError: pyserial lets termios.error and TypeError of a lost port through
+        except Exception as error:  # not only OSError: pyserial lets termios.error and TypeError of a lost port through
             raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
 
     def _forget(self) -> None:
@@ -124,7 +133,7 @@ class SerialLink:
         while time.monotonic() < deadline:
             try:
                 pending += port.read_until(end, MAX_LINE)
-            except Exception as error:   # pyserial raises TypeError too, where another thread closes the port
+            except Exception as error:  # pyserial raises TypeError too, where another thread closes the port
                 raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
             if pending.endswith(end):
                 line, pending = pending.decode("ascii", "replace").strip(), b""
@@ -133,8 +142,10 @@ class SerialLink:
             elif len(pending) > MAX_LINE:
                 raise ProtocolError(f"{self.name} sent {len(pending)} bytes without an end of line; is the baud rate right?")
         half = f" but half a line ('{pending[:40].decode('ascii', 'replace')}')" if pending else ""
-        raise DeviceTimeout(f"{self.name} answered nothing{half} to '{echo[:40]}' within {self._options.timeout_s:g} s; is it on, and are "
-                            "baud rate and terminator right?")
+        raise DeviceTimeout(
+            f"{self.name} answered nothing{half} to '{echo[:40]}' within {self._options.timeout_s:g} s; is it on, and are "
+            "baud rate and terminator right?"
+        )
 
     def _opened(self) -> Any:
         if self._port is None:

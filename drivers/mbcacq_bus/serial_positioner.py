@@ -86,8 +86,12 @@ class SerialPositioner:
         self._model, self._stopped = model, threading.Event()
         self._link = SerialLink(f"positioner {model}".strip(), o)
         self._targets = {str(k): v for k, v in o.stations.items()}
-        named = {"move.reply": o.move.reply, "ready.reply": o.ready and o.ready.reply, "position.reply": o.position and o.position.reply,
-                 "fault.reply": o.fault and o.fault.reply}
+        named = {
+            "move.reply": o.move.reply,
+            "ready.reply": o.ready and o.ready.reply,
+            "position.reply": o.position and o.position.reply,
+            "fault.reply": o.fault and o.fault.reply,
+        }
         self._patterns = {option: compiled(pattern, DEVICE, option) for option, pattern in named.items() if pattern is not None}
         if o.position is not None and not self._patterns["position.reply"].groupindex.keys() & {"raw", "value"}:
             raise ConfigError(f"options of {DEVICE}: position.reply needs a named group, e.g. POS=(?P<raw>[-+0-9.]+); correct the plan")
@@ -149,13 +153,15 @@ class SerialPositioner:
                 actual = self._position()
                 where = f"at {actual:g} {o.unit}"
                 arrived = arrived and abs(actual - target) <= o.tolerance
-            elif elapsed < o.ready_delay_s:     # it may not have lowered its flag yet
+            elif elapsed < o.ready_delay_s:  # it may not have lowered its flag yet
                 arrived = False
             if arrived:
                 return
             if elapsed > o.move_timeout_s:
-                raise DeviceTimeout(f"{self._link.name} did not reach station {station} ({target:g} {o.unit}) within "
-                                    f"{o.move_timeout_s:g} s: it is {where}; see what holds it")
+                raise DeviceTimeout(
+                    f"{self._link.name} did not reach station {station} ({target:g} {o.unit}) within "
+                    f"{o.move_timeout_s:g} s: it is {where}; see what holds it"
+                )
             self._stopped.wait(POLL_S)
 
     def _refuse_fault(self, station: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.devices import ProtocolError, Scan
 
-DARK, BRIGHT = 10, 245    # grey values outside are noise or saturation: heights there are poor
+DARK, BRIGHT = 10, 245  # grey values outside are noise or saturation: heights there are poor
 _MIDDLE = 128
 
 
@@ -58,5 +58,12 @@ def merged(scans: Sequence[Scan]) -> Scan:
         if intensity is not None:
             intensity[mine] = scan.intensity[index]
         share.append(len(index))
-    return replace(scans[0], points=points, pixel=pixel, intensity=intensity, exposure_us=scans[int(np.argmax(share))].exposure_us,
-                   health=scans[-1].health, warnings=tuple(w for scan in scans for w in scan.warnings))
+    return replace(
+        scans[0],
+        points=points,
+        pixel=pixel,
+        intensity=intensity,
+        exposure_us=scans[int(np.argmax(share))].exposure_us,
+        health=scans[-1].health,
+        warnings=tuple(w for scan in scans for w in scan.warnings),
+    )

@@ -32,7 +32,7 @@ class Configuration:
             raise ProtocolError(f"the sensor's configuration has {len(data)} bytes, more than {_MAX_SIZE}")
         try:
             self._root = SafeTree.fromstring(data, forbid_dtd=True)
-        except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:    # LookupError: an encoding nobody knows
+        except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:  # LookupError: an encoding nobody knows
             raise ProtocolError(f"the sensor's configuration cannot be read as XML: {error}") from None
         if self._root.tag != "Configuration":
             raise ProtocolError(f"the sensor's configuration starts with <{self._root.tag}> instead of <Configuration>")
@@ -55,13 +55,16 @@ class Configuration:
         mode = _float(self._root.findtext(_DEVICE + "/ExposureMode"), 0)
         if mode != SINGLE:
             kind = EXPOSURE_MODES.get(mode, "another kind of")
-            raise ConfigError(f"the Gocator's job uses {kind} exposure, so {exposure_us:g} us cannot be set; choose single exposure "
-                              "in the job, or leave the exposure out of the plan")
+            raise ConfigError(
+                f"the Gocator's job uses {kind} exposure, so {exposure_us:g} us cannot be set; choose single exposure "
+                "in the job, or leave the exposure out of the plan"
+            )
         node = self._node(_DEVICE + "/Exposure")
         low, high = (_float(node.get(name), default) for name, default in (("min", 0.0), ("max", float("inf"))))
         if not low <= exposure_us <= high:
-            raise ConfigError(f"an exposure of {exposure_us:g} us is outside the {low:g} to {high:g} us that the Gocator allows; "
-                              "change it in the plan")
+            raise ConfigError(
+                f"an exposure of {exposure_us:g} us is outside the {low:g} to {high:g} us that the Gocator allows; change it in the plan"
+            )
 
     def set_exposure(self, exposure_us: float) -> None:
         """Raises ConfigError as ``check_exposure``."""

@@ -54,8 +54,10 @@ class ControlChannel:
             self.version = self._probe() or self._ask_version()
             if self.version[0] != PROTOCOL_MAJOR:
                 spoken = ".".join(map(str, self.version))
-                raise IdentityError(f"the sensor at {self._address}:{self._port} speaks Gocator protocol {spoken}, this driver "
-                                    f"{PROTOCOL_MAJOR}.x; use a sensor firmware of 4.x to 6.x")
+                raise IdentityError(
+                    f"the sensor at {self._address}:{self._port} speaks Gocator protocol {spoken}, this driver "
+                    f"{PROTOCOL_MAJOR}.x; use a sensor firmware of 4.x to 6.x"
+                )
         except BaseException:
             self.close()
             raise
@@ -95,8 +97,10 @@ class ControlChannel:
         _send(sock, _REQUEST.pack(_REQUEST.size + len(payload), command.id) + payload, command.name, self._limit(command))
         length, answered, status, body = _read_reply(sock, what, deadline)
         if answered != command.id:
-            raise ProtocolError(f"the Gocator answered '{command.name}' (0x{command.id:04X}) with a reply to 0x{answered:04X} "
-                                f"of {length} bytes; reconnect, and check that a Gocator listens at port {self._port}")
+            raise ProtocolError(
+                f"the Gocator answered '{command.name}' (0x{command.id:04X}) with a reply to 0x{answered:04X} "
+                f"of {length} bytes; reconnect, and check that a Gocator listens at port {self._port}"
+            )
         if status != OK:
             raise SensorRefused(f"the Gocator refused '{command.name}': {meaning(status)}", status)
         return body
@@ -137,7 +141,7 @@ def _read_reply(sock: socket.socket, what: str, deadline: float) -> tuple[int, i
     if not _REPLY.size <= length <= MAX_REPLY:
         raise ProtocolError(f"the {what} announces {length} bytes; no Gocator listens at this port, or the connection is out of step")
     body, wanted = bytearray(), length - _REPLY.size
-    while (have := len(body)) < wanted:    # space is made as bytes come in, so a wrong length cannot claim memory that nothing fills
+    while (have := len(body)) < wanted:  # space is made as bytes come in, so a wrong length cannot claim memory that nothing fills
         body.extend(bytes(min(wanted - have, max(_FIRST_STEP, have))))
         wire.receive_exactly(sock, memoryview(body)[have:], what, deadline, started=True)
     return length, identifier, status, memoryview(body)

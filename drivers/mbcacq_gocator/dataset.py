@@ -41,7 +41,7 @@ def read_set(reader: MessageReader, deadline: float) -> DataSet:
         message, last = decode(reader.read(deadline))
         if isinstance(message, Stamp):
             if result.stamp is not None and result.stamp.frame != message.frame:
-                result = DataSet()    # the end of the frame before was lost: its arrays are not this frame's
+                result = DataSet()  # the end of the frame before was lost: its arrays are not this frame's
             result.stamp = message
         elif isinstance(message, ArrayMessage):
             # The first of a kind is the scan; further ones are outputs of tools.

@@ -16,7 +16,7 @@ import numpy as np
 from mbcacq.devices import ProtocolError
 from mbcacq_gocator import layouts
 
-TICKS_PER_US = 1.024    # stamp value = microseconds * 1.024
+TICKS_PER_US = 1.024  # stamp value = microseconds * 1.024
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from mbcacq.devices import ConnectError, ProtocolError
 
 PORT = 3220
 BROADCAST = "255.255.255.255"
-_SIGNATURE = 0x0000504455494D4C    # "LMIUDP"
+_SIGNATURE = 0x0000504455494D4C  # "LMIUDP"
 _GET_ADDRESS, _GET_INFO, _REPLY = 1, 5, 0x1000
 _REQUEST = struct.Struct("<QQQQ")
 _HEAD = struct.Struct("<QQqQH")
@@ -57,7 +57,7 @@ def find_sensors(timeout_s: float = 0.5, address: str = BROADCAST, port: int = P
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sock.bind(("", 0))
-        for kind in (_GET_INFO, _GET_ADDRESS):    # the second for firmware before 5.1, which knows no other
+        for kind in (_GET_INFO, _GET_ADDRESS):  # the second for firmware before 5.1, which knows no other
             _ask(sock, _REQUEST.pack(_REQUEST.size, kind, _SIGNATURE, serial), address, port)
         deadline = time.monotonic() + timeout_s
         while (remaining := deadline - time.monotonic()) > 0 and len(found) < _MAX_SENSORS:
@@ -79,13 +79,25 @@ def parse_reply(data: bytes) -> FoundSensor:
         length, kind, status, signature, size = _HEAD.unpack_from(data)
         if (length, kind, status, signature, size) != (len(data), _REPLY + _GET_INFO, 1, _SIGNATURE, _INFO.size):
             raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
-        (serial, version, uptime_us, dhcp, _, ip, _, prefix, _, gateway, _, control, _, health, data_port, _
-         ) = _INFO.unpack_from(data, _HEAD.size)
+        (serial, version, uptime_us, dhcp, _, ip, _, prefix, _, gateway, _, control, _, health, data_port, _) = _INFO.unpack_from(
+            data, _HEAD.size
+        )
         properties = _properties(data, _HEAD.size + _INFO.size)
     except (struct.error, IndexError):
         raise ProtocolError(f"a Gocator's discovery reply ends after {len(data)} bytes") from None
-    return FoundSensor(serial, tuple(version.to_bytes(4, "big")), socket.inet_ntoa(ip), prefix, socket.inet_ntoa(gateway), bool(dhcp),
-                       uptime_us / 1e6, control, health, data_port, properties)
+    return FoundSensor(
+        serial,
+        tuple(version.to_bytes(4, "big")),
+        socket.inet_ntoa(ip),
+        prefix,
+        socket.inet_ntoa(gateway),
+        bool(dhcp),
+        uptime_us / 1e6,
+        control,
+        health,
+        data_port,
+        properties,
+    )
 
 
 def _parse_old(data: bytes) -> FoundSensor:
@@ -103,7 +115,7 @@ def _properties(data: bytes, at: int) -> dict[str, str]:
         end = at + 1 + data[at]
         if end > len(data):
             raise IndexError
-        texts.append(data[at + 1:end].decode("utf-8", "replace"))
+        texts.append(data[at + 1 : end].decode("utf-8", "replace"))
         at = end
     return dict(zip(texts[::2], texts[1::2], strict=True))
 

@@ -83,8 +83,9 @@ class Gocator:
         Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the sensor stays away), Aborted (``stop`` was called).
         """
         if exposure_us is not None and self.options.exposures_us:
-            raise ConfigError(f"scanner '{self.name}': the option exposures_us already says how long to expose; "
-                              "take exposure_us out of the plan")
+            raise ConfigError(
+                f"scanner '{self.name}': the option exposures_us already says how long to expose; take exposure_us out of the plan"
+            )
         if not self._wanted:
             raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
         with self._one_capture:
@@ -107,7 +108,7 @@ class Gocator:
                     if attempt == self.options.retries:
                         raise
                 except (Aborted, DeviceTimeout, ProtocolError):
-                    self._drop()    # what is still under way must not be taken for the next scan
+                    self._drop()  # what is still under way must not be taken for the next scan
                     raise
         raise AssertionError("unreachable")
 

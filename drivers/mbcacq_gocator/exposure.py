@@ -39,7 +39,7 @@ def _wait_for_surface(session: GocatorSession, asked: int) -> DataSet:
             data = read_set(session.reader, deadline)
         except DeviceTimeout as error:
             raise _explained(session, error, stamp_only, early, other) from None
-        if data.stamp is None:    # nobody can tell when it was exposed, and where the arm was then
+        if data.stamp is None:  # nobody can tell when it was exposed, and where the arm was then
             other = ", ".join(filter(None, (data.contents, "without a stamp")))
         elif data.stamp.timestamp < asked:
             early += 1
@@ -54,15 +54,21 @@ def _wait_for_surface(session: GocatorSession, asked: int) -> DataSet:
 def _explained(session: GocatorSession, error: DeviceTimeout, stamp_only: int, early: int, other: str) -> DeviceTimeout:
     waited = f"no scan within {session.options.timeout_s:g} s"
     if stamp_only and not other:
-        return DeviceTimeout(f"{waited}: {stamp_only} data set(s) came with only a stamp; in the job, open Output > Ethernet, choose "
-                             "the protocol Gocator and tick the surface, then save the job")
+        return DeviceTimeout(
+            f"{waited}: {stamp_only} data set(s) came with only a stamp; in the job, open Output > Ethernet, choose "
+            "the protocol Gocator and tick the surface, then save the job"
+        )
     if other:
-        return DeviceTimeout(f"{waited}: the sensor sent {other} but no surface; set the job's scan mode to Surface and tick the "
-                             "surface under Output > Ethernet")
+        return DeviceTimeout(
+            f"{waited}: the sensor sent {other} but no surface; set the job's scan mode to Surface and tick the "
+            "surface under Output > Ethernet"
+        )
     if early:
         return DeviceTimeout(f"{waited}: only {early} older data set(s) came; check that nothing else triggers the sensor")
-    return DeviceTimeout(f"{waited}: {error}; in the job, tick the surface under Output > Ethernet > Gocator, and check that "
-                         f"port {session.options.data_port} is not blocked")
+    return DeviceTimeout(
+        f"{waited}: {error}; in the job, tick the surface under Output > Ethernet > Gocator, and check that "
+        f"port {session.options.data_port} is not blocked"
+    )
 
 
 def _scan(session: GocatorSession, data: DataSet) -> Scan:
@@ -72,9 +78,13 @@ def _scan(session: GocatorSession, data: DataSet) -> Scan:
     surface = surface_points(data.surface)
     grey = data.arrays.get(SURFACE_INTENSITY)
     return Scan(
-        points=surface.points, pixel=surface.pixel, shape=surface.valid.shape,
+        points=surface.points,
+        pixel=surface.pixel,
+        shape=surface.valid.shape,
         intensity=None if grey is None else intensity_of(grey, surface),
-        time_s=data.stamp.time_s, frame=data.stamp.frame,
-        exposure_us=session.configuration.exposure_us or 0.0, measurements=data.measurements, health=session.health.values(),
+        time_s=data.stamp.time_s,
+        frame=data.stamp.frame,
+        exposure_us=session.configuration.exposure_us or 0.0,
+        measurements=data.measurements,
+        health=session.health.values(),
     )
-

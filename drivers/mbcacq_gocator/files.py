@@ -26,7 +26,7 @@ class SensorFiles:
         (count,) = unpack("<I", body, "list of files")
         if 4 + 64 * count > len(body):
             raise ProtocolError(f"the Gocator announces {count} files but its list has {len(body)} bytes")
-        names = [information.text(body[4 + 64 * i:68 + 64 * i]) for i in range(count)]
+        names = [information.text(body[4 + 64 * i : 68 + 64 * i]) for i in range(count)]
         return [name for name in names if name.endswith(".job") and not name.startswith("_live")]
 
     def read(self, name: str) -> bytes:
@@ -34,7 +34,7 @@ class SensorFiles:
         (size,) = unpack("<I", body, f"file {name}")
         if 4 + size > len(body):
             raise ProtocolError(f"the Gocator announces {size} bytes of {name} but sends {len(body) - 4}")
-        return bytes(body[4:4 + size])
+        return bytes(body[4 : 4 + size])
 
     def write(self, name: str, data: bytes) -> None:
         self._control.request(commands.WRITE_FILE, _packed(name) + struct.pack("<I", len(data)) + data)

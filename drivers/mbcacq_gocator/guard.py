@@ -6,9 +6,12 @@ from collections.abc import Mapping
 
 from mbcacq.devices import DeviceFault
 
-_BACK_K = 2.0    # a warning comes again only after the sensor has cooled down by so much
-_DROPS = {"processing_drops": "scans that it could not process", "trigger_drops": "triggers that came too fast",
-          "output_drops": "scans that the network did not take"}
+_BACK_K = 2.0  # a warning comes again only after the sensor has cooled down by so much
+_DROPS = {
+    "processing_drops": "scans that it could not process",
+    "trigger_drops": "triggers that came too fast",
+    "output_drops": "scans that the network did not take",
+}
 
 
 class HealthGuard:
@@ -25,8 +28,10 @@ class HealthGuard:
         temperatures = {name: value for name, value in values.items() if name.split(".")[0].endswith("_C")}
         for name, value in temperatures.items():
             if self._stop_C is not None and value > self._stop_C:
-                raise DeviceFault(f"the Gocator's {_plain(name)} is {value:g} C, above the plan's {self._stop_C:g} C; let it cool down, "
-                                  "and give it a heat sink or air")
+                raise DeviceFault(
+                    f"the Gocator's {_plain(name)} is {value:g} C, above the plan's {self._stop_C:g} C; let it cool down, "
+                    "and give it a heat sink or air"
+                )
         if values.get("overheat", 0) > 0:
             raise DeviceFault("the Gocator reports that it is overheated; let it cool down")
         return (*self._warm(temperatures), *self._dropped(values), *self._quiet(temperatures))

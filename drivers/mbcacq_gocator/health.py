@@ -12,15 +12,38 @@ from mbcacq_gocator import wire
 from mbcacq_gocator.decode import Health, decode
 
 INDICATORS = {
-    1003: "encoder", 1005: "encoder_frequency", 1010: "laser_safety", 2000: "firmware_version", 2002: "temperature_C",
-    2003: "memory_used", 2004: "memory_capacity", 2005: "storage_used", 2006: "storage_capacity", 2007: "cpu_percent",
-    2017: "uptime_s", 2024: "digital_inputs", 2028: "control_temperature_C", 2404: "projector_temperature_C", 20000: "state",
-    20001: "speed", 20002: "max_speed", 20003: "spots", 20005: "scan_count", 20015: "points", 20016: "max_points",
-    20020: "overheat", 21000: "processing_drops", 21001: "latency_us", 21002: "max_latency_us", 21003: "bytes_out",
-    21010: "trigger_drops", 21011: "output_drops", 21018: "snapshot_processing_us",
+    1003: "encoder",
+    1005: "encoder_frequency",
+    1010: "laser_safety",
+    2000: "firmware_version",
+    2002: "temperature_C",
+    2003: "memory_used",
+    2004: "memory_capacity",
+    2005: "storage_used",
+    2006: "storage_capacity",
+    2007: "cpu_percent",
+    2017: "uptime_s",
+    2024: "digital_inputs",
+    2028: "control_temperature_C",
+    2404: "projector_temperature_C",
+    20000: "state",
+    20001: "speed",
+    20002: "max_speed",
+    20003: "spots",
+    20005: "scan_count",
+    20015: "points",
+    20016: "max_points",
+    20020: "overheat",
+    21000: "processing_drops",
+    21001: "latency_us",
+    21002: "max_latency_us",
+    21003: "bytes_out",
+    21010: "trigger_drops",
+    21011: "output_drops",
+    21018: "snapshot_processing_us",
 }
-_HOTTEST_C = 200    # some firmware counts degrees, some hundredths: no sensor survives this many degrees
-_SILENT_S = 10.0    # messages come about once a second
+_HOTTEST_C = 200  # some firmware counts degrees, some hundredths: no sensor survives this many degrees
+_SILENT_S = 10.0  # messages come about once a second
 
 
 class HealthReader:
@@ -69,7 +92,7 @@ class HealthReader:
                     self._values = self._values | named(message.items)
                     self._heard = time.monotonic()
         except MbcacqError:
-            pass    # values() goes empty by itself, and the next capture connects again
+            pass  # values() goes empty by itself, and the next capture connects again
         finally:
             wire.shut(sock)
 

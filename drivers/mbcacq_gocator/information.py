@@ -12,8 +12,23 @@ READY, RUNNING, CONFLICT = 0, 1, -1
 _RECORD = struct.Struct("<I4s32s4sii")
 _V1_SIZE = 56
 _STATE_NAMES = (
-    "state", "login", "alignment_reference", "alignment_state", "recording", "playback_source", "uptime_s", "uptime_us",
-    "playback_position", "playback_count", "autostart", "accelerator", "voltage", "cable_length_mm", "quick_edit", "security", "branding",
+    "state",
+    "login",
+    "alignment_reference",
+    "alignment_state",
+    "recording",
+    "playback_source",
+    "uptime_s",
+    "uptime_us",
+    "playback_position",
+    "playback_count",
+    "autostart",
+    "accelerator",
+    "voltage",
+    "cable_length_mm",
+    "quick_edit",
+    "security",
+    "branding",
 )
 
 
@@ -38,11 +53,16 @@ class SystemInfo:
 
     def check_model(self, wanted: str) -> None:
         """Raises IdentityError unless ``wanted`` ('3210', 'Gocator 3210', a part number; '' for any) names this sensor."""
-        names = {_plain(n) for n in (self.model_number, self.display_name, self.part_number, self.part_number.split("-")[0],
-                                     _model_in(self.part_number)) if n}
+        names = {
+            _plain(n)
+            for n in (self.model_number, self.display_name, self.part_number, self.part_number.split("-")[0], _model_in(self.part_number))
+            if n
+        }
         if wanted.strip() and _plain(wanted) not in names:
-            raise IdentityError(f"the plan asks for Gocator {wanted} but the sensor is a {self.model} "
-                                f"(part number {self.part_number}, serial {self.serial}); correct the model or the address")
+            raise IdentityError(
+                f"the plan asks for Gocator {wanted} but the sensor is a {self.model} "
+                f"(part number {self.part_number}, serial {self.serial}); correct the model or the address"
+            )
 
 
 def parse_info_1(payload: memoryview) -> SystemInfo:
@@ -55,7 +75,7 @@ def parse_info_2(payload: memoryview) -> SystemInfo:
     if len(payload) < 2:
         raise ProtocolError("the Gocator's system info is empty")
     (size,) = struct.unpack_from("<H", payload)
-    return _record(payload[2:2 + size], size)
+    return _record(payload[2 : 2 + size], size)
 
 
 def parse_states(payload: memoryview) -> dict[str, int]:
@@ -80,9 +100,9 @@ def _record(record: memoryview, announced: int) -> SystemInfo:
     serial, _, part, firmware, state, _ = _RECORD.unpack_from(record)
     at, model, display = _RECORD.size, "", ""
     if announced >= at + 64:
-        model, display = text(record[at:at + 32]), text(record[at + 32:at + 64])
+        model, display = text(record[at : at + 32]), text(record[at + 32 : at + 64])
     elif announced >= at + 32:
-        display = text(record[at:at + 32])
+        display = text(record[at : at + 32])
     return SystemInfo(serial, text(part), tuple(firmware), state, model, display)
 
 

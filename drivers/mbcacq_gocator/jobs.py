@@ -51,8 +51,10 @@ def upload(files: SensorFiles, name: str, data: bytes, replace: bool, before: Be
         if files.read(name) == data:
             return False
         if not replace:
-            raise ConfigError(f"the Gocator already has a job '{name}' that differs from the plan's job_file; give job another name, "
-                              "or set replace_job: true")
+            raise ConfigError(
+                f"the Gocator already has a job '{name}' that differs from the plan's job_file; give job another name, "
+                "or set replace_job: true"
+            )
     before.changed = True
     files.write(name, data)
     return True
@@ -65,7 +67,9 @@ def load(files: SensorFiles, name: str, before: Before, fresh: bool = False) -> 
         return
     stored = files.jobs()
     if wanted not in stored:
-        raise ConfigError(f"the Gocator has no job '{wanted}' (stored: {', '.join(stored) or 'none'}); correct the job in the plan "
-                          "or save it on the sensor")
+        raise ConfigError(
+            f"the Gocator has no job '{wanted}' (stored: {', '.join(stored) or 'none'}); correct the job in the plan "
+            "or save it on the sensor"
+        )
     before.changed = True
     files.copy(wanted, LIVE_JOB)

@@ -16,8 +16,8 @@ import numpy as np
 
 HEADER = struct.Struct("<IH")
 LAST = 0x8000
-ATTRIBUTES_AT = 8          # behind header and the u16 attribute size
-INVALID = -32768           # a height or coordinate without a measurement; -1 is a valid one
+ATTRIBUTES_AT = 8  # behind header and the u16 attribute size
+INVALID = -32768  # a height or coordinate without a measurement; -1 is a valid one
 INVALID_MEASUREMENT = -2147483648
 
 HEALTH, STAMP, VIDEO = 0, 1, 2
@@ -28,13 +28,35 @@ MEASUREMENT, ALIGNMENT_RESULT, EXPOSURE_RESULT = 10, 11, 12
 SECTION, EVENT, SURFACE_POINTS, GENERIC, NULL, MEASUREMENT_2 = 20, 22, 28, 29, 30, 31
 
 TYPE_NAMES = {
-    HEALTH: "health", STAMP: "stamp", VIDEO: "video", RANGE: "range", RANGE_INTENSITY: "range intensity",
-    PROFILE_POINTS: "profile point cloud", UNIFORM_PROFILE: "uniform profile", PROFILE_INTENSITY: "profile intensity",
-    UNIFORM_SURFACE: "uniform surface", SURFACE_INTENSITY: "surface intensity", MEASUREMENT: "measurement",
-    ALIGNMENT_RESULT: "alignment result", EXPOSURE_RESULT: "exposure result", 16: "edge match", 17: "box match",
-    18: "ellipse match", SECTION: "section", 21: "section intensity", EVENT: "event", 23: "tracheid", 24: "point feature",
-    25: "line feature", 26: "plane feature", 27: "circle feature", SURFACE_POINTS: "surface point cloud", GENERIC: "generic",
-    NULL: "null", MEASUREMENT_2: "measurement", 36: "mesh",
+    HEALTH: "health",
+    STAMP: "stamp",
+    VIDEO: "video",
+    RANGE: "range",
+    RANGE_INTENSITY: "range intensity",
+    PROFILE_POINTS: "profile point cloud",
+    UNIFORM_PROFILE: "uniform profile",
+    PROFILE_INTENSITY: "profile intensity",
+    UNIFORM_SURFACE: "uniform surface",
+    SURFACE_INTENSITY: "surface intensity",
+    MEASUREMENT: "measurement",
+    ALIGNMENT_RESULT: "alignment result",
+    EXPOSURE_RESULT: "exposure result",
+    16: "edge match",
+    17: "box match",
+    18: "ellipse match",
+    SECTION: "section",
+    21: "section intensity",
+    EVENT: "event",
+    23: "tracheid",
+    24: "point feature",
+    25: "line feature",
+    26: "plane feature",
+    27: "circle feature",
+    SURFACE_POINTS: "surface point cloud",
+    GENERIC: "generic",
+    NULL: "null",
+    MEASUREMENT_2: "measurement",
+    36: "mesh",
 }
 
 
@@ -63,19 +85,31 @@ ARRAYS = {
     UNIFORM_SURFACE: ArrayLayout(_fields(_SURFACE + "rotation:i reserved:3s" + _STEPS), ("length", "width"), _I16),
     SURFACE_INTENSITY: ArrayLayout(
         _fields("length:I width:I x_resolution:I y_resolution:I x_offset:i y_offset:i source:B exposure:I reserved:3s" + _STEPS),
-        ("length", "width"), _U8),
+        ("length", "width"),
+        _U8,
+    ),
     PROFILE_POINTS: ArrayLayout(_fields(_PROFILE + _STEPS), ("count", "width"), _I16, (2,)),
     UNIFORM_PROFILE: ArrayLayout(_fields(_PROFILE + _STEPS), ("count", "width"), _I16),
     PROFILE_INTENSITY: ArrayLayout(
-        _fields("count:I width:I x_resolution:I x_offset:i source:B exposure:I camera:B reserved:2s" + _STEPS), ("count", "width"), _U8),
+        _fields("count:I width:I x_resolution:I x_offset:i source:B exposure:I camera:B reserved:2s" + _STEPS), ("count", "width"), _U8
+    ),
     RANGE: ArrayLayout(_fields("count:I z_resolution:I z_offset:i source:B exposure:I reserved:3s" + _STEPS), ("count",), _I16),
     RANGE_INTENSITY: ArrayLayout(_fields("count:I source:B exposure:I reserved:3s" + _STEPS), ("count",), _U8),
     VIDEO: ArrayLayout(
-        _fields("height:I width:I pixel_size:B pixel_format:B cfa:B source:B camera:B exposure_index:B exposure:I flip_x:B flip_y:B "
-                "stream_step:i stream_step_id:i transposed:B"), ("height", "width", "pixel_size"), _U8),
+        _fields(
+            "height:I width:I pixel_size:B pixel_format:B cfa:B source:B camera:B exposure_index:B exposure:I flip_x:B flip_y:B "
+            "stream_step:i stream_step_id:i transposed:B"
+        ),
+        ("height", "width", "pixel_size"),
+        _U8,
+    ),
     SECTION: ArrayLayout(
-        _fields("count:I width:I x_resolution:I z_resolution:I x_offset:i z_offset:i source:B id:I exposure:I pose_angle:i pose_x:i "
-                "pose_y:i"), ("count", "width"), _I16),
+        _fields(
+            "count:I width:I x_resolution:I z_resolution:I x_offset:i z_offset:i source:B id:I exposure:I pose_angle:i pose_x:i pose_y:i"
+        ),
+        ("count", "width"),
+        _I16,
+    ),
 }
 
 # One stamp grew from 56 to 64 bytes; larger ones are read up to what is known here.

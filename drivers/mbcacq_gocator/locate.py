@@ -21,11 +21,18 @@ def located(options: GocatorOptions) -> GocatorOptions:
         found = find_sensors(_LOOK_S, options.broadcast, options.discovery_port, options.serial)
         mine = [sensor for sensor in found if sensor.serial == options.serial]
         if mine:
-            return replace(options, address=mine[0].address, control_port=mine[0].control_port, health_port=mine[0].health_port,
-                           data_port=mine[0].data_port)
+            return replace(
+                options,
+                address=mine[0].address,
+                control_port=mine[0].control_port,
+                health_port=mine[0].health_port,
+                data_port=mine[0].data_port,
+            )
     others = find_sensors(_LOOK_S, options.broadcast, options.discovery_port)
-    raise ConnectError(f"no Gocator with serial {options.serial} answers a broadcast ({_listed(others)}); check its power and cable, that "
-                       "the firewall lets udp from port 3220 in, or give its address")
+    raise ConnectError(
+        f"no Gocator with serial {options.serial} answers a broadcast ({_listed(others)}); check its power and cable, that "
+        "the firewall lets udp from port 3220 in, or give its address"
+    )
 
 
 def elsewhere(error: ConnectError, options: GocatorOptions) -> ConnectError:

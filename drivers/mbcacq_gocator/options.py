@@ -53,8 +53,10 @@ class GocatorOptions:
         for key in ("address", "job", "job_file", "broadcast"):
             _text(name, given, key)
         if not given.get("address", "").strip() and given.get("serial") is None:
-            raise ConfigError(f"scanner '{name}': the option address is missing; give the Gocator's IP address "
-                              "(192.168.1.10 as delivered), or its serial number to have it looked for")
+            raise ConfigError(
+                f"scanner '{name}': the option address is missing; give the Gocator's IP address "
+                "(192.168.1.10 as delivered), or its serial number to have it looked for"
+            )
         for key in ("control_port", "health_port", "data_port", "discovery_port"):
             _number(name, given, key, int, 1, 65535)
         for key in ("exposure_us", "timeout_s", "connect_timeout_s", "reply_limit_s"):
@@ -86,8 +88,11 @@ def _one_of(name: str, given: Mapping[str, Any], key: str, choices: tuple[str, .
 
 
 def _exposures(name: str, value: Any) -> tuple[float, ...]:
-    right = isinstance(value, list | tuple) and len(value) <= _MAX_BRACKET and all(
-        isinstance(v, int | float) and not isinstance(v, bool) and 1e-3 <= v <= 1e7 for v in value)
+    right = (
+        isinstance(value, list | tuple)
+        and len(value) <= _MAX_BRACKET
+        and all(isinstance(v, int | float) and not isinstance(v, bool) and 1e-3 <= v <= 1e7 for v in value)
+    )
     if not right or len(set(value)) != len(value):
         raise ConfigError(f"scanner '{name}': exposures_us must be a list of up to {_MAX_BRACKET} different exposures in us, not {value!r}")
     return tuple(map(float, value))

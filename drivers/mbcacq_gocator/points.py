@@ -16,7 +16,7 @@ from mbcacq_gocator.decode import ArrayMessage
 from mbcacq_gocator.layouts import INVALID, SURFACE_POINTS, UNIFORM_SURFACE
 
 _BLOCK = 3 * 16384
-_ROW = np.dtype("V6")    # x, y, z of one pixel: selected as one item, runs of valid pixels are moved whole
+_ROW = np.dtype("V6")  # x, y, z of one pixel: selected as one item, runs of valid pixels are moved whole
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def surface_points(message: ArrayMessage) -> SurfaceMessage:
         raise ProtocolError(f"a message of type {message.type} is no surface")
     scale, offset = _scales(message)
     raw = message.array
-    if not raw.size:    # 0 rows may announce any number of columns; nothing is to be made for them
+    if not raw.size:  # 0 rows may announce any number of columns; nothing is to be made for them
         return SurfaceMessage(np.empty((0, 3), np.float32), np.empty(0, np.int32), np.zeros(raw.shape, bool))
     heights = raw[..., 2] if message.type == SURFACE_POINTS else raw
     valid = heights != INVALID
@@ -68,10 +68,10 @@ def _to_mm(raw: np.ndarray, scale: np.ndarray, offset: np.ndarray) -> np.ndarray
     block = min(_BLOCK, raw.size)
     factor, shift = (np.tile(v.astype(np.float32), block // 3) for v in (scale, offset))
     for start in range(0, raw.size, _BLOCK):
-        out = points[start:start + _BLOCK]
-        out[:] = raw[start:start + _BLOCK]
-        np.multiply(out, factor[:out.size], out=out)
-        np.add(out, shift[:out.size], out=out)
+        out = points[start : start + _BLOCK]
+        out[:] = raw[start : start + _BLOCK]
+        np.multiply(out, factor[: out.size], out=out)
+        np.add(out, shift[: out.size], out=out)
     return points.reshape(-1, 3)
 
 

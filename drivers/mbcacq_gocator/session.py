@@ -27,8 +27,9 @@ class GocatorSession:
     ``before``: the sensor as an earlier session of this run found it, None if this is the first.
     """
 
-    def __init__(self, options: GocatorOptions, model: str, cancelled: Callable[[], bool] = lambda: False,
-                 before: jobs.Before | None = None) -> None:
+    def __init__(
+        self, options: GocatorOptions, model: str, cancelled: Callable[[], bool] = lambda: False, before: jobs.Before | None = None
+    ) -> None:
         self.options, self._model, self._cancelled, self.before = options, model, cancelled, before
         self.control = ControlChannel(options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s)
         self.files = SensorFiles(self.control)
@@ -99,8 +100,10 @@ class GocatorSession:
                 self.files.write(LIVE_CONFIGURATION, configuration.values_only())
                 configuration = self._read_configuration()
                 if not configuration.exposes_for(exposure_us):
-                    raise DeviceFault(f"the Gocator took an exposure of {configuration.exposure_us} us instead of {exposure_us:g} us; "
-                                      "check the exposure settings of the job")
+                    raise DeviceFault(
+                        f"the Gocator took an exposure of {configuration.exposure_us} us instead of {exposure_us:g} us; "
+                        "check the exposure settings of the job"
+                    )
             self.configuration = configuration
 
     def _read_configuration(self) -> Configuration:
@@ -123,8 +126,10 @@ class GocatorSession:
             info = information.parse_info_1(self.control.request(commands.SYSTEM_INFO_1))
         info.check_model(self._model)
         if self.options.serial is not None and info.serial != self.options.serial:
-            raise IdentityError(f"the plan asks for the Gocator with serial {self.options.serial} but the sensor at {self.options.address} "
-                                f"is serial {info.serial}; correct the serial or the address")
+            raise IdentityError(
+                f"the plan asks for the Gocator with serial {self.options.serial} but the sensor at {self.options.address} "
+                f"is serial {info.serial}; correct the serial or the address"
+            )
         if info.state == information.CONFLICT:
             raise DeviceFault(f"the Gocator {info.model} (serial {info.serial}) reports a conflict; see its web page, and restart it")
         states = self.states()
@@ -137,12 +142,15 @@ class GocatorSession:
     def _check_job(self, configuration: Configuration) -> None:
         (mode,) = unpack("<i", self.control.request(commands.SCAN_MODE), "scan mode")
         if mode != SURFACE:
-            raise ConfigError(f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; "
-                              "choose the scan mode Surface")
+            raise ConfigError(
+                f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode Surface"
+            )
         if self.options.mode == "trigger" and configuration.trigger_source != SOFTWARE:
             source = TRIGGER_SOURCES.get(configuration.trigger_source, configuration.trigger_source)
-            raise ConfigError(f"the Gocator's job '{self._job_name()}' is triggered by '{source}'; choose Software as trigger source, "
-                              "or the scanner option mode: snapshot")
+            raise ConfigError(
+                f"the Gocator's job '{self._job_name()}' is triggered by '{source}'; choose Software as trigger source, "
+                "or the scanner option mode: snapshot"
+            )
 
     def _job_name(self) -> str:
         try:

@@ -37,12 +37,15 @@ def connect(address: str, port: int, what: str, timeout_s: float, receive_buffer
         if sock is not None:
             sock.close()
         reason = "no answer" if isinstance(error, TimeoutError) else (error.strerror or str(error)).lower()
-        raise ConnectError(f"the Gocator's {what} port at {address}:{port} cannot be reached ({reason}); "
-                           "check its power, cable and address, and that no firewall stands between") from None
+        raise ConnectError(
+            f"the Gocator's {what} port at {address}:{port} cannot be reached ({reason}); "
+            "check its power, cable and address, and that no firewall stands between"
+        ) from None
 
 
-def receive_exactly(sock: socket.socket, view: memoryview, what: str, deadline: float,
-                    cancelled: Callable[[], bool] = lambda: False, started: bool = False) -> None:
+def receive_exactly(
+    sock: socket.socket, view: memoryview, what: str, deadline: float, cancelled: Callable[[], bool] = lambda: False, started: bool = False
+) -> None:
     """Fill ``view``. Raises Dropped, DeviceTimeout (at ``deadline``, time.monotonic), Aborted; all within 0.1 s of their cause."""
     done = 0
     while done < len(view):
@@ -86,25 +89,28 @@ class MessageReader:
         receive_exactly(self._sock, header, self._what, deadline, self._cancelled)
         size, control = HEADER.unpack(header)
         if not HEADER.size <= size <= MAX_MESSAGE or self._used + size > MAX_SET:
-            raise ProtocolError(f"the Gocator's {self._what} announces a message of {size} bytes (type {control & 0x7FFF}); "
-                                "something else answers at this port, or the stream is out of step")
+            raise ProtocolError(
+                f"the Gocator's {self._what} announces a message of {size} bytes (type {control & 0x7FFF}); "
+                "something else answers at this port, or the stream is out of step"
+            )
         start, have = self._used, HEADER.size
         self._reserve(start + have)
-        self._buffer[start:start + have] = np.frombuffer(header, np.uint8)
+        self._buffer[start : start + have] = np.frombuffer(header, np.uint8)
         while have < size:
             # Space is made as bytes come in, so a wrong size cannot claim memory that nothing fills.
             end = min(size, max(have + _FIRST_STEP, 2 * have, len(self._buffer) - start))
             self._reserve(start + end)
-            receive_exactly(self._sock, memoryview(self._buffer)[start + have:start + end], self._what, deadline,
-                            self._cancelled, started=True)
+            receive_exactly(
+                self._sock, memoryview(self._buffer)[start + have : start + end], self._what, deadline, self._cancelled, started=True
+            )
             have = end
         self._used = start + size
-        return self._buffer[start:start + size]
+        return self._buffer[start : start + size]
 
     def _reserve(self, size: int) -> None:
         if size > len(self._buffer):
             grown = np.empty(max(size, len(self._buffer) * 3 // 2), np.uint8)
-            grown[:len(self._buffer)] = self._buffer
+            grown[: len(self._buffer)] = self._buffer
             self._buffer = grown
 
 

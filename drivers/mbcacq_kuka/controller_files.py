@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
     from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
 
-_MARGIN_DEG = 0.001    # REAL has 32 bits: a target on the limit must not be refused for its last digit
+_MARGIN_DEG = 0.001  # REAL has 32 bits: a target on the limit must not be refused for its last digit
 _EKI_PORTS = range(54600, 54616)
 
 
@@ -25,10 +25,19 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
     address = _address("address", options.address)
     if options.port not in _EKI_PORTS:
         raise ConfigError(f"port {options.port} is not one of the controller's (54600 to 54615); set option port in the plan")
-    data = _fill_data(_read("eki_kss/mbcacq_eki.dat"), {
-        "mb_tool": options.tool, "mb_base": options.base, "mb_max_vel": max(1, int(100.0 * facts.get("speed_share", 0.3) + 1e-6)),
-        "mb_max_acc": options.acceleration_percent, "mb_max_path": float(options.path_speed_mm_s),
-        "mb_silence": options.controller_silence_ms, "mb_period": options.state_ms, **_limits("mb_low", "mb_high", options.limits_deg)})
+    data = _fill_data(
+        _read("eki_kss/mbcacq_eki.dat"),
+        {
+            "mb_tool": options.tool,
+            "mb_base": options.base,
+            "mb_max_vel": max(1, int(100.0 * facts.get("speed_share", 0.3) + 1e-6)),
+            "mb_max_acc": options.acceleration_percent,
+            "mb_max_path": float(options.path_speed_mm_s),
+            "mb_silence": options.controller_silence_ms,
+            "mb_period": options.state_ms,
+            **_limits("mb_low", "mb_high", options.limits_deg),
+        },
+    )
     program = _read("eki_kss/mbcacq_eki.src")
     kss = _replace(_replace(_read("eki_kss/mbcacq_eki.xml"), "<IP>", address, "</IP>"), "<PORT>", options.port, "</PORT>")
     new = _replace(_read("eki_iiqka/mbcacq_eki.xml"), '<Server Port="', options.port, '"')
@@ -86,10 +95,12 @@ def tool_data(number: int, facts: Mapping[str, Any]) -> str:
     names = dict(zip(("X", "Y", "Z", "A", "B", "C"), frame, strict=True))
     data = ",".join(f"{k} {v:.4f}" for k, v in names.items())
     where = ",".join(f"{k} {v:.1f}" for k, v in zip(("X", "Y", "Z", "A", "B", "C"), (*centre, 0.0, 0.0, 0.0), strict=True))
-    return (f"; tool {number} of the plan: X Y Z in mm, A B C in deg; load in kg, mm (moments of inertia: from your drawing)\n"
-            f"TOOL_DATA[{number}]={{{data}}}\n"
-            f'TOOL_NAME[{number},]="mbcacq scanner"\n'
-            f"LOAD_DATA[{number}]={{M {facts.get('load_kg', 0.0):.3f},CM {{{where}}},J {{X 0.0,Y 0.0,Z 0.0}}}}\n")
+    return (
+        f"; tool {number} of the plan: X Y Z in mm, A B C in deg; load in kg, mm (moments of inertia: from your drawing)\n"
+        f"TOOL_DATA[{number}]={{{data}}}\n"
+        f'TOOL_NAME[{number},]="mbcacq scanner"\n'
+        f"LOAD_DATA[{number}]={{M {facts.get('load_kg', 0.0):.3f},CM {{{where}}},J {{X 0.0,Y 0.0,Z 0.0}}}}\n"
+    )
 
 
 def _for_iiqka(program: str) -> str:
@@ -125,7 +136,7 @@ def _fill_data(text: str, values: Mapping[str, int | float]) -> str:
 
 
 def _replace(text: str, before: str, value: Any, after: str) -> str:
-    pattern = re.compile(f"({re.escape(before)})[^<\"]*({re.escape(after)})")
+    pattern = re.compile(f'({re.escape(before)})[^<"]*({re.escape(after)})')
     text, count = pattern.subn(lambda m: f"{m[1]}{value}{m[2]}", text)
     if count != 1:
         raise AssertionError(f"{before} stands {count} times in the file")
@@ -137,8 +148,10 @@ def _reach(text: str, reach: tuple[float, ...]) -> str:
     for axis, value in enumerate(reach, 1):
         for name, number in ((f"LowerLimA{axis}", -value), (f"UpperLimA{axis}", value), (f"MaxA{axis}", value + 1.0)):
             pattern = re.compile(rf'(name="{name}"[^>]*?value=")[^"]*(")', re.I)
-            text, count = pattern.subn(lambda m, number=number: f"{m[1]}{number:g}{m[2]}", re.sub(
-                rf'(Name="{name}" ParamID="\d+" ParamValue=")[^"]*(")', lambda m, number=number: f"{m[1]}{number:g}{m[2]}", text))
+            text, count = pattern.subn(
+                lambda m, number=number: f"{m[1]}{number:g}{m[2]}",
+                re.sub(rf'(Name="{name}" ParamID="\d+" ParamValue=")[^"]*(")', lambda m, number=number: f"{m[1]}{number:g}{m[2]}", text),
+            )
             if count > 1:
                 raise AssertionError(f"{name} stands {count} times in the context")
     return text

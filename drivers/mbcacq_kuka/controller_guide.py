@@ -27,7 +27,9 @@ TOOL
 
 
 def eki_guide(options: EkiOptions, facts: Mapping[str, Any]) -> str:
-    return _head("EthernetKRL, driver kuka-eki", facts) + f"""
+    return (
+        _head("EthernetKRL, driver kuka-eki", facts)
+        + f"""
 WHERE EACH FILE GOES
   KRC4, KRC5 with KSS 8.x and EthernetKRL 2 or 3: folder kss
     EthernetKRL/mbcacq_eki.xml       C:\\KRC\\ROBOTER\\Config\\User\\Common\\EthernetKRL
@@ -72,11 +74,14 @@ WHAT STOPS THE ARM
   {options.controller_silence_ms} ms or the connection lost: the same, by the controller itself.
   Targets outside the plan's joint limits and speeds beyond the plan's are refused.
 """
+    )
 
 
 def rsi_guide(options: RsiOptions, facts: Mapping[str, Any], reach: Sequence[float]) -> str:
     far = ", ".join(f"{v:g}" for v in reach)
-    return _head("RobotSensorInterface, driver kuka-rsi", facts) + f"""
+    return (
+        _head("RobotSensorInterface, driver kuka-rsi", facts)
+        + f"""
 WHERE EACH FILE GOES
   KSS 8.5 or newer, RSI 4.1 or newer: folder kss85
     SensorInterface/*                C:\\KRC\\ROBOTER\\Config\\User\\Common\\SensorInterface
@@ -114,6 +119,7 @@ WHAT THE SMARTPAD SHOWS
   RSI_CREATE ... file not found    name or folder of the context is wrong
   Invalid index - signal output    context and Ethernet file do not fit together
 """
+    )
 
 
 def _head(what: str, facts: Mapping[str, Any]) -> str:

@@ -99,6 +99,8 @@ def _refuse_equal_names(sensors: Sequence[Sensor]) -> None:
     for number, sensor in enumerate(sensors, 1):
         for field in sensor.describe().fields:
             if other := owner.get(field.name):
-                raise ConfigError(f"sensor {number} and sensor {other} both deliver '{field.name}', one would overwrite the other; "
-                                  "give every value of a cell a name of its own")
+                raise ConfigError(
+                    f"sensor {number} and sensor {other} both deliver '{field.name}', one would overwrite the other; "
+                    "give every value of a cell a name of its own"
+                )
             owner[field.name] = number

@@ -10,7 +10,7 @@ from mbcacq.acquisition.event_bus import EventBus
 from mbcacq.acquisition.events import CyclesReceived
 from mbcacq.devices import Cycles, Robot
 
-REGULAR = 0.9    # share of equal steps that makes a fixed rate
+REGULAR = 0.9  # share of equal steps that makes a fixed rate
 PERIOD_S = 0.04  # keeps the loss at a power cut well below 0.1 s
 
 
@@ -24,7 +24,7 @@ class CycleCollector:
         self._quit = threading.Event()
         self._error: BaseException | None = None
         self.count, self._delay = 0, [np.nan, np.nan]
-        self._last_time, self._steps = np.nan, []       # robot time between neighbouring cycles
+        self._last_time, self._steps = np.nan, []  # robot time between neighbouring cycles
         self._thread = threading.Thread(target=self._work, name="cycle-pump", daemon=True)
 
     def __enter__(self) -> CycleCollector:

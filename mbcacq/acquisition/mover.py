@@ -12,7 +12,7 @@ from mbcacq.model.cell import Cell
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration
 
 POLL_S = 0.003
-MOVED = 1e-4                      # rad; less is no motion that could change the sense of a gear
+MOVED = 1e-4  # rad; less is no motion that could change the sense of a gear
 
 
 class Mover:
@@ -40,5 +40,6 @@ class Mover:
                 self._robot.stop()
                 away = np.degrees(np.max(np.abs(target - state.q)))
                 raise SafetyStop(
-                    f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the override 100 %?")
+                    f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the override 100 %?"
+                )
             time.sleep(POLL_S)

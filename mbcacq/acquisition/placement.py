@@ -12,8 +12,8 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
 from mbcacq.plan import PlannedPose
 
-STAYED = 0.3        # of the way it should have gone; less is not moved
-TOUCHED_MM = 5.0    # nominal arms repeat a place seen from another pose better than this
+STAYED = 0.3  # of the way it should have gone; less is not moved
+TOUCHED_MM = 5.0  # nominal arms repeat a place seen from another pose better than this
 
 
 @dataclass
@@ -44,8 +44,10 @@ class PlacementCheck:
         if away > self.tolerance_mm:
             return f"{what} stands {away:.0f} mm from where the plan puts it (station_tolerance_mm allows {self.tolerance_mm:g})"
         if touched := self._touched(pose, seen):
-            return (f"{what} stands {touched:.1f} mm from where it stood before the run was interrupted; its poses no longer belong "
-                    "together: resume with --again")
+            return (
+                f"{what} stands {touched:.1f} mm from where it stood before the run was interrupted; its poses no longer belong "
+                "together: resume with --again"
+            )
         self._last[pose.artefact] = pose, seen
         return ""
 

@@ -9,7 +9,7 @@ from mbcacq.acquisition.monitor import RobotMonitor
 from mbcacq.devices import Aborted, ConnectError, DeviceTimeout, IdentityError, MbcacqError, Robot, Scan, Scanner, Sensor
 
 PAUSE_S = 1.0
-SILENT_TRIES = 2   # exposures that brought nothing, on a connection that stands
+SILENT_TRIES = 2  # exposures that brought nothing, on a connection that stands
 
 
 class ReconnectingScanner:
@@ -54,7 +54,7 @@ class ReconnectingScanner:
                     error = again
                     silent += isinstance(again, DeviceTimeout)
                 if watch.error is not None:
-                    raise Aborted("the robot was stopped meanwhile")    # the watch says by what
+                    raise Aborted("the robot was stopped meanwhile")  # the watch says by what
                 if silent >= SILENT_TRIES or time.monotonic() + PAUSE_S > deadline:
                     raise error
                 time.sleep(PAUSE_S)

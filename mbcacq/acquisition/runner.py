@@ -24,7 +24,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.motion_limits import motion_limits
 
 MISSED_SHARE = 0.2  # of the poses; more than that seen without enough balls ends the run
-PLACINGS = 3        # how often an operator is asked to put the artefact where it belongs
+PLACINGS = 3  # how often an operator is asked to put the artefact where it belongs
 
 
 class Pause(Protocol):
@@ -67,16 +67,26 @@ class Runner:
 
     def __post_init__(self) -> None:
         self._placement = PlacementCheck(self.loaded.cell, self.loaded.plan.station_tolerance_mm, self.known)
-        self._scanner = ReconnectingScanner(self.devices.scanner, self.devices.robot, self.loaded.plan.scanner.reconnect_s,
-                                       lambda text: self._say("warning", text))
+        self._scanner = ReconnectingScanner(
+            self.devices.scanner, self.devices.robot, self.loaded.plan.scanner.reconnect_s, lambda text: self._say("warning", text)
+        )
         self._limits = motion_limits(self.loaded)
 
     def run(self) -> None:
         """Connect, measure every pose, stop. Emits RunStopped in every case, then raises what ended the run early."""
         plan = self.loaded.plan
         started = datetime.now(UTC).isoformat(timespec="seconds")
-        self.bus.emit(events.RunStarted, plan.name, started, self.loaded.text, self.cell_yaml, len(self.poses), self.versions,
-                      self._route(), str(self.loaded.path.parent / plan.robot.urdf) if plan.robot.urdf else "")
+        self.bus.emit(
+            events.RunStarted,
+            plan.name,
+            started,
+            self.loaded.text,
+            self.cell_yaml,
+            len(self.poses),
+            self.versions,
+            self._route(),
+            str(self.loaded.path.parent / plan.robot.urdf) if plan.robot.urdf else "",
+        )
         try:
             self._state("connecting")
             self.devices.connect()
@@ -183,7 +193,7 @@ class Runner:
             if first:
                 self._check_place(pose, reached.q, found[0])
             found += [self._expose(pose, k) for k in range(1, pose.exposures)]
-            now = self.devices.robot.state()     # raises what stopped the arm meanwhile
+            now = self.devices.robot.state()  # raises what stopped the arm meanwhile
             cycles = pump.since_mark()
             if self._stood(cycles, pose, left):
                 break
@@ -192,18 +202,32 @@ class Runner:
         sensors = self._read_sensors(pose)
         mean = mean_centres(found)
         if len(mean.ball) < self._fewest_balls(pose):
-            self._gap("pose", f"pose {pose.number} ({pose.step_name}): {len(mean.ball)} of {len(pose.balls)} balls found, pose left out",
-                      pose.number)
+            self._gap(
+                "pose",
+                f"pose {pose.number} ({pose.step_name}): {len(mean.ball)} of {len(pose.balls)} balls found, pose left out",
+                pose.number,
+            )
             return False
         self.bus.emit(
-            events.PoseDone, *about, q, mover.direction.copy(), reached.time_s, mean.ball, mean.xyz, mean.n_points,
-            mean.rms_mm, mean.scatter_mm, len(found), current, sensors,
+            events.PoseDone,
+            *about,
+            q,
+            mover.direction.copy(),
+            reached.time_s,
+            mean.ball,
+            mean.xyz,
+            mean.n_points,
+            mean.rms_mm,
+            mean.scatter_mm,
+            len(found),
+            current,
+            sensors,
         )
         return True
 
     def _check_place(self, pose: PlannedPose, q: np.ndarray, found) -> None:
         if len(found.ball) == 0 and not getattr(self.devices.positioner, "asks", False):
-            return      # nobody to ask: the pose is left out, and more of them end the run
+            return  # nobody to ask: the pose is left out, and more of them end the run
         if sentence := self._placement.fault(pose, q, found.ball, found.xyz):
             raise Misplaced(sentence)
 

@@ -21,8 +21,12 @@ class AccuracyMap:
     cell_mm: float
 
     def to_dict(self) -> dict:
-        return {"cell_mm": self.cell_mm, "centres_mm": self.centres.tolist(), "sigma_mm": self.sigma_mm.tolist(),
-                "postures": self.postures.tolist()}
+        return {
+            "cell_mm": self.cell_mm,
+            "centres_mm": self.centres.tolist(),
+            "sigma_mm": self.sigma_mm.tolist(),
+            "postures": self.postures.tolist(),
+        }
 
 
 def accuracy_map(calibration: CalibrationFit, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:

@@ -76,8 +76,17 @@ class CalibrationFit:
     extra: dict = field(default_factory=dict)
 
     @classmethod
-    def of(cls, obs: Observations, options: CalibrationOptions, lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights,
-           preliminary: CellState, found: Sequence[Undetermined]) -> Self:
+    def of(
+        cls,
+        obs: Observations,
+        options: CalibrationOptions,
+        lineariser: Lineariser,
+        solution: Solution,
+        noise: Noise,
+        weights: Weights,
+        preliminary: CellState,
+        found: Sequence[Undetermined],
+    ) -> Self:
         """Collect a converged solution."""
         normal, rows, layout = solution.normal, lineariser.rows, lineariser.layout
         scale = layout.gather("scale")
@@ -88,9 +97,27 @@ class CalibrationFit:
         rank = layout.size + int(normal.station_rank.sum())
         dof = int(used.sum()) * rows.width + solution.prior.rows - rank
         whitened = rows.unpad(solution.X[..., -1:])[..., 0]
-        return cls(obs, options, layout, solution.estimate.state, preliminary, solution.estimate.coefficients, C, station_covariance,
-                   noise, weights, solution.linear.residual, whitened, solution.cost, dof, rank, solution.iterations,
-                   tuple(found), _rejected(obs, solution, rows, noise, weights), _correlated(layout.names, C))
+        return cls(
+            obs,
+            options,
+            layout,
+            solution.estimate.state,
+            preliminary,
+            solution.estimate.coefficients,
+            C,
+            station_covariance,
+            noise,
+            weights,
+            solution.linear.residual,
+            whitened,
+            solution.cost,
+            dof,
+            rank,
+            solution.iterations,
+            tuple(found),
+            _rejected(obs, solution, rows, noise, weights),
+            _correlated(layout.names, C),
+        )
 
     @property
     def cell(self) -> Cell:
@@ -138,8 +165,11 @@ class CalibrationFit:
                 if not free and name not in block.why:
                     continue
                 status = ("prior" if np.isfinite(block.sigma[i]) else "free") if free else "held"
-                out.append(Parameter(name, float(value[i]), float(error[i]), block.units[i], next(std) if free else None, status,
-                                     block.why.get(name, "")))
+                out.append(
+                    Parameter(
+                        name, float(value[i]), float(error[i]), block.units[i], next(std) if free else None, status, block.why.get(name, "")
+                    )
+                )
         return out
 
     def _std(self) -> list[float]:

@@ -45,8 +45,10 @@ def compare(observations: Observations, methods: Iterable[str] | None = None, *,
     figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
-        raise CalibrationError("every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
-                               "undetermined; nothing can be compared. Take several different poses at each station")
+        raise CalibrationError(
+            "every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
+            "undetermined; nothing can be compared. Take several different poses at each station"
+        )
     names = list(RIVALS) if methods is None else list(methods)
     return [_row(name, RIVALS[name], obs, observations, held_out, seed) for name in names]
 

@@ -25,7 +25,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 SPLITS = ("station", "random", "block")
-GROSS = 10.0   # times the median: such distances are counted apart
+GROSS = 10.0  # times the median: such distances are counted apart
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,15 @@ class HeldOut:
         return asdict(self) | {"per_fit_mm": list(self.per_fit_mm)}
 
 
-def held_out(observations: Observations, options: CalibrationOptions | None = None, split: str = "random", *, size: int | None = None,
-             fits: int | None = None, seed: int = 0) -> HeldOut:
+def held_out(
+    observations: Observations,
+    options: CalibrationOptions | None = None,
+    split: str = "random",
+    *,
+    size: int | None = None,
+    fits: int | None = None,
+    seed: int = 0,
+) -> HeldOut:
     """Fit again and again without some poses, and predict those.
 
     size: poses held out of each random fit (default 30 %, at most 300). fits: 3 random ones, 5 blocks, or every station once.
@@ -80,9 +87,20 @@ def held_out(observations: Observations, options: CalibrationOptions | None = No
         rms.append(_rms(d, used))
     d = np.concatenate(distances)
     gross = d > GROSS * np.median(d)
-    return HeldOut(split, len(masks), int(sum(m.sum() for m in masks)), len(d), _rms(d, freedom),
-                   _rms(np.concatenate(scatter), 0) if scatter else None, float(np.median(d)),
-                   float(d.max()), int(gross.sum()), _rms(d[~gross], freedom), tuple(rms), seed)
+    return HeldOut(
+        split,
+        len(masks),
+        int(sum(m.sum() for m in masks)),
+        len(d),
+        _rms(d, freedom),
+        _rms(np.concatenate(scatter), 0) if scatter else None,
+        float(np.median(d)),
+        float(d.max()),
+        int(gross.sum()),
+        _rms(d[~gross], freedom),
+        tuple(rms),
+        seed,
+    )
 
 
 def prediction_error(obs: Observations, state: CellState) -> np.ndarray:

@@ -25,8 +25,8 @@ from mbcacq.model.observations import Observations
 COARSE, FINE = 1e-2, 1e-7
 SCREEN_ROUNDS, NOISE_ROUNDS = 8, 12
 REJECTED_SHARE = 0.4
-CONTRADICTION_MM = 25.0   # median misfit of the nominal arm beyond which the data cannot be of this cell
-THIN = 200   # poses that settle geometry and noise before all of a large recording are looked at
+CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
+THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
 
 
 def calibrate(observations: Observations, options: CalibrationOptions | None = None) -> Calibration:
@@ -38,8 +38,10 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     try:
         return _calibrate(observations, options)
     except np.linalg.LinAlgError as error:
-        raise CalibrationError(f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
-                               "that are not millimetres, and for poses or balls taken for others") from error
+        raise CalibrationError(
+            f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
+            "that are not millimetres, and for poses or balls taken for others"
+        ) from error
 
 
 def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:
@@ -56,8 +58,9 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         refuse_one_station(obs)
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
     fitted = adjust(obs, options, first)
-    result = Calibration.of(obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary,
-                            fitted.found)
+    result = Calibration.of(
+        obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found
+    )
     refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), obs, options)
     return result
 
@@ -142,13 +145,16 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0)
     apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
     if apart > CONTRADICTION_MM:
-        raise CalibrationError(f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
-                               "check the robot model (signs, units), the certificate, and that joint angles and scans belong together")
+        raise CalibrationError(
+            f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
+            "check the robot model (signs, units), the certificate, and that joint angles and scans belong together"
+        )
     return solution.estimate.state
 
 
-def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions,
-                 tolerance: float) -> tuple[Solution, Weights]:
+def robust_solve(
+    lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions, tolerance: float
+) -> tuple[Solution, Weights]:
     """Solve and screen by turns until no verdict changes."""
     solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
     for _ in range(SCREEN_ROUNDS if options.robust else 0):
@@ -158,14 +164,17 @@ def robust_solve(lineariser: Lineariser, start: Estimate | Solution, noise: Nois
             break
         weights = fresh
         if np.mean(weights.pose == 0) > REJECTED_SHARE or np.mean(weights.centre == 0) > REJECTED_SHARE:
-            raise CalibrationError(f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
-                                   "artefact, the stations, and that joint angles and scans belong together")
+            raise CalibrationError(
+                f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
+                "artefact, the stations, and that joint angles and scans belong together"
+            )
         solution = solve(lineariser, solution, noise, weights, tolerance=tolerance)
     return solution, weights
 
 
-def settle_noise(lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights,
-                 options: CalibrationOptions, rounds: int = NOISE_ROUNDS) -> tuple[Solution, Noise, Weights]:
+def settle_noise(
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions, rounds: int = NOISE_ROUNDS
+) -> tuple[Solution, Noise, Weights]:
     """Estimate the noise, refit, screen again, by turns."""
     prior = variance_components.noise_prior(lineariser.obs.cell, variance_components.first_noise(lineariser.obs.cell), options.noise)
     for _ in range(rounds):

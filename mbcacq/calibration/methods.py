@@ -19,7 +19,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-LEAST_SECOND_TURN = np.radians(2.0)   # rms turn about a second axis, below which AX = XB leaves the translation along the first open
+LEAST_SECOND_TURN = np.radians(2.0)  # rms turn about a second axis, below which AX = XB leaves the translation along the first open
 OPENCV = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
 
@@ -52,11 +52,13 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
         T = obs.cell.robot.chain.flange(obs.q[where[here]])
         turns = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
         if np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False)[1] < LEAST_SECOND_TURN * np.sqrt(len(T)):
-            raise CalibrationError("the orientations at a station turn too little, or about one axis only, which leaves AX = XB "
-                                   "undetermined; turn about two axes by 10 deg and more")
+            raise CalibrationError(
+                "the orientations at a station turn too little, or about one axis only, which leaves AX = XB "
+                "undetermined; turn about two axes by 10 deg and more"
+            )
         seen = T_scanner_artefact[here]
         method = getattr(cv2, f"CALIB_HAND_EYE_{name}")
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)   # the exception says it, or what comes back
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the exception says it, or what comes back
         try:
             R, t = cv2.calibrateHandEye(T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3], method=method)
         except cv2.error as error:
@@ -82,8 +84,14 @@ def distances_only(obs: Observations) -> CellState:
 
     _scanner_of_several_balls(obs)
     first = hand_eye_only(obs)
-    found = method.identify(obs, first, method.constraint(obs, "all"), parameters.build(obs, CalibrationOptions(balls=False)), CalibrationOptions(),
-                            Measured(scanner_noise(obs)))
+    found = method.identify(
+        obs,
+        first,
+        method.constraint(obs, "all"),
+        parameters.build(obs, CalibrationOptions(balls=False)),
+        CalibrationOptions(),
+        Measured(scanner_noise(obs)),
+    )
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 

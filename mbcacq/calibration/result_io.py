@@ -40,21 +40,49 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
             "errors": {p: c.errors[:, i].tolist() for i, p in enumerate(PARAMETERS)},
         },
         "T_flange_scanner": state.T_flange_scanner.tolist(),
-        "stations": [{"id": s.id, "artefact": s.artefact, "T_base_station": state.T_base_station[i].tolist(),
-                      "std": np.sqrt(np.diag(c.station_covariance[i])).tolist()}
-                     for i, s in enumerate(cell.stations) if np.any(c.observations.station[used_poses] == i)],
+        "stations": [
+            {
+                "id": s.id,
+                "artefact": s.artefact,
+                "T_base_station": state.T_base_station[i].tolist(),
+                "std": np.sqrt(np.diag(c.station_covariance[i])).tolist(),
+            }
+            for i, s in enumerate(cell.stations)
+            if np.any(c.observations.station[used_poses] == i)
+        ],
         "balls": [{"id": b, "centre_mm": state.balls[i].tolist()} for i, b in enumerate(cell.ball_ids)],
         "preliminary": {"T_flange_scanner": c.preliminary.T_flange_scanner.tolist()},
-        "parameters": [{"name": p.name, "value": p.value, "error": p.error, "unit": p.unit, "std": p.std, "status": p.status,
-                        **({"reason": p.reason} if p.reason else {})} for p in c.parameters],
+        "parameters": [
+            {
+                "name": p.name,
+                "value": p.value,
+                "error": p.error,
+                "unit": p.unit,
+                "std": p.std,
+                "status": p.status,
+                **({"reason": p.reason} if p.reason else {}),
+            }
+            for p in c.parameters
+        ],
         "names": list(c.names),
         "covariance": c.covariance.tolist(),
-        "noise": {"scanner_mm": c.noise.point.tolist(), "joint_rad": c.noise.joint.tolist(),
-                  **({"turn_rad": c.noise.turn} if c.residual.shape[1] == 6 else {}),
-                  **({"check_factor": (c.noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {})},
-        "fit": {"poses": len(used_poses), "centres": int(c.used.sum()), "rms_mm": c.rms_mm, "chi2": c.chi2, "dof": c.dof,
-                "chi2_dof": c.chi2 / c.dof if c.dof > 0 else None, "rank": c.rank, "iterations": c.iterations,
-                "expected_accuracy_mm": expected_accuracy(c)},
+        "noise": {
+            "scanner_mm": c.noise.point.tolist(),
+            "joint_rad": c.noise.joint.tolist(),
+            **({"turn_rad": c.noise.turn} if c.residual.shape[1] == 6 else {}),
+            **({"check_factor": (c.noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {}),
+        },
+        "fit": {
+            "poses": len(used_poses),
+            "centres": int(c.used.sum()),
+            "rms_mm": c.rms_mm,
+            "chi2": c.chi2,
+            "dof": c.dof,
+            "chi2_dof": c.chi2 / c.dof if c.dof > 0 else None,
+            "rank": c.rank,
+            "iterations": c.iterations,
+            "expected_accuracy_mm": expected_accuracy(c),
+        },
         "observability": of_calibration(c),
         "scan_scale": _scan_scale(c),
         "held": c.held,
@@ -76,8 +104,9 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellSta
         placed = {s["id"]: _transform(s["T_base_station"]) for s in result["stations"]}
         balls = {b["id"]: np.array(b["centre_mm"], dtype=float) for b in result["balls"]}
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"the calibration result is damaged ({type(error).__name__}: {error}); "
-                          "write it anew with mbcacq calibrate") from error
+        raise ConfigError(
+            f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
+        ) from error
     if cell is None:
         return CellState(chain, T, np.array(list(placed.values())).reshape(-1, 4, 4), np.array(list(balls.values())).reshape(-1, 3))
     if cell.robot.n != chain.n:

@@ -15,8 +15,8 @@ from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-POOR_MM, POOR_ALONE_MM = 1.0, 0.1   # of a point in the workspace; an arm of this class is as good as the first without calibration
-RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)   # ten times the errors of an arm as it is delivered
+POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
+RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
 LEAST_TURN = np.radians(4.0)
 
 
@@ -27,8 +27,10 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
         _refuse_few_balls(obs)
     turn = orientation_range(obs)
     if turn < LEAST_TURN:
-        raise CalibrationError(f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
-                               "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more")
+        raise CalibrationError(
+            f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
+            "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more"
+        )
     unknowns = 6 + 6 * len(np.unique(obs.station)) + (4 * obs.cell.robot.n - 6 if options.kinematics else 0)
     rows = obs.n_centres * (3 if obs.rotation is None else 6)
     if rows < unknowns:
@@ -40,8 +42,10 @@ def refuse_one_station(obs: Observations) -> None:
     better than it is anywhere else. A station whose place in the base is given counts as two."""
     seen = np.unique(obs.station)
     if obs.cell.measurement != TARGET_IN_BASE and len(seen) == 1 and obs.cell.stations[seen[0]].T_base_station is None:
-        raise CalibrationError("all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
-                               "more places, at different heights and distances, or identify the hand-eye transform alone")
+        raise CalibrationError(
+            "all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
+            "more places, at different heights and distances, or identify the hand-eye transform alone"
+        )
 
 
 def _refuse_few_balls(obs: Observations) -> None:
@@ -51,8 +55,10 @@ def _refuse_few_balls(obs: Observations) -> None:
         seen = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
         if seen >= min(3, len(artefact.ball_ids)):
             return
-    raise CalibrationError("fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "
-                           "stations undetermined; show at least three balls that are not on one line")
+    raise CalibrationError(
+        "fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "
+        "stations undetermined; show at least three balls that are not on one line"
+    )
 
 
 def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: CalibrationOptions) -> None:
@@ -84,10 +90,15 @@ def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs:
         return
     size = np.where(np.isfinite(layout.gather("sigma")), 0.0, np.sqrt(np.diag(C)) / layout.gather("scale"))
     named = ", ".join(layout.names[i] for i in np.argsort(-size)[:4])
-    advice = ("all poses are at one station: put the artefact at more places, at different heights and distances" if alone
-              else "add stations at other places and poses with larger tilt")
-    raise CalibrationError(f"these poses would leave a point in the workspace uncertain by {expected_mm:.2f} mm (1 sigma), worst "
-                           f"determined are {named}; {advice}, or identify the hand-eye transform alone")
+    advice = (
+        "all poses are at one station: put the artefact at more places, at different heights and distances"
+        if alone
+        else "add stations at other places and poses with larger tilt"
+    )
+    raise CalibrationError(
+        f"these poses would leave a point in the workspace uncertain by {expected_mm:.2f} mm (1 sigma), worst "
+        f"determined are {named}; {advice}, or identify the hand-eye transform alone"
+    )
 
 
 def orientation_range(obs: Observations) -> float:
@@ -106,5 +117,7 @@ def refuse_runaway(chain: Chain, nominal: Chain, options: CalibrationOptions) ->
     if not far.any() or not options.refuse:
         return
     link, parameter = np.argwhere(far)[0]
-    raise CalibrationError(f"the poses do not hold the arm's size: {PARAMETERS[parameter]}_{link + 1} ran away from its nominal value; "
-                           "let the artefact appear in different corners of the view, and add poses with larger translations")
+    raise CalibrationError(
+        f"the poses do not hold the arm's size: {PARAMETERS[parameter]}_{link + 1} ran away from its nominal value; "
+        "let the artefact appear in different corners of the view, and add poses with larger translations"
+    )

@@ -40,8 +40,15 @@ def point_covariance(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray
     return covariance + measuring_covariance(calibration, q, xyz) if measuring else covariance
 
 
-def distance_uncertainty(calibration: CalibrationFit, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray, *,
-                         repeats: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
+def distance_uncertainty(
+    calibration: CalibrationFit,
+    qa: np.ndarray,
+    a: np.ndarray,
+    qb: np.ndarray,
+    b: np.ndarray,
+    *,
+    repeats: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
     """(P,) mm standard uncertainty of the distance between point a (P, 3) seen from qa and b seen from qb.
 
     repeats: how many poses each end was averaged over, to include the noise of measuring; None: the cell's parameters only.

@@ -20,7 +20,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 
-CLEAR = 1.645   # one-sided 95 %
+CLEAR = 1.645  # one-sided 95 %
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,9 @@ class Verification:
         return out
 
 
-def verify(observations: Observations, calibration: Calibration | CellState, *, before: CellState | None = None,
-           limit_mm: float | None = None) -> Verification:
+def verify(
+    observations: Observations, calibration: Calibration | CellState, *, before: CellState | None = None, limit_mm: float | None = None
+) -> Verification:
     """Evaluate every pair of balls of the verification poses (where no phases are recorded: of all two-ball artefacts).
 
     With a :class:`CellState` instead of a calibration, ``before`` is the state to compare with (default: the same), and there is no
@@ -124,12 +125,16 @@ def ball_positions(obs: Observations, state: CellState):
 
 def _pairs(obs: Observations, where) -> list[tuple[int, int, int]]:
     keys = sorted(where)
-    return [(s, a, b) for i, (s, a) in enumerate(keys) for t, b in keys[i + 1:] if t == s]
+    return [(s, a, b) for i, (s, a) in enumerate(keys) for t, b in keys[i + 1 :] if t == s]
 
 
 def _summary(errors: np.ndarray) -> dict:
-    return {"mean_mm": float(np.abs(errors).mean()), "max_mm": float(np.abs(errors).max()), "signed_mean_mm": float(errors.mean()),
-            "errors_mm": [float(e) for e in errors]}
+    return {
+        "mean_mm": float(np.abs(errors).mean()),
+        "max_mm": float(np.abs(errors).max()),
+        "signed_mean_mm": float(errors.mean()),
+        "errors_mm": [float(e) for e in errors],
+    }
 
 
 @dataclass(frozen=True)
@@ -158,8 +163,9 @@ class Figure:
         return asdict(self)
 
 
-def judge(observations: Observations, calibration: Calibration, limits: Limits | None = None,
-          spacing: np.ndarray | None = None) -> list[Figure]:
+def judge(
+    observations: Observations, calibration: Calibration, limits: Limits | None = None, spacing: np.ndarray | None = None
+) -> list[Figure]:
     """The four figures, from the verification poses (where there are none, only what can be said is said).
 
     Form: the range of distances from the fitted sphere cannot be had from centres; four times the rms of the fits (95 % of a normal
@@ -176,8 +182,12 @@ def judge(observations: Observations, calibration: Calibration, limits: Limits |
     lengths = single_lengths(obs, calibration)
     return [
         _figure("sphere spacing error", spacing, sigma, limits.sphere_spacing_error_mm),
-        _figure("probing error, form (4 sigma of the sphere fits)", np.array([]) if form is None else np.array([form]), form_sigma,
-                limits.probing_error_form_mm),
+        _figure(
+            "probing error, form (4 sigma of the sphere fits)",
+            np.array([]) if form is None else np.array([form]),
+            form_sigma,
+            limits.probing_error_form_mm,
+        ),
         _figure("probing error, size", np.array([]), None, limits.probing_error_size_mm),
         _figure("length measuring error (every pair of scans)", lengths, sigma, limits.length_measuring_error_mm),
     ]

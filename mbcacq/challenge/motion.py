@@ -13,9 +13,20 @@ from mbcacq.diagnosis.motion import base_alone, diagnose_trajectories
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 
-CATALOGUE = ("channel_latency", "drive_lag", "friction", "joint_compliance", "backlash", "gear_transmission_error", "torque_ripple",
-             "joint_scale", "wrist_coupling", "payload", "gravity_compensator")
-CLEAN, ONE, TWO = 0.15, 0.65, 0.85   # shares of challenges with nothing, at most one, at most two faults; the others have three
+CATALOGUE = (
+    "channel_latency",
+    "drive_lag",
+    "friction",
+    "joint_compliance",
+    "backlash",
+    "gear_transmission_error",
+    "torque_ripple",
+    "joint_scale",
+    "wrist_coupling",
+    "payload",
+    "gravity_compensator",
+)
+CLEAN, ONE, TWO = 0.15, 0.65, 0.85  # shares of challenges with nothing, at most one, at most two faults; the others have three
 MOTIONS = 2
 
 Record = Callable[..., Any]
@@ -71,8 +82,11 @@ def take(challenge: MotionChallenge, robot: RobotModel, record: Record) -> Motio
     return MotionResult(challenge, truth, matters, diagnosis["verdict"], told, named, extra, sigmas)
 
 
-def recordings(challenge: MotionChallenge, robot: RobotModel, record: Record,
-               faults: Sequence[dict[str, Any]]) -> tuple[list[Trajectory], list[dict[str, Any]]]:
+def recordings(
+    challenge: MotionChallenge, robot: RobotModel, record: Record, faults: Sequence[dict[str, Any]]
+) -> tuple[list[Trajectory], list[dict[str, Any]]]:
     made = [record(robot, faults, challenge.number, motion, challenge.seconds, challenge.liveliness) for motion in range(MOTIONS)]
-    return [Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque, name=f"{challenge.number}-{k}")
-            for k, r in enumerate(made)], made[0].truth
+    return [
+        Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque, name=f"{challenge.number}-{k}")
+        for k, r in enumerate(made)
+    ], made[0].truth

@@ -10,8 +10,9 @@ TURN = {"phase_deg": 360.0}
 NEAR_ORDER = 0.5
 
 
-def judge(truth: list[dict[str, Any]], matters: list[bool],
-          diagnosis: dict[str, Any]) -> tuple[bool, list[str], list[str], dict[str, float]]:
+def judge(
+    truth: list[dict[str, Any]], matters: list[bool], diagnosis: dict[str, Any]
+) -> tuple[bool, list[str], list[str], dict[str, float]]:
     """(every fault that matters is told, name and place, before anything that is not concealed; names told that were not concealed;
     all names told; errors of parameters in stated sigmas)."""
     effects = [e for e in diagnosis["effects"] if e["name"] != "unknown"]

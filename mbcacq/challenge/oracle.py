@@ -60,7 +60,7 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
         linear = linear.restricted(better)
         sigma = variance_components.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
-    others = [EffectSet((*beside, *chain.from_iterable(each[:j] + each[j + 1:]))) for j in range(len(each))] if len(each) > 1 else []
+    others = [EffectSet((*beside, *chain.from_iterable(each[:j] + each[j + 1 :]))) for j in range(len(each))] if len(each) > 1 else []
     before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
     return Achievable(before, after, known, tuple(less))
 

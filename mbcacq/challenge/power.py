@@ -29,8 +29,8 @@ from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, SelectionCriteria
 
-LEVEL = 0.01        # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
-ALLOWED = 0.02      # rate of false alarms over the whole catalogue
+LEVEL = 0.01  # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
+ALLOWED = 0.02  # rate of false alarms over the whole catalogue
 WANTED = 0.9
 
 
@@ -89,9 +89,9 @@ def estimated(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, flo
     screen, members, choices = CandidateScoring(setup.linear, plain_noise(setup)), list(model.members), 1.0
     for j, (candidate, _) in enumerate(members):
         if candidate.hyper is not None:
-            others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1:]])
+            others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
             members[j] = candidate, best_hyper(others, candidate).hyper
-            same = sum(c.key == candidate.key for c, _ in members[:j + 1])
+            same = sum(c.key == candidate.key for c, _ in members[: j + 1])
             choices *= max(hyperparameters.values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
     return EffectSet(tuple(members)), choices
 

@@ -122,8 +122,14 @@ def _take(envelope: Scenario) -> Outcome:
     return _challenger.take(envelope)
 
 
-def take_all(plan: Path, envelopes: Sequence[Scenario], protocols: bool = False, folder: Path | None = None, jobs: int = 1,
-             progress: Callable[[Outcome], None] = lambda outcome: None) -> list[Outcome]:
+def take_all(
+    plan: Path,
+    envelopes: Sequence[Scenario],
+    protocols: bool = False,
+    folder: Path | None = None,
+    jobs: int = 1,
+    progress: Callable[[Outcome], None] = lambda outcome: None,
+) -> list[Outcome]:
     """All challenges, in the order of their envelopes; in ``jobs`` processes. Raises what stopped one."""
     out = []
     for outcome in _each(plan, envelopes, protocols, folder, jobs):

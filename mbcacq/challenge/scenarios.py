@@ -11,15 +11,29 @@ import numpy as np
 from mbcacq.errors import ConfigError
 
 CATALOGUED = (
-    "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling",
-    "joint_step", "thermal_growth", "mount_shift", "scanner_scale", "scanner_distortion", "scanner_warmup", "ball_shift",
-    "artefact_expansion", "station_drift", "payload",
+    "joint_compliance",
+    "base_compliance",
+    "mount_compliance",
+    "gear_transmission_error",
+    "backlash",
+    "joint_scale",
+    "wrist_coupling",
+    "joint_step",
+    "thermal_growth",
+    "mount_shift",
+    "scanner_scale",
+    "scanner_distortion",
+    "scanner_warmup",
+    "ball_shift",
+    "artefact_expansion",
+    "station_drift",
+    "payload",
 )
 OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
 NONE, TWO = "none", "two"
 # What goes with an effect and is no false name: a wrong tool shows only through elastic joints.
 COMPANIONS: Mapping[str, tuple[str, ...]] = {"payload": ("joint_compliance",)}
-WEAKEST, STRONGEST = 0.05, 10.0     # by how much of the noise the effect raises chi2 per degree of freedom
+WEAKEST, STRONGEST = 0.05, 10.0  # by how much of the noise the effect raises chi2 per degree of freedom
 
 # Columns that a recording may lack, and the effects that need them.
 NEEDS: Mapping[str, tuple[str, ...]] = {
@@ -73,8 +87,10 @@ def kinds(text: str, missing: Sequence[str] = ()) -> list[str]:
     out: list[str] = []
     for word in text.split(","):
         if word.strip() not in groups and word.strip() not in (*CATALOGUED, *OUTSIDE, NONE, TWO):
-            raise ConfigError(f"there is no effect '{word.strip()}' to conceal (known: {', '.join(groups)}, none, two, "
-                              f"{', '.join((*CATALOGUED, *OUTSIDE))}); correct --effects")
+            raise ConfigError(
+                f"there is no effect '{word.strip()}' to conceal (known: {', '.join(groups)}, none, two, "
+                f"{', '.join((*CATALOGUED, *OUTSIDE))}); correct --effects"
+            )
         out += groups.get(word.strip(), (word.strip(),))
     impossible = {name for column in missing for name in NEEDS[column]}
     left = [k for k in dict.fromkeys(out) if k not in impossible]

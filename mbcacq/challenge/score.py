@@ -44,8 +44,9 @@ class Score:
         return asdict(self)
 
 
-def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], achievable: float, worth: float = 0.1,
-          catalogued: bool = True) -> Score:
+def score(
+    kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], achievable: float, worth: float = 0.1, catalogued: bool = True
+) -> Score:
     """truth: the concealed effects with name, where and parameters; of several each with what it ``adds`` to the others. achievable, worth,
     adds: shares of the held-out chi2.
     """
@@ -69,11 +70,21 @@ def score(kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], ach
         if mine is not None:
             sigmas |= {f"{t['name']}.{k}": v for k, v in parameter_errors(t, mine["parameters"]).items()}
     return Score(
-        kind=kind, truth=[label(t) for t in truth], told=[label(e) for e in effects], verdict=diagnosis["verdict"],
-        achievable=achievable, counts=bool(truth) and achievable >= worth, detected=diagnosis["verdict"] != "none",
-        named=named and catalogued, placed=placed and catalogued, located=located,
-        confident=diagnosis["verdict"] == "explained" and bool(wrong), extra=wrong,
-        share=None if not truth or achievable <= 0 or alone or beside else improvement / achievable, sigmas=sigmas, improvement=improvement,
+        kind=kind,
+        truth=[label(t) for t in truth],
+        told=[label(e) for e in effects],
+        verdict=diagnosis["verdict"],
+        achievable=achievable,
+        counts=bool(truth) and achievable >= worth,
+        detected=diagnosis["verdict"] != "none",
+        named=named and catalogued,
+        placed=placed and catalogued,
+        located=located,
+        confident=diagnosis["verdict"] == "explained" and bool(wrong),
+        extra=wrong,
+        share=None if not truth or achievable <= 0 or alone or beside else improvement / achievable,
+        sigmas=sigmas,
+        improvement=improvement,
     )
 
 

@@ -17,22 +17,32 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 Concealed = list[dict[str, Any]]
 
 
-def observe(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario,
-            concealed: Concealed) -> tuple[Observations, dict[str, Any]]:
+def observe(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed
+) -> tuple[Observations, dict[str, Any]]:
     """What the run would record, as observations, and the truth. concealed: as in a plan's ``fake: hidden``."""
     from mbcacq.workflow.run import solver_cell
 
     recorded = load_driver("fakes", "recorded")(loaded.cell, poses, concealed, envelope.seed, outliers=envelope.outliers)
     observations = Observations(
-        cell=solver_cell(loaded), pose_id=np.array([p.number for p in poses]), station=recorded.station, q=recorded.q, pose=recorded.pose,
-        ball=recorded.ball, xyz=recorded.xyz, phase=np.array([p.phase for p in poses]), time_s=recorded.time_s,
-        direction=recorded.direction.astype(int), temperatures={"air_C": recorded.air_C, "robot_C": recorded.robot_C},
+        cell=solver_cell(loaded),
+        pose_id=np.array([p.number for p in poses]),
+        station=recorded.station,
+        q=recorded.q,
+        pose=recorded.pose,
+        ball=recorded.ball,
+        xyz=recorded.xyz,
+        phase=np.array([p.phase for p in poses]),
+        time_s=recorded.time_s,
+        direction=recorded.direction.astype(int),
+        temperatures={"air_C": recorded.air_C, "robot_C": recorded.robot_C},
     )
     return without(observations, envelope.missing), recorded.truth
 
 
-def run(loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed,
-        folder: Path) -> tuple[Observations, dict[str, Any]]:
+def run(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed, folder: Path
+) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.plan import path
     from mbcacq.plan.routing import way_home

@@ -15,11 +15,11 @@ from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.plan import LoadedPlan, PlannedPose
 
-LARGEST = 30.0      # times its plain size: beyond this an effect that the plan cannot see stays weak
+LARGEST = 30.0  # times its plain size: beyond this an effect that the plan cannot see stays weak
 # A tool cannot be any weight, and shows only on a soft arm.
 LIMITS = {"payload": 1.5}
 GIVEN: dict[str, dict[str, float]] = {"payload": {"compliance_rad_per_Nm": 6e-6}}
-TRUE_JOINT = 5e-6   # rad, the fake cell's default
+TRUE_JOINT = 5e-6  # rad, the fake cell's default
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ class Gauge:
         urad = self.loaded.plan.fake.get("repeatability_urad")
         joint = TRUE_JOINT if urad is None else 1e-6 * float(urad)
         point = np.array(self.loaded.plan.scanner.noise_mm or (0.005, 0.005, 0.009)) / np.sqrt(self.poses[0].exposures)
-        return CandidateScoring(LinearProblem(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint)))
+        return CandidateScoring(
+            LinearProblem(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint))
+        )
 
     def gain(self, envelope: Scenario, concealed: Concealed) -> float:
         """chi2 that the concealed effects add beyond what geometry absorbs, against the same effects at strength nought."""

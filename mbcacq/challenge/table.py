@@ -10,8 +10,18 @@ import numpy as np
 from mbcacq.challenge.scenarios import NONE, OUTSIDE
 from mbcacq.challenge.score import WITHIN, Score
 
-COLUMNS = ("kind", "challenges", "that count", "named", "and placed", "located", "share of achievable",
-           "parameters within 3 sigma", "confidently wrong", "false alarms")
+COLUMNS = (
+    "kind",
+    "challenges",
+    "that count",
+    "named",
+    "and placed",
+    "located",
+    "share of achievable",
+    "parameters within 3 sigma",
+    "confidently wrong",
+    "false alarms",
+)
 
 
 def summary(scores: Sequence[Score]) -> list[dict[str, Any]]:
@@ -35,10 +45,16 @@ def row(kind: str, scores: Sequence[Score]) -> dict[str, Any]:
     shares = [s.share for s in count if s.share is not None]
     sigmas = [v for s in count for v in s.sigmas.values()]
     return {
-        "kind": kind, "challenges": len(scores), "that count": len(count), "named": rate([s.named for s in count]),
-        "and placed": rate([s.placed for s in count]), "located": rate([s.located for s in count]),
-        "share of achievable": float(np.median(shares)) if shares else None, "parameters": len(sigmas),
-        "parameters within 3 sigma": rate([v <= WITHIN for v in sigmas]), "confidently wrong": rate([s.confident for s in count]),
+        "kind": kind,
+        "challenges": len(scores),
+        "that count": len(count),
+        "named": rate([s.named for s in count]),
+        "and placed": rate([s.placed for s in count]),
+        "located": rate([s.located for s in count]),
+        "share of achievable": float(np.median(shares)) if shares else None,
+        "parameters": len(sigmas),
+        "parameters within 3 sigma": rate([v <= WITHIN for v in sigmas]),
+        "confidently wrong": rate([s.confident for s in count]),
         "false alarms": rate([s.detected for s in clean]),
     }
 

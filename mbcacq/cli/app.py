@@ -52,10 +52,10 @@ class LazyGroup(click.Group):
         try:
             return super().invoke(ctx)
         except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)   # what is still in the buffer goes nowhere
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is still in the buffer goes nowhere
             return ExitCode.OK
         except SystemExit as end:
-            if isinstance(end.__context__, BrokenPipeError):   # rich's way of saying it
+            if isinstance(end.__context__, BrokenPipeError):  # rich's way of saying it
                 return ExitCode.OK
             raise
 
@@ -79,12 +79,13 @@ class LazyGroup(click.Group):
             if os.environ.get("MBCACQ_DEBUG"):
                 raise
             if isinstance(error, OSError) and error.errno in FULL:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)   # where even our words found no place
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where even our words found no place
                 where = error.filename or "the output"
                 click.echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
                 sys.exit(ExitCode.RECORDING_FAILED)
-            click.echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)",
-                       err=True)
+            click.echo(
+                f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True
+            )
             sys.exit(ExitCode.BUG)
 
 

@@ -42,13 +42,24 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     moved, placed = place_scan(known, q, points)
     write(out, moved, more, placed.T_base_scanner)
     if as_json:
-        click.echo(json.dumps({
-            "output": str(out), "points": len(moved), "T_base_scanner": placed.T_base_scanner.tolist(),
-            "sigma_mm": placed.total_mm.tolist(), "sigma_parameters_mm": placed.parameters_mm.tolist(),
-            "sigma_repeatability_mm": placed.repeatability_mm.tolist(), "sigma_3d_mm": placed.rms_mm, "sigma_3d_worst_mm": placed.worst_mm,
-        }))
+        click.echo(
+            json.dumps(
+                {
+                    "output": str(out),
+                    "points": len(moved),
+                    "T_base_scanner": placed.T_base_scanner.tolist(),
+                    "sigma_mm": placed.total_mm.tolist(),
+                    "sigma_parameters_mm": placed.parameters_mm.tolist(),
+                    "sigma_repeatability_mm": placed.repeatability_mm.tolist(),
+                    "sigma_3d_mm": placed.rms_mm,
+                    "sigma_3d_worst_mm": placed.worst_mm,
+                }
+            )
+        )
         return
     x, y, z = placed.total_mm
     click.echo(f"{out}: {len(moved)} points in the base frame")
-    click.echo(f"placed within {x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z (k = 1), 3D {placed.rms_mm:.4f} mm in the middle, "
-               f"{placed.worst_mm:.4f} mm at worst")
+    click.echo(
+        f"placed within {x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z (k = 1), 3D {placed.rms_mm:.4f} mm in the middle, "
+        f"{placed.worst_mm:.4f} mm at worst"
+    )

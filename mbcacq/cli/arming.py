@@ -26,16 +26,19 @@ def ask_before_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: S
         return
     name = loaded.cell.robot.name
     if not arm:
-        raise ConfigError(f"this would move {name}: {len(poses)} poses, the scanner at up to {sweep.speed_mm_s:.0f} mm/s; "
-                          "if that is meant, say so with --arm (--dry-run takes the fake cell)")
+        raise ConfigError(
+            f"this would move {name}: {len(poses)} poses, the scanner at up to {sweep.speed_mm_s:.0f} mm/s; "
+            "if that is meant, say so with --arm (--dry-run takes the fake cell)"
+        )
     if not sys.stdin.isatty():
         raise ConfigError(f"moving {name} must be confirmed by typing, but standard input is not a terminal; run it in a terminal")
     for line in description(loaded, poses, sweep):
         click.echo(line, err=True)
     sentence = f"move {len(poses)}"
     try:
-        answer = click.prompt(f"Type '{sentence}' to let it move, anything else to end", prompt_suffix=": ", default="", show_default=False,
-                              err=True)
+        answer = click.prompt(
+            f"Type '{sentence}' to let it move, anything else to end", prompt_suffix=": ", default="", show_default=False, err=True
+        )
     except click.Abort:
         answer = ""
     if answer.strip().lower() != sentence:
@@ -49,8 +52,12 @@ def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) 
     use, robot = loaded.plan.robot, loaded.cell.robot
     box = ", ".join(f"{axis} {low:.0f}..{high:.0f}" for axis, low, high in zip("xyz", sweep.low, sweep.high, strict=True))
     space = loaded.plan.workspace
-    fence = "the plan sets no limits (workspace)" if space is None else "kept within " + ", ".join(
-        f"{axis} {low:g}..{high:g}" for axis, low, high in zip("xyz", space.min_mm, space.max_mm, strict=True))
+    fence = (
+        "the plan sets no limits (workspace)"
+        if space is None
+        else "kept within "
+        + ", ".join(f"{axis} {low:g}..{high:g}" for axis, low, high in zip("xyz", space.min_mm, space.max_mm, strict=True))
+    )
     places = ", ".join(f"{key} {value}" for key, value in use.options.items() if isinstance(value, str) and value)
     yield f"{robot.name} (driver {use.driver}{', ' + places if places else ''}) is going to move:"
     yield f"  poses      {len(poses)}, in {sweep.legs} motions"

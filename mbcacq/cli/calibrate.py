@@ -11,10 +11,20 @@ import click
 
 @click.command("calibrate")
 @click.argument("data", type=click.Path(path_type=Path))
-@click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", show_default=True,
-              help="ml: everything at once by maximum likelihood; paper: the published method, stage by stage.")
-@click.option("--pairs", type=click.Choice(["one", "four", "all"]), default="one", show_default=True,
-              help="Paper's method: balls of the distance constraint; one pair, as printed; all pairs of its four balls; of all balls.")
+@click.option(
+    "--method",
+    type=click.Choice(["ml", "paper"]),
+    default="ml",
+    show_default=True,
+    help="ml: everything at once by maximum likelihood; paper: the published method, stage by stage.",
+)
+@click.option(
+    "--pairs",
+    type=click.Choice(["one", "four", "all"]),
+    default="one",
+    show_default=True,
+    help="Paper's method: balls of the distance constraint; one pair, as printed; all pairs of its four balls; of all balls.",
+)
 @click.option("--held-out", type=click.Choice(["station", "random", "block"]), help="Also refit without some poses and predict those.")
 @click.option("--held-out-size", type=click.IntRange(min=1), help="Poses held out of each random fit [default: 30 %, at most 300].")
 @click.option("--fits", type=click.IntRange(min=1), help="Number of random or block fits [default: 3 random, 5 blocks].")
@@ -23,17 +33,39 @@ import click
 @click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
 @click.option("--release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable).")
 @click.option("--hand-eye-only", is_flag=True, help="Take the arm as nominal; identify hand-eye and stations only.")
-@click.option("--noise", type=click.Choice(["auto", "given", "estimate"]), default="auto", show_default=True,
-              help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.")
+@click.option(
+    "--noise",
+    type=click.Choice(["auto", "given", "estimate"]),
+    default="auto",
+    show_default=True,
+    help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.",
+)
 @click.option("--keep-outliers", is_flag=True, help="Do not screen gross outliers.")
 @click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
-def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_size: int | None, fits: int | None, seed: int,
-            phases: tuple[str, ...], hold: tuple[str, ...], release: tuple[str, ...], hand_eye_only: bool, noise: str, keep_outliers: bool,
-            even_if_undetermined: bool, with_map: bool, l_curve: Path | None, out: Path | None, as_json: bool) -> None:
+def command(
+    data: Path,
+    method: str,
+    pairs: str,
+    held_out: str | None,
+    held_out_size: int | None,
+    fits: int | None,
+    seed: int,
+    phases: tuple[str, ...],
+    hold: tuple[str, ...],
+    release: tuple[str, ...],
+    hand_eye_only: bool,
+    noise: str,
+    keep_outliers: bool,
+    even_if_undetermined: bool,
+    with_map: bool,
+    l_curve: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
     """Calibrate the cell from DATA: a run folder, a recording (.rrd) or an observation set.
 
     \b
@@ -46,8 +78,17 @@ def command(data: Path, method: str, pairs: str, held_out: str | None, held_out_
     from mbcacq.errors import ConfigError
     from mbcacq.recording import find_gaps, load
 
-    options = CalibrationOptions(method=method, pairs=pairs, phases=phases or None, kinematics=not hand_eye_only, hold=hold, release=release,
-                      noise=noise, robust=not keep_outliers, refuse=not even_if_undetermined)
+    options = CalibrationOptions(
+        method=method,
+        pairs=pairs,
+        phases=phases or None,
+        kinematics=not hand_eye_only,
+        hold=hold,
+        release=release,
+        noise=noise,
+        robust=not keep_outliers,
+        refuse=not even_if_undetermined,
+    )
     observations = load(data)
     calibration = calibrate(observations, options)
     result = calibration.to_dict()

@@ -12,20 +12,45 @@ import click
 @click.option("--seed", default=0, show_default=True, help="Seed of everything: cells, effects, strengths.")
 @click.option("--count", default=10, show_default=True, type=click.IntRange(1), help="Number of challenges.")
 @click.option("--plan", type=click.Path(path_type=Path), help="Plan to execute [default: the tool's plans/seeing.yaml].")
-@click.option("--effects", default="mixed", show_default=True,
-              help="What to conceal: catalogue, outside, none, two (at once), mixed, or names; separated by commas.")
-@click.option("--through-protocols/--fast", "protocols", default=True, show_default=True,
-              help="Run the plan against the fake cell's servers (about a minute each), or compute what it would record (milliseconds).")
-@click.option("--outliers", default=0.0, show_default=True, type=click.FloatRange(0, 0.2),
-              help="Share of grossly wrong centres (only with --fast).")
-@click.option("--missing", multiple=True, type=click.Choice(["time_s", "temperature", "direction"]),
-              help="A column that is not recorded (repeatable).")
+@click.option(
+    "--effects",
+    default="mixed",
+    show_default=True,
+    help="What to conceal: catalogue, outside, none, two (at once), mixed, or names; separated by commas.",
+)
+@click.option(
+    "--through-protocols/--fast",
+    "protocols",
+    default=True,
+    show_default=True,
+    help="Run the plan against the fake cell's servers (about a minute each), or compute what it would record (milliseconds).",
+)
+@click.option(
+    "--outliers", default=0.0, show_default=True, type=click.FloatRange(0, 0.2), help="Share of grossly wrong centres (only with --fast)."
+)
+@click.option(
+    "--missing",
+    multiple=True,
+    type=click.Choice(["time_s", "temperature", "direction"]),
+    help="A column that is not recorded (repeatable).",
+)
 @click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 16), help="Processes.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False),
-              help="Keep recordings, diagnoses and opened envelopes in this folder.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Keep recordings, diagnoses and opened envelopes in this folder."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print scores and table as one JSON object on stdout.")
-def command(seed: int, count: int, plan: Path | None, effects: str, protocols: bool, outliers: float, missing: tuple[str, ...], jobs: int,
-            out: Path | None, as_json: bool) -> None:
+def command(
+    seed: int,
+    count: int,
+    plan: Path | None,
+    effects: str,
+    protocols: bool,
+    outliers: float,
+    missing: tuple[str, ...],
+    jobs: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
     """Conceal effects in the fake cell, run the plan, diagnose the recordings blind, then open the envelopes and score.
 
     \b
@@ -48,8 +73,14 @@ def command(seed: int, count: int, plan: Path | None, effects: str, protocols: b
     order = np.random.default_rng([seed, 21]).permutation(len(wanted))
     envelopes = draw(seed, count, [wanted[i] for i in order], outliers, missing)
 
-    outcomes = take_all(plan or shipped.folder() / "seeing.yaml", envelopes, protocols, out, jobs,
-                        lambda o: click.echo(f"{o.envelope.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True))
+    outcomes = take_all(
+        plan or shipped.folder() / "seeing.yaml",
+        envelopes,
+        protocols,
+        out,
+        jobs,
+        lambda o: click.echo(f"{o.envelope.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True),
+    )
     rows = summary([o.score for o in outcomes])
     if as_json:
         click.echo(json.dumps({"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}))

@@ -10,8 +10,14 @@ import click
 
 @click.command(name="diagnose")
 @click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False, allow_dash=True), is_flag=False, flag_value="-",
-              help="Write the diagnosis as JSON to a file; without a file name, print it on stdout instead of the text.")
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
+    is_flag=False,
+    flag_value="-",
+    help="Write the diagnosis as JSON to a file; without a file name, print it on stdout instead of the text.",
+)
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the proof (default: one for each processor core).")

@@ -18,8 +18,17 @@ def command(as_json: bool) -> None:
         click.echo(json.dumps({"format": "mbcacq-drivers/1", "drivers": [driver.to_dict() for driver in found]}))
         return
     rows = [("kind", "name", "package", "usable", "tried on hardware", "class")]
-    rows += [(d.kind, d.name, f"{d.package} {d.version}".strip(), f"no: {d.problem}" if d.problem else "yes",
-              "-" if d.kind == "fakes" else d.tried or "not yet", d.target) for d in found]
+    rows += [
+        (
+            d.kind,
+            d.name,
+            f"{d.package} {d.version}".strip(),
+            f"no: {d.problem}" if d.problem else "yes",
+            "-" if d.kind == "fakes" else d.tried or "not yet",
+            d.target,
+        )
+        for d in found
+    ]
     wide = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
         click.echo("  ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True)).rstrip())

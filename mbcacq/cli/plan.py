@@ -88,8 +88,13 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--poses", "count", type=click.IntRange(6, 400), required=True, help="Number of calibration poses to choose.")
 @click.option("--out", type=click.Path(path_type=Path), help="The new plan [default: NAME_designed.yaml beside PLAN].")
-@click.option("--criterion", type=click.Choice(["A", "D"]), default="A", show_default=True,
-              help="A: mean variance of the certified distances; D: volume of the parameters' confidence region.")
+@click.option(
+    "--criterion",
+    type=click.Choice(["A", "D"]),
+    default="A",
+    show_default=True,
+    help="A: mean variance of the certified distances; D: volume of the parameters' confidence region.",
+)
 @click.option("--tilt", type=click.FloatRange(5, 60), default=40.0, show_default=True, help="Steepest view, deg.")
 @click.option("--seed", default=0, show_default=True, help="Of the random views to choose from, and of the simulated cells.")
 @click.option("--force", is_flag=True, help="Replace the file if it exists.")
@@ -115,8 +120,18 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     new = load(target)
     rows = compare([(loaded, expand(loaded)), (new, expand(new))], seed)
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-plan-design/1", "plan": str(target), "tried": result.tried, "criterion": criterion,
-                               "given": rows[0], "designed": rows[1]}))
+        click.echo(
+            json.dumps(
+                {
+                    "format": "mbcacq-plan-design/1",
+                    "plan": str(target),
+                    "tried": result.tried,
+                    "criterion": criterion,
+                    "given": rows[0],
+                    "designed": rows[1],
+                }
+            )
+        )
         return
     _print_comparison(rows)
     click.echo(f"chosen from {result.tried} views that can be taken; written to {target}")
@@ -135,10 +150,16 @@ def _print_comparison(rows: list[dict[str, Any]]) -> None:
     table = Table(title="expected and simulated accuracy", title_justify="left")
     for name in ("", "given", "designed"):
         table.add_column(name, justify="left" if not name else "right")
-    shown = {"poses": "calibration poses", "expected_bar_mean_mm": "error of certified distances, expected mean, mm",
-             "expected_bar_mean_of_calibration_mm": "  of it from the calibration, mm", "simulated_bar_mean_mm": "  simulated mean, mm",
-             "simulated_standard_error_mm": "    its standard error, mm", "simulated_bar_max_mm": "  simulated largest, mm",
-             "expected_workspace_mm": "point anywhere in reach, rms, mm", **{f"O{k}": f"observability O{k}" for k in range(1, 6)}}
+    shown = {
+        "poses": "calibration poses",
+        "expected_bar_mean_mm": "error of certified distances, expected mean, mm",
+        "expected_bar_mean_of_calibration_mm": "  of it from the calibration, mm",
+        "simulated_bar_mean_mm": "  simulated mean, mm",
+        "simulated_standard_error_mm": "    its standard error, mm",
+        "simulated_bar_max_mm": "  simulated largest, mm",
+        "expected_workspace_mm": "point anywhere in reach, rms, mm",
+        **{f"O{k}": f"observability O{k}" for k in range(1, 6)},
+    }
     for key, label in shown.items():
         values = [row[key] for row in rows]
         if any(v is not None for v in values):

@@ -14,9 +14,14 @@ class RunProgress:
     def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, quiet=quiet)
         self._bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("pose {task.completed:.0f} of {task.total:.0f}"),
-            TextColumn("station {task.fields[station]}  balls {task.fields[balls]}"), TimeElapsedColumn(), TimeRemainingColumn(),
-            console=self._console, disable=quiet or not self._console.is_terminal,
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("pose {task.completed:.0f} of {task.total:.0f}"),
+            TextColumn("station {task.fields[station]}  balls {task.fields[balls]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self._console,
+            disable=quiet or not self._console.is_terminal,
         )
         self._task = None
         self._step, self._station, self._balls, self._done, self._total, self._stepped = "", "-", 0, 0, 0, False
@@ -41,17 +46,18 @@ class RunProgress:
             case events.Message(level="warning" | "error"):
                 self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
             case events.StateChanged(state="waiting" | "paused"):
-                self._bar.stop()   # it would write over the question
+                self._bar.stop()  # it would write over the question
             case events.StateChanged(state="moving"):
                 if self._task is not None:
                     self._bar.start()
             case events.RunStopped():
                 self._bar.stop()
                 told = event.reason if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses"
-                self._console.print(told, markup=False, soft_wrap=True)    # why, the command says itself
+                self._console.print(told, markup=False, soft_wrap=True)  # why, the command says itself
         if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
-            self._bar.update(self._task, completed=self._done, description=self._step or "connecting", station=self._station,
-                             balls=str(self._balls))
+            self._bar.update(
+                self._task, completed=self._done, description=self._step or "connecting", station=self._station, balls=str(self._balls)
+            )
 
     def _line(self, elapsed: float) -> None:
         if self._console.is_terminal:
@@ -59,5 +65,8 @@ class RunProgress:
         remaining = elapsed / self._done * (self._total - self._done)
         if self._stepped or self._done % 10 == 0 or self._done == self._total:
             self._stepped = False
-            self._console.print(f"{self._step}: pose {self._done} of {self._total}, station {self._station}, "
-                                f"{self._balls} balls, {remaining:.0f} s left", markup=False, soft_wrap=True)
+            self._console.print(
+                f"{self._step}: pose {self._done} of {self._total}, station {self._station}, {self._balls} balls, {remaining:.0f} s left",
+                markup=False,
+                soft_wrap=True,
+            )

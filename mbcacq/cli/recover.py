@@ -21,9 +21,23 @@ def command(recording: Path, as_json: bool) -> None:
 
     found = recover(recording)
     if as_json:
-        click.echo(json.dumps({"recordings": [
-            {"source": str(item.source), "output": str(item.output), "damaged": item.damaged, "poses": item.poses,
-             "cycles": item.cycles, "complete": item.complete} for item in found]}))
+        click.echo(
+            json.dumps(
+                {
+                    "recordings": [
+                        {
+                            "source": str(item.source),
+                            "output": str(item.output),
+                            "damaged": item.damaged,
+                            "poses": item.poses,
+                            "cycles": item.cycles,
+                            "complete": item.complete,
+                        }
+                        for item in found
+                    ]
+                }
+            )
+        )
         return
     for item in found:
         content = f"{item.poses} finished poses, {item.cycles} controller cycles"

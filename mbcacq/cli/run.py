@@ -31,8 +31,19 @@ if TYPE_CHECKING:
 @click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
-def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, live: bool, again: bool, arm: bool, step: bool, yes: bool,
-            seed: int, as_json: bool) -> None:
+def command(
+    plan: Path,
+    dry_run: bool,
+    out: Path | None,
+    resume: Path | None,
+    live: bool,
+    again: bool,
+    arm: bool,
+    step: bool,
+    yes: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
     """Execute PLAN, record it, calibrate the cell and show how good it became.
 
     \b
@@ -87,8 +98,9 @@ def command(plan: Path, dry_run: bool, out: Path | None, resume: Path | None, li
         print_result(result)
     worst = (result.get("verification") or {}).get("after", {}).get("max_mm")
     if limit is not None and worst is not None and worst > limit:
-        raise CalibrationError(f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {limit:g} mm; "
-                               f"see {result['files']['report']}")
+        raise CalibrationError(
+            f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {limit:g} mm; see {result['files']['report']}"
+        )
 
 
 def moved_meanwhile(loaded: LoadedPlan, poses: Sequence[PlannedPose], before: Progress, asked: bool) -> bool:

@@ -12,8 +12,9 @@ from mbcacq.errors import ConfigError
 
 @click.command("simulate")
 @click.argument("plan", type=click.Path(path_type=Path))
-@click.option("--cell", "result", type=click.Path(path_type=Path),
-              help="Calibrated cell: a result.json, or a run folder with one [default: nominal].")
+@click.option(
+    "--cell", "result", type=click.Path(path_type=Path), help="Calibrated cell: a result.json, or a run folder with one [default: nominal]."
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the observation set to write.")
 @click.option("--noise", is_flag=True, help="Add the scatter of scanner and joints; without it the set holds the model's exact prediction.")
 @click.option("--seed", default=0, show_default=True, help="Seed of that scatter.")
@@ -51,8 +52,17 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
     observations = simulate(loaded, poses, None if result is None else read_result(result), noise, seed)
     write_observation_set(observations, out)
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-simulation/1", "folder": str(out), "poses": observations.n_poses,
-                               "centres": observations.n_centres, "noise": noise}))
+        click.echo(
+            json.dumps(
+                {
+                    "format": "mbcacq-simulation/1",
+                    "folder": str(out),
+                    "poses": observations.n_poses,
+                    "centres": observations.n_centres,
+                    "noise": noise,
+                }
+            )
+        )
     else:
         click.echo(f"{observations.n_poses} poses, {observations.n_centres} ball centres written to {out}")
 

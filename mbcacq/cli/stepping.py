@@ -24,8 +24,13 @@ class KeyPause:
     def wait(self, pose: PlannedPose, n_poses: int) -> None:
         if self._free:
             return
-        print(f"next: pose {pose.number} of {n_poses} ({pose.step_name}, station {pose.station}); Enter moves, g goes on without asking, "
-              "q ends the run: ", end="", file=sys.stderr, flush=True)
+        print(
+            f"next: pose {pose.number} of {n_poses} ({pose.step_name}, station {pose.station}); Enter moves, g goes on without asking, "
+            "q ends the run: ",
+            end="",
+            file=sys.stderr,
+            flush=True,
+        )
         answer = self._answer()
         if answer is None or answer.strip().lower() in ("q", "quit"):
             raise Aborted(f"the operator ended the run before pose {pose.number}")

@@ -63,8 +63,10 @@ def remarks(result: dict[str, Any]) -> list[str]:
         out.append(f"Hard to tell apart: {a} and {b} (correlation {pair['correlation']:+.3f})")
     rejected = result.get("rejected") or []
     if rejected:
-        some = ", ".join(f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({r['distance_mm']:.3f} mm)"
-                         for r in rejected[:5])
+        some = ", ".join(
+            f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({r['distance_mm']:.3f} mm)"
+            for r in rejected[:5]
+        )
         out.append(f"Left out as outliers: {len(rejected)}: {some}{', ...' if len(rejected) > 5 else ''}")
     factor = (result.get("noise") or {}).get("check_factor")
     if factor and (max(factor) > 2 or min(factor) < 0.5):
@@ -80,9 +82,11 @@ def scan_scale(result: dict[str, Any]) -> list[str]:
     out = [f"Scale within the scans against the certificate: {s['ppm']:+.0f} +- {s['sigma_ppm']:.0f} ppm ({s['scans']} scans)"]
     if s["significant"]:
         how, sigmas = "longer" if s["ppm"] > 0 else "shorter", abs(s["ppm"]) / s["sigma_ppm"]
-        out.append(f"Warning: distances within a scan are {how} than certified, at {sigmas:.0f} sigma; the calibration takes this over: "
-                   f"every distance measured with the cell is wrong by about {abs(s['ppm']) / 1e3:.2f} mm a metre. Check the scanner, the "
-                   "certificate and the artefact's temperature; mbcacq diagnose estimates it as scanner_scale")
+        out.append(
+            f"Warning: distances within a scan are {how} than certified, at {sigmas:.0f} sigma; the calibration takes this over: "
+            f"every distance measured with the cell is wrong by about {abs(s['ppm']) / 1e3:.2f} mm a metre. Check the scanner, the "
+            "certificate and the artefact's temperature; mbcacq diagnose estimates it as scanner_scale"
+        )
     return out
 
 
@@ -118,8 +122,14 @@ def verification(v: dict[str, Any]) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     for p in v["places"]:
         expected = "" if p["expected_mm"] is None else f"{p['expected_mm']:.3f}"
-        table.add_row(str(p["station"]), f"{p['balls'][0]}-{p['balls'][1]}", f"{p['certified_mm']:.4f}", f"{p['before_mm']:+.3f}",
-                      f"{p['after_mm']:+.3f}", expected)
+        table.add_row(
+            str(p["station"]),
+            f"{p['balls'][0]}-{p['balls'][1]}",
+            f"{p['certified_mm']:.4f}",
+            f"{p['before_mm']:+.3f}",
+            f"{p['after_mm']:+.3f}",
+            expected,
+        )
     table.add_section()
     table.add_row("max", "", "", f"{v['before']['max_mm']:.3f}", f"{v['after']['max_mm']:.3f}", "")
     expected = "" if v.get("expected_mean_mm") is None else f"{v['expected_mean_mm']:.3f}"

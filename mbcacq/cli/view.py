@@ -9,8 +9,12 @@ import click
 
 @click.command("view")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--screenshot", type=click.Path(path_type=Path, file_okay=False), metavar="DIR",
-              help="Write a picture of each tab (PNG) into this folder instead of opening a window.")
+@click.option(
+    "--screenshot",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write a picture of each tab (PNG) into this folder instead of opening a window.",
+)
 @click.option("--pose", type=int, help="With --screenshot: at the end of this pose [default: the last].")
 @click.option("--size", default="1600x1000", show_default=True, metavar="WxH", help="Size of the picture in points.")
 def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> None:

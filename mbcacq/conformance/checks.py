@@ -173,8 +173,20 @@ def closes_after_an_exception(bench: TestStand, stand: Stand) -> None:
 
 
 CHECKS: tuple[Check, ...] = (
-    describes_itself_unconnected, refuses_an_unknown_option, connects_and_works, refuses_the_wrong_device, names_an_absent_device,
-    refuses_to_work_unconnected, silence_is_an_error_in_time, garbage_is_survived, half_a_message_is_survived,
-    an_end_in_mid_frame_is_survived, two_messages_in_one_segment_are_two, a_message_byte_by_byte_is_one, connects_again,
-    stop_and_close_are_always_allowed, stop_ends_what_is_under_way, closes_after_an_exception,
+    describes_itself_unconnected,
+    refuses_an_unknown_option,
+    connects_and_works,
+    refuses_the_wrong_device,
+    names_an_absent_device,
+    refuses_to_work_unconnected,
+    silence_is_an_error_in_time,
+    garbage_is_survived,
+    half_a_message_is_survived,
+    an_end_in_mid_frame_is_survived,
+    two_messages_in_one_segment_are_two,
+    a_message_byte_by_byte_is_one,
+    connects_again,
+    stop_and_close_are_always_allowed,
+    stop_ends_what_is_under_way,
+    closes_after_an_exception,
 )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 ACTIONS = ("drop", "delay", "truncate", "duplicate", "garbage", "close")
-SHAPES = ("split", "join")    # the same bytes in other segments: on a stream no fault at all
+SHAPES = ("split", "join")  # the same bytes in other segments: on a stream no fault at all
 DEVICE, DRIVER = "device", "driver"
 CLOSE = object()
 
@@ -42,19 +42,23 @@ def as_read(data: bytes) -> int:
 
 def counted(at: int = 0, size: int = 4, order: Literal["little", "big"] = "little", plus: int = 0) -> Cut:
     """A length field of ``size`` bytes at ``at``; the message has that many bytes ``plus`` more."""
+
     def cut(data: bytes) -> int:
         if len(data) < at + size:
             return 0
-        length = max(int.from_bytes(data[at:at + size], order) + plus, at + size)
+        length = max(int.from_bytes(data[at : at + size], order) + plus, at + size)
         return length if len(data) >= length else 0
+
     return cut
 
 
 def ended(by: bytes) -> Cut:
     """A message ends with these bytes."""
+
     def cut(data: bytes) -> int:
         found = data.find(by)
         return 0 if found < 0 else found + len(by)
+
     return cut
 
 
@@ -110,9 +114,14 @@ class Channel:
             return held
 
     def _changed(self, fault: Fault, message: bytes) -> list[object]:
-        half = message[:max(1, len(message) // 2)]
+        half = message[: max(1, len(message) // 2)]
         return {
-            "drop": lambda: [], "delay": lambda: [fault.seconds, message], "truncate": lambda: [half],
-            "duplicate": lambda: [message, message], "garbage": lambda: [self._random.randbytes(len(message))],
-            "close": lambda: [half, CLOSE], "split": lambda: [message[i:i + 1] for i in range(len(message))], "join": lambda: [],
+            "drop": lambda: [],
+            "delay": lambda: [fault.seconds, message],
+            "truncate": lambda: [half],
+            "duplicate": lambda: [message, message],
+            "garbage": lambda: [self._random.randbytes(len(message))],
+            "close": lambda: [half, CLOSE],
+            "split": lambda: [message[i : i + 1] for i in range(len(message))],
+            "join": lambda: [],
         }[fault.action]()

@@ -11,7 +11,7 @@ from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER
 from mbcacq.conformance.steps import comes_back, rests
 from mbcacq.conformance.test_stand import Stand, TestStand
 
-_CALM_S = 0.05    # a fault at the very last message takes effect after the work
+_CALM_S = 0.05  # a fault at the very last message takes effect after the work
 RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"
 
 

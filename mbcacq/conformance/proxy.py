@@ -12,7 +12,7 @@ from typing import Self
 from mbcacq.conformance.faults import CLOSE, DEVICE, DRIVER, Channel, Cut, as_read
 
 POLL_S = 0.02
-_JOIN_S = 0.05    # how long half of a pair waits for the other
+_JOIN_S = 0.05  # how long half of a pair waits for the other
 
 
 class Proxy:
@@ -85,8 +85,9 @@ class Proxy:
 class TcpProxy(Proxy):
     """Listens on ``address``; every connection gets one of its own to ``device``."""
 
-    def __init__(self, channel: Channel, device: tuple[str, int], *, cut: Cut = as_read, cut_driver: Cut = as_read,
-                 host: str = "127.0.0.1") -> None:
+    def __init__(
+        self, channel: Channel, device: tuple[str, int], *, cut: Cut = as_read, cut_driver: Cut = as_read, host: str = "127.0.0.1"
+    ) -> None:
         super().__init__(channel)
         self._device, self._cut = device, {DEVICE: cut, DRIVER: cut_driver}
         self._listener = socket.create_server((host, 0))
@@ -162,7 +163,7 @@ def send_all(sock: socket.socket, data: bytes) -> None:
     view = memoryview(data)
     while view:
         try:
-            view = view[sock.send(view):]
+            view = view[sock.send(view) :]
         except TimeoutError:
             continue
 

@@ -63,7 +63,7 @@ class PtyProxy(Proxy):
     def _name(self) -> None:
         if self._fds and not self._refusing:
             os.symlink(os.ttyname(self._fds[1]), f"{self.path}.new")
-            os.replace(f"{self.path}.new", self.path)    # the name never leads nowhere while the cable is in
+            os.replace(f"{self.path}.new", self.path)  # the name never leads nowhere while the cable is in
         else:
             with suppress(FileNotFoundError):
                 os.unlink(self.path)

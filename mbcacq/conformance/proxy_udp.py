@@ -15,8 +15,7 @@ class UdpProxy(Proxy):
 
     stream = False
 
-    def __init__(self, channel: Channel, target: tuple[str, int], *, caller: str = DEVICE, host: str = "127.0.0.1",
-                 port: int = 0) -> None:
+    def __init__(self, channel: Channel, target: tuple[str, int], *, caller: str = DEVICE, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__(channel)
         self._target, self._caller = target, None
         self._front, self._back = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
@@ -48,6 +47,6 @@ class UdpProxy(Proxy):
             with suppress(OSError):
                 send(data)
 
-        while not self._closing.is_set():    # a connection that a fault closed does not exist here: go on
+        while not self._closing.is_set():  # a connection that a fault closed does not exist here: go on
             with suppress(OSError):
                 self._relay(sender, receive, quietly, as_read)

@@ -113,7 +113,7 @@ class Replay:
             _drain(link)
         try:
             link.sendall(line.data)
-        except ConnectionRefusedError:    # a datagram before the driver listens; it is sent again while its answer is waited for
+        except ConnectionRefusedError:  # a datagram before the driver listens; it is sent again while its answer is waited for
             if line.link not in self._datagrams:
                 raise
 

@@ -18,8 +18,8 @@ from mbcacq.plan.schema import View
 
 LIMIT_MARGIN = np.radians(4.0)
 SINGULAR = np.radians(8.0)
-SHIFTS = np.array([16.0, 24.0, 20.0])   # mm, largest
-FEWEST = 4                              # balls that a view must show, or all where there are fewer
+SHIFTS = np.array([16.0, 24.0, 20.0])  # mm, largest
+FEWEST = 4  # balls that a view must show, or all where there are fewer
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CandidateView:
     """A view of a station with the pose it leads to."""
 
     station: str
-    aim: int | None         # the ball looked at by itself, None for all together
+    aim: int | None  # the ball looked at by itself, None for all together
     view: View
     pose: PlannedPose
 
@@ -38,9 +38,16 @@ def random_views(count: int, steepest_deg: float, rng: np.random.Generator) -> l
     tilt = np.degrees(np.arccos(1 - rng.uniform(0, 1, count) * (1 - np.cos(np.radians(steepest_deg)))))
     azimuth, roll = rng.integers(-36, 36, (2, count)) * 5
     shift = np.rint(rng.uniform(-1, 1, (count, 3)) * SHIFTS)
-    return [View(tilt_deg=float(np.rint(t)), azimuth_deg=float(a), roll_deg=float(r), shift_mm=tuple(map(float, s)),
-                 wrist="positive" if k % 2 else "negative")
-            for k, (t, a, r, s) in enumerate(zip(tilt, azimuth, roll, shift, strict=True))]
+    return [
+        View(
+            tilt_deg=float(np.rint(t)),
+            azimuth_deg=float(a),
+            roll_deg=float(r),
+            shift_mm=tuple(map(float, s)),
+            wrist="positive" if k % 2 else "negative",
+        )
+        for k, (t, a, r, s) in enumerate(zip(tilt, azimuth, roll, shift, strict=True))
+    ]
 
 
 def candidates(loaded: LoadedPlan, stations: list[str], per_station: int, steepest_deg: float, seed: int) -> list[CandidateView]:
@@ -63,8 +70,9 @@ def single_aims(loaded: LoadedPlan, station: str) -> list[int | None]:
     return list(artefact.ball_ids) if size > 2 * max(loaded.plan.scanner.field_of_view.far_half_mm) else [None]
 
 
-def _at_station(loaded: LoadedPlan, station: str, aim: int | None, views: list[View], solver: InverseKinematics,
-                clearance: Clearance) -> list[CandidateView]:
+def _at_station(
+    loaded: LoadedPlan, station: str, aim: int | None, views: list[View], solver: InverseKinematics, clearance: Clearance
+) -> list[CandidateView]:
     cell, robot = loaded.cell, loaded.cell.robot
     place = next(s for s in cell.stations if s.id == station)
     artefact = cell.artefact(place.artefact)
@@ -90,7 +98,23 @@ def _at_station(loaded: LoadedPlan, station: str, aim: int | None, views: list[V
             continue
         if clearance.at(q, station).distance < loaded.plan.clearance_mm + 5:
             continue
-        out.append(CandidateView(station, aim, view, PlannedPose(
-            number=len(out), step=0, step_name="design", phase="position", station=station, artefact=artefact.id, q=q, balls=balls,
-            exposures=loaded.plan.exposures, line=0)))
+        out.append(
+            CandidateView(
+                station,
+                aim,
+                view,
+                PlannedPose(
+                    number=len(out),
+                    step=0,
+                    step_name="design",
+                    phase="position",
+                    station=station,
+                    artefact=artefact.id,
+                    q=q,
+                    balls=balls,
+                    exposures=loaded.plan.exposures,
+                    line=0,
+                ),
+            )
+        )
     return out

@@ -15,7 +15,7 @@ import numpy as np
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
-SEEN = 6.0              # standard deviations of its own uncertainty at which an effect of usual size is reliably found among many
+SEEN = 6.0  # standard deviations of its own uncertainty at which an effect of usual size is reliably found among many
 ALIKE = 0.95
 HYPER_TRIED = 7
 
@@ -47,12 +47,16 @@ class Detectability:
     missing: dict[str, str]
 
     def to_dict(self) -> dict[str, Any]:
-        return {"effects": [e.to_dict() for e in self.effects], "missing": self.missing,
-                "alike": [{"a": a, "b": b, "correlation": c} for a, b, c in self.alike]}
+        return {
+            "effects": [e.to_dict() for e in self.effects],
+            "missing": self.missing,
+            "alike": [{"a": a, "b": b, "correlation": c} for a, b, c in self.alike],
+        }
 
 
-def visibility(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None,
-               starts: Sequence[float] | None = None) -> Detectability:
+def visibility(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None, starts: Sequence[float] | None = None
+) -> Detectability:
     """All poses take part, those of the verification too: a diagnosis uses them all."""
     from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
     from mbcacq.diagnosis.linearized.whitening import NoiseEstimate

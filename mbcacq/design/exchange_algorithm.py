@@ -24,7 +24,7 @@ class Criterion:
         """The smaller the better: a variance, or the logarithm of a volume."""
         if self.target is not None:
             return float(np.sum(self.target * C))
-        return float(np.linalg.slogdet(C[:self.own, :self.own])[1])
+        return float(np.linalg.slogdet(C[: self.own, : self.own])[1])
 
     def gains(self, C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:
         """(P,) decrease of ``value`` by adding (sign 1) or taking away (sign -1) each block of B (P, r, G)."""

@@ -24,7 +24,7 @@ from mbcacq.estimation.solver import Weights, system
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 
-MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))      # mean of |error| over its standard deviation
+MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))  # mean of |error| over its standard deviation
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,14 @@ class ExpectedAccuracy:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "parameters": self.parameters, "determined": self.determined,
-            "undetermined": [{"name": u.name, "together": list(u.together), "effect_mm": u.effect_mm, "harmless": u.harmless}
-                             for u in self.undetermined],
-            "observability": self.indices, "expected_workspace_mm": self.workspace_mm, "expected_bar_mean_mm": self.bar_mm,
+            "parameters": self.parameters,
+            "determined": self.determined,
+            "undetermined": [
+                {"name": u.name, "together": list(u.together), "effect_mm": u.effect_mm, "harmless": u.harmless} for u in self.undetermined
+            ],
+            "observability": self.indices,
+            "expected_workspace_mm": self.workspace_mm,
+            "expected_bar_mean_mm": self.bar_mm,
             "expected_bar_mean_of_calibration_mm": self.bar_cell_mm,
             "places": [{"station": s, "expected_mm": e} for s, e in self.places],
             "correlated": [{"a": a, "b": b, "correlation": c} for a, b, c in self.correlated],
@@ -70,12 +74,16 @@ def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> ExpectedAccura
     used = _arm_parameters(calibration)
     lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
     return ExpectedAccuracy(
-        parameters=len(used) + len(lost), determined=len(used), undetermined=calibration.undetermined,
-        indices=of_calibration(calibration), workspace_mm=expected_accuracy(calibration) if sound else None,
+        parameters=len(used) + len(lost),
+        determined=len(used),
+        undetermined=calibration.undetermined,
+        indices=of_calibration(calibration),
+        workspace_mm=expected_accuracy(calibration) if sound else None,
         bar_mm=MEAN_OF_NORMAL * float(np.mean([p.expected_mm for p in places])) if places else None,
         bar_cell_mm=MEAN_OF_NORMAL * float(np.mean(_cell_share(calibration, observations))) if places else None,
         places=tuple((p.station, p.expected_mm) for p in places),
-        correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used), weakest=_weakest(calibration),
+        correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used),
+        weakest=_weakest(calibration),
     )
 
 
@@ -96,7 +104,7 @@ def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Ca
 def _cell_share(calibration: Calibration, observations: Observations) -> list[float]:
     """Standard uncertainty (mm) of each certified distance that the calibration alone leaves."""
     _, ends = ball_positions(verification_poses(observations), calibration.state)
-    pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1:] if k[0] == m[0]]
+    pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1 :] if k[0] == m[0]]
     return [float(distance_uncertainty(calibration, a[0], a[1], b[0], b[1])[0]) for a, b in pairs]
 
 

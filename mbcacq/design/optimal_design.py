@@ -100,13 +100,18 @@ def compare(plans: Sequence[tuple[LoadedPlan, Sequence[PlannedPose]]], seed: int
             outlook = None
         found = outlook and simulated_error(loaded, poses, seed=seed)
         indices = dict.fromkeys(("O1", "O2", "O3", "O4", "O5")) if outlook is None else outlook.indices
-        out.append({
-            "poses": sum(p.phase != "verification" for p in poses), "expected_bar_mean_mm": outlook and outlook.bar_mm,
-            "expected_bar_mean_of_calibration_mm": outlook and outlook.bar_cell_mm,
-            "expected_workspace_mm": outlook and outlook.workspace_mm, **indices,
-            "simulated_bar_mean_mm": found and found.mean_mm, "simulated_standard_error_mm": found and found.standard_error_mm,
-            "simulated_bar_max_mm": found and found.max_mm,
-        })
+        out.append(
+            {
+                "poses": sum(p.phase != "verification" for p in poses),
+                "expected_bar_mean_mm": outlook and outlook.bar_mm,
+                "expected_bar_mean_of_calibration_mm": outlook and outlook.bar_cell_mm,
+                "expected_workspace_mm": outlook and outlook.workspace_mm,
+                **indices,
+                "simulated_bar_mean_mm": found and found.mean_mm,
+                "simulated_standard_error_mm": found and found.standard_error_mm,
+                "simulated_bar_max_mm": found and found.max_mm,
+            }
+        )
     return out
 
 
@@ -127,9 +132,9 @@ class DesignProblem:
         columns = g + 6 * place[:, None] + np.arange(6)
         every[np.arange(len(rows))[:, None, None], np.arange(rows.shape[1])[None, :, None], columns[:, None, :]] = rows[:, :, g:]
         vague = np.concatenate([self.layout.gather("scale"), np.tile(STATION_SIGMA, len(used))])
-        known = every[:len(kept)].reshape(-1, every.shape[2])
+        known = every[: len(kept)].reshape(-1, every.shape[2])
         self.base = np.diag(1 / vague**2) + known.T @ known
-        self.blocks = every[len(kept):]
+        self.blocks = every[len(kept) :]
         self.groups = np.unique([f"{c.station} {c.aim}" for c in found], return_inverse=True)[1]
 
     def criterion(self, name: str) -> Criterion:
@@ -170,7 +175,7 @@ def distance_rows(loaded: LoadedPlan, poses: Sequence[PlannedPose], layout: Para
     where, ends = ball_positions(obs, state)
     keys, rows = sorted(where), []
     for i, (station, a) in enumerate(keys):
-        for other, b in keys[i + 1:]:
+        for other, b in keys[i + 1 :]:
             if other == station:
                 u = where[other, b] - where[station, a]
                 qa, xa, _ = ends[station, a]
@@ -193,5 +198,3 @@ def _stations(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[str]:
     if not stations:
         raise ConfigError(f"{loaded.path}: there is no station of an artefact with at least three balls to choose poses at; add one")
     return stations
-
-

@@ -12,7 +12,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.findings import PlanFinding
 from mbcacq.plan.routing import Routes, find_paths
 
-WEAK_MM = 0.1           # uncertainty of a point somewhere in reach that deserves a warning
+WEAK_MM = 0.1  # uncertainty of a point somewhere in reach that deserves a warning
 Figures = tuple[list[PlanFinding], ExpectedAccuracy | None, Detectability | None]
 
 
@@ -21,7 +21,11 @@ def insight(loaded: LoadedPlan, poses: Sequence[PlannedPose], summary: dict[str,
     place = f"{loaded.path}:{loaded.lines.get(('steps',), 1)}"
     seeing = [p for p in poses if p.balls]
     if not any(p.phase != "verification" for p in seeing):
-        return [PlanFinding("warning", "undetermined", "", place, "there is no pose to calibrate with; add steps of another phase")], None, None
+        return (
+            [PlanFinding("warning", "undetermined", "", place, "there is no pose to calibrate with; add steps of another phase")],
+            None,
+            None,
+        )
     try:
         outlook = prospect(loaded, seeing)
     except CalibrationError as error:
@@ -40,8 +44,10 @@ def _of_prospect(outlook: ExpectedAccuracy, place: str) -> list[PlanFinding]:
         sentence = f"these poses do not determine {names}; add stations at other places and poses with a larger range of joint angles"
         out.append(PlanFinding("warning", "undetermined", "", place, sentence))
     elif outlook.workspace_mm is not None and outlook.workspace_mm > WEAK_MM:
-        sentence = (f"a point measured anywhere in reach will be uncertain by {outlook.workspace_mm:.2f} mm; add stations at other places, "
-                    f"heights and distances")
+        sentence = (
+            f"a point measured anywhere in reach will be uncertain by {outlook.workspace_mm:.2f} mm; add stations at other places, "
+            f"heights and distances"
+        )
         out.append(PlanFinding("warning", "weak", "", place, sentence))
     return out
 
@@ -60,13 +66,17 @@ def _of_sight(sight: Detectability, place: str) -> list[PlanFinding]:
 def words(outlook: ExpectedAccuracy, sight: Detectability) -> list[str]:
     """A few lines for a terminal."""
     o = outlook.indices
-    lines = [f"determines {outlook.determined} of {outlook.parameters} parameters of arm and hand-eye; observability "
-             + ", ".join(f"{k} {v:.3g}" for k, v in o.items())]
+    lines = [
+        f"determines {outlook.determined} of {outlook.parameters} parameters of arm and hand-eye; observability "
+        + ", ".join(f"{k} {v:.3g}" for k, v in o.items())
+    ]
     if outlook.bar_mm is not None:
         spread = [e for _, e in outlook.places]
         parts = f"{outlook.bar_cell_mm:.4f} mm from the calibration, the rest from measuring them"
-        lines.append(f"expected error of the certified distances: mean {outlook.bar_mm:.4f} mm ({parts}; standard uncertainty "
-                     f"{min(spread):.4f} to {max(spread):.4f} mm by place)")
+        lines.append(
+            f"expected error of the certified distances: mean {outlook.bar_mm:.4f} mm ({parts}; standard uncertainty "
+            f"{min(spread):.4f} to {max(spread):.4f} mm by place)"
+        )
     if outlook.workspace_mm is not None:
         lines.append(f"expected uncertainty of a point anywhere in reach: {outlook.workspace_mm:.3f} mm rms")
     lines.append("least well determined: " + ", ".join(f"{n} (+-{s:.2g} {u})" for n, s, u in outlook.weakest))

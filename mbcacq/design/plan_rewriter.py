@@ -76,11 +76,11 @@ def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
         if i == (old[0] if old else 0):
             out += new
         if i not in old:
-            out += lines[bounds[i]:bounds[i + 1]]
+            out += lines[bounds[i] : bounds[i + 1]]
         else:
-            kept = lines[bounds[i]:bounds[i + 1]]
-            out += kept[len(kept) - _trailing_comment(kept):]
-    return "\n".join([*out, *lines[bounds[-1]:]]) + "\n"
+            kept = lines[bounds[i] : bounds[i + 1]]
+            out += kept[len(kept) - _trailing_comment(kept) :]
+    return "\n".join([*out, *lines[bounds[-1] :]]) + "\n"
 
 
 def _trailing_comment(lines: list[str]) -> int:

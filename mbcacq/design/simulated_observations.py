@@ -34,8 +34,9 @@ def planned_noise(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Noise:
     return replace(noise, point=noise.point / np.sqrt(min((p.exposures for p in poses), default=1)))
 
 
-def planned_observations(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None,
-                         starts: Sequence[float] | None = None) -> Observations:
+def planned_observations(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit] | None = None, starts: Sequence[float] | None = None
+) -> Observations:
     """Every planned pose with its expected balls where the nominal cell shows them.
 
     Stations are unknown to a solver, so their planned places are left out of the cell. transits: for the sense of each axis' last
@@ -47,8 +48,14 @@ def planned_observations(loaded: LoadedPlan, poses: Sequence[PlannedPose], trans
     seen = [(k, ball[b]) for k, p in enumerate(poses) for b in p.balls]
     pose, balls = np.array(seen, dtype=int).reshape(-1, 2).T
     blank = Observations(
-        cell=cell, pose_id=np.array([p.number for p in poses]), station=np.array([station[p.station] for p in poses]),
-        q=np.array([p.q for p in poses]), pose=pose, ball=balls, xyz=np.zeros((len(pose), 3)), phase=np.array([p.phase for p in poses]),
+        cell=cell,
+        pose_id=np.array([p.number for p in poses]),
+        station=np.array([station[p.station] for p in poses]),
+        q=np.array([p.q for p in poses]),
+        pose=pose,
+        ball=balls,
+        xyz=np.zeros((len(pose), 3)),
+        phase=np.array([p.phase for p in poses]),
         time_s=None if starts is None else np.array(starts, dtype=float),
         direction=None if transits is None else _directions(loaded, poses, transits),
     )

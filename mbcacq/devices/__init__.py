@@ -10,19 +10,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 
 from __future__ import annotations
 
-from mbcacq.devices.protocols import (
-    Cycles,
-    Description,
-    Device,
-    Field,
-    MotionLimits,
-    Positioner,
-    Robot,
-    RobotState,
-    Scan,
-    Scanner,
-    Sensor,
-)
+from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.errors import (
     Aborted,
@@ -37,7 +25,27 @@ from mbcacq.errors import (
 )
 
 __all__ = [
-    "Aborted", "ConfigError", "ConnectError", "Cycles", "Description", "Device", "DeviceFault", "DeviceTimeout",
-    "Field", "IdentityError", "MbcacqError", "MotionLimits", "Positioner", "ProtocolError", "Robot", "RobotState",
-    "SafetyStop", "Scan", "Scanner", "Sensor", "available", "create", "load_driver",
+    "Aborted",
+    "ConfigError",
+    "ConnectError",
+    "Cycles",
+    "Description",
+    "Device",
+    "DeviceFault",
+    "DeviceTimeout",
+    "Field",
+    "IdentityError",
+    "MbcacqError",
+    "MotionLimits",
+    "Positioner",
+    "ProtocolError",
+    "Robot",
+    "RobotState",
+    "SafetyStop",
+    "Scan",
+    "Scanner",
+    "Sensor",
+    "available",
+    "create",
+    "load_driver",
 ]

@@ -49,7 +49,7 @@ def survey() -> Iterator[Installed]:
 def _look(kind: str, point: EntryPoint) -> tuple[str, str]:
     try:
         target = point.load()
-    except Exception as error:   # an outside package may raise anything when it is imported
+    except Exception as error:  # an outside package may raise anything when it is imported
         return f"cannot be imported: {type(error).__name__}: {error}", ""
     wanted = PROTOCOLS.get(kind)
     if wanted is not None:

@@ -19,8 +19,10 @@ def load_driver(kind: str, name: str) -> type:
     plain = name.replace("-", "_")
     points = {point.value: point for point in entry_points(group=f"mbcacq.{kind}") if point.name.replace("-", "_") == plain}
     if len(points) > 1:
-        raise ConfigError(f"driver '{name}' is registered {len(points)} times among the {kind} ({', '.join(sorted(points))}); uninstall "
-                          "all packages but one of them")
+        raise ConfigError(
+            f"driver '{name}' is registered {len(points)} times among the {kind} ({', '.join(sorted(points))}); uninstall "
+            "all packages but one of them"
+        )
     for point in points.values():
         try:
             return point.load()

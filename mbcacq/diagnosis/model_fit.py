@@ -45,8 +45,9 @@ class ModelFit:
     leftover: ResidualTests | None
 
 
-def search_named(setup: DiagnosisProblem, linear: LinearProblem, settling: bool = True, start: NoiseEstimate | None = None,
-                 allowance: float = 0.0) -> tuple[EffectSet, NoiseEstimate, BeamSearch, LinearProblem]:
+def search_named(
+    setup: DiagnosisProblem, linear: LinearProblem, settling: bool = True, start: NoiseEstimate | None = None, allowance: float = 0.0
+) -> tuple[EffectSet, NoiseEstimate, BeamSearch, LinearProblem]:
     """Named effects, noise and linearisation in turns, until the set of effects stands still."""
     large = linear.obs.n_poses > variance_components.MANY_POSES
     search = BeamSearch(
@@ -89,8 +90,9 @@ def search_named(setup: DiagnosisProblem, linear: LinearProblem, settling: bool 
     return model, sigma, search, linear
 
 
-def find(setup: DiagnosisProblem, keep: np.ndarray | None = None, again: bool = True, expected: bool = False,
-         name_expected: bool = False) -> ModelFit:
+def find(
+    setup: DiagnosisProblem, keep: np.ndarray | None = None, again: bool = True, expected: bool = False, name_expected: bool = False
+) -> ModelFit:
     """The model of the centres in keep; without keep, outliers are reconsidered once with the model in place.
 
     expected: structure is known to be there, so less evidence suffices; name_expected: a name is, and the most probable is taken.
@@ -168,7 +170,9 @@ def find_in_many(setup: DiagnosisProblem, linear: LinearProblem, keep: np.ndarra
     return ModelFit(model, rest, (), sigma, before, named, left)
 
 
-def noise_beside(linear: LinearProblem, model: EffectSet, rest: RandomEffectsModel, start: NoiseEstimate, prior: NoiseEstimate) -> NoiseEstimate:
+def noise_beside(
+    linear: LinearProblem, model: EffectSet, rest: RandomEffectsModel, start: NoiseEstimate, prior: NoiseEstimate
+) -> NoiseEstimate:
     """Noise of what smooth groups leave, counting the coefficients they used."""
     less = linear.restricted(linear.keep)
     less.residual = linear.residual - rest.columns @ rest.coefficients

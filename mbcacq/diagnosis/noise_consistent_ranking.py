@@ -51,7 +51,9 @@ def between(a: NoiseEstimate, b: NoiseEstimate) -> NoiseEstimate:
     return NoiseEstimate(np.sqrt(a.point * b.point), np.sqrt(a.joint * b.joint), float(np.sqrt(a.turn * b.turn)))
 
 
-def contested(search: BeamSearch, linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate, first: NoiseEstimate) -> tuple[EffectSet, NoiseEstimate]:
+def contested(
+    search: BeamSearch, linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate, first: NoiseEstimate
+) -> tuple[EffectSet, NoiseEstimate]:
     """The most probable of a model and those that have another candidate in the place of one of its members, with its noise."""
     screen = CandidateScoring(linear, sigma)
     best = probability(screen, model, first), model, sigma
@@ -62,7 +64,9 @@ def contested(search: BeamSearch, linear: LinearProblem, model: EffectSet, sigma
     return best[1:]
 
 
-def under_own_noise(search: BeamSearch, linear: LinearProblem, model: EffectSet, start: NoiseEstimate, first: NoiseEstimate) -> tuple[CandidateScoring, EffectSet | None]:
+def under_own_noise(
+    search: BeamSearch, linear: LinearProblem, model: EffectSet, start: NoiseEstimate, first: NoiseEstimate
+) -> tuple[CandidateScoring, EffectSet | None]:
     """The screen of the noise that a model leaves, and the model solved there; None where physics forbids that."""
     there = CandidateScoring(linear, variance_components.estimate(linear, *columns_of(linear, model, None), start, first))
     return there, search.solve(there, model.members)
@@ -70,7 +74,7 @@ def under_own_noise(search: BeamSearch, linear: LinearProblem, model: EffectSet,
 
 def exchanges(search: BeamSearch, screen: CandidateScoring, model: EffectSet, j: int) -> list[EffectSet]:
     """The best models with another candidate in the place of member j."""
-    rest = search.solve(screen, model.members[:j] + model.members[j + 1:])
+    rest = search.solve(screen, model.members[:j] + model.members[j + 1 :])
     if rest is None or search.is_protected(model, j):
         return []
     out = []

@@ -21,8 +21,15 @@ class EffectFound:
     alternatives: list[dict[str, Any]] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
-        out = {"name": self.name, "where": self.where, "parameters": self.parameters, "p_value": self.p_value,
-               "held_out_gain": self.held_out_gain, "alternatives": self.alternatives, "depends_on": self.depends_on}
+        out = {
+            "name": self.name,
+            "where": self.where,
+            "parameters": self.parameters,
+            "p_value": self.p_value,
+            "held_out_gain": self.held_out_gain,
+            "alternatives": self.alternatives,
+            "depends_on": self.depends_on,
+        }
         return out
 
 
@@ -44,10 +51,19 @@ class Diagnosis:
     evidence: Any = None
 
     def as_json(self) -> dict[str, Any]:
-        return plain({
-            "format": FORMAT, "verdict": self.verdict, "mismatch": self.mismatch, "effects": [e.as_json() for e in self.effects],
-            "fit": self.fit, "not_separable": self.not_separable, "advice": self.advice, "dropped": self.dropped, "notes": self.notes,
-        })
+        return plain(
+            {
+                "format": FORMAT,
+                "verdict": self.verdict,
+                "mismatch": self.mismatch,
+                "effects": [e.as_json() for e in self.effects],
+                "fit": self.fit,
+                "not_separable": self.not_separable,
+                "advice": self.advice,
+                "dropped": self.dropped,
+                "notes": self.notes,
+            }
+        )
 
 
 def plain(value: Any) -> Any:

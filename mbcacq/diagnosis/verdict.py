@@ -79,12 +79,7 @@ def worth_telling(effects: list[EffectFound], verdict: str) -> list[EffectFound]
 
 
 def in_words(before: PredictiveScore, after: PredictiveScore) -> dict[str, float]:
-    return {
-        "before_rms_mm": before.rms,
-        "after_rms_mm": after.rms,
-        "before_chi2_dof": before.chi2_dof,
-        "after_chi2_dof": after.chi2_dof,
-    }
+    return {"before_rms_mm": before.rms, "after_rms_mm": after.rms, "before_chi2_dof": before.chi2_dof, "after_chi2_dof": after.chi2_dof}
 
 
 def expected_rms(full: ModelFit, fallback: float) -> float:

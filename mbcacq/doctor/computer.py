@@ -13,9 +13,15 @@ from pathlib import Path
 
 from mbcacq.doctor.line import CheckupLine
 
-LIBRARIES = {   # distribution: module; None: only its presence is asked for
-    "numpy": "numpy", "scipy": "scipy", "pydantic": "pydantic", "rerun-sdk": "rerun", "coal": "coal", "ruckig": "ruckig",
-    "pymodbus": "pymodbus", "pyserial": "serial",
+LIBRARIES = {  # distribution: module; None: only its presence is asked for
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "pydantic": "pydantic",
+    "rerun-sdk": "rerun",
+    "coal": "coal",
+    "ruckig": "ruckig",
+    "pymodbus": "pymodbus",
+    "pyserial": "serial",
 }
 OPEN3D = ("open3d-cpu", "open3d")
 LEAST_DISK, GOOD_DISK = 256 << 20, 4 << 30
@@ -49,7 +55,9 @@ def _libraries() -> Iterator[CheckupLine]:
     installed = [name for name in OPEN3D if not _problem(name, None)]
     if len(installed) != 1:
         both = "open3d and open3d-cpu are both installed and overwrite each other" if installed else "open3d is not installed"
-        yield CheckupLine("error", "library open3d", both, f"{sys.executable} -m pip uninstall open3d open3d-cpu, then pip install open3d-cpu")
+        yield CheckupLine(
+            "error", "library open3d", both, f"{sys.executable} -m pip uninstall open3d open3d-cpu, then pip install open3d-cpu"
+        )
     else:
         good.append(f"{installed[0]} {importlib.metadata.version(installed[0])}")
     yield CheckupLine("ok", "libraries", ", ".join(good))
@@ -62,7 +70,7 @@ def _problem(name: str, module: str | None) -> str:
             importlib.import_module(module)
     except importlib.metadata.PackageNotFoundError:
         return f"{name} is not installed"
-    except Exception as error:   # a binary library may raise anything when it is loaded
+    except Exception as error:  # a binary library may raise anything when it is loaded
         return f"{name} cannot be imported: {error}"
     return ""
 
@@ -74,13 +82,17 @@ def _disk() -> Iterator[CheckupLine]:
     if free < LEAST_DISK:
         yield CheckupLine("error", "disk", text, "free some space, or record elsewhere with --out")
     elif free < GOOD_DISK:
-        yield CheckupLine("warning", "disk", text, "a long plan with dense scans may need more; free some space, or record elsewhere with --out")
+        yield CheckupLine(
+            "warning", "disk", text, "a long plan with dense scans may need more; free some space, or record elsewhere with --out"
+        )
     else:
         yield CheckupLine("ok", "disk", text)
     shared = Path("/dev/shm")
     if shared.is_dir() and shutil.disk_usage(shared).free < LEAST_SHARED:
         left = shutil.disk_usage(shared).free >> 20
-        yield CheckupLine("error", "shared memory", f"{left} MiB free in /dev/shm", "delete what dead programs left there, or mount it larger")
+        yield CheckupLine(
+            "error", "shared memory", f"{left} MiB free in /dev/shm", "delete what dead programs left there, or mount it larger"
+        )
 
 
 def _priority() -> CheckupLine:
@@ -92,13 +104,21 @@ def _priority() -> CheckupLine:
 
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
         return CheckupLine("ok", "cycle", f"{cores} processor cores; the robot's cycle may take real-time priority")
-    return CheckupLine("warning", "cycle", f"{cores} processor cores, but this user may not take real-time priority for the robot's cycle",
-                "put '@realtime - rtprio 80' into /etc/security/limits.d/mbcacq.conf, join the group realtime, log in again")
+    return CheckupLine(
+        "warning",
+        "cycle",
+        f"{cores} processor cores, but this user may not take real-time priority for the robot's cycle",
+        "put '@realtime - rtprio 80' into /etc/security/limits.d/mbcacq.conf, join the group realtime, log in again",
+    )
 
 
 def _vulkan() -> CheckupLine:
     drivers = [path.name for folder in ICD if Path(folder).is_dir() for path in Path(folder).glob("*.json")]
     if sys.platform != "linux" or (ctypes.util.find_library("vulkan") and drivers):
         return CheckupLine("ok", "pictures", f"Vulkan drivers: {', '.join(sorted(drivers)) or 'the system has its own'}")
-    return CheckupLine("warning", "pictures", "no Vulkan driver: mbcacq view --screenshot will not work without a screen",
-                "apt-get install mesa-vulkan-drivers")
+    return CheckupLine(
+        "warning",
+        "pictures",
+        "no Vulkan driver: mbcacq view --screenshot will not work without a screen",
+        "apt-get install mesa-vulkan-drivers",
+    )

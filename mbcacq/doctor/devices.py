@@ -25,8 +25,12 @@ def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
         return
     if not arm and not on_loopback_only(loaded.plan.robot.options):
         del devices["robot"]
-        yield CheckupLine("warning", "robot", "not asked: connecting it could switch its drives on",
-                   "mbcacq doctor PLAN --arm asks it too; it is not moved")
+        yield CheckupLine(
+            "warning",
+            "robot",
+            "not asked: connecting it could switch its drives on",
+            "mbcacq doctor PLAN --arm asks it too; it is not moved",
+        )
     if not devices:
         return
     with ThreadPoolExecutor(len(devices)) as pool:
@@ -46,6 +50,6 @@ def _ask(role: str, device: Device) -> CheckupLine:
     except MbcacqError as error:
         line = from_error(role, error)
         nobody = isinstance(error, ConfigError) and getattr(device, "asks", False)
-        return replace(line, level="warning") if nobody else line    # doctor itself may well run without a terminal
+        return replace(line, level="warning") if nobody else line  # doctor itself may well run without a terminal
     except Exception as error:
         return CheckupLine("error", role, f"unexpected {type(error).__name__}: {error}", "report it: a driver must name what is wrong")

@@ -19,22 +19,38 @@ def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
         if wanted is not None and (driver.kind, driver.name) not in wanted:
             continue
         if driver.problem:
-            yield CheckupLine("error", f"driver {driver.name}", f"{driver.kind}: {driver.problem}",
-                       f"reinstall {driver.package or 'its package'}, with what it needs")
+            yield CheckupLine(
+                "error",
+                f"driver {driver.name}",
+                f"{driver.kind}: {driver.problem}",
+                f"reinstall {driver.package or 'its package'}, with what it needs",
+            )
         else:
             good.append(driver)
     for kind, name in sorted((wanted or set()) - {(d.kind, d.name) for d in survey()}):
-        yield CheckupLine("error", f"driver {name}", f"the plan names a driver '{name}' among the {kind} that is not installed",
-                   "correct the name (mbcacq drivers lists them), or install its package")
+        yield CheckupLine(
+            "error",
+            f"driver {name}",
+            f"the plan names a driver '{name}' among the {kind} that is not installed",
+            "correct the name (mbcacq drivers lists them), or install its package",
+        )
     untried = sorted({d.name for d in good if d.kind != "fakes" and not d.tried})
     if good:
         yield CheckupLine("ok", "drivers", ", ".join(sorted({d.name for d in good})))
     if untried and wanted is not None:
-        yield CheckupLine("warning", "hardware", f"not yet tried on hardware: {', '.join(untried)}",
-                   "first run in T1, with --step and a hand on the enabling switch")
+        yield CheckupLine(
+            "warning",
+            "hardware",
+            f"not yet tried on hardware: {', '.join(untried)}",
+            "first run in T1, with --step and a hand on the enabling switch",
+        )
 
 
 def _named(loaded: LoadedPlan) -> set[tuple[str, str]]:
     plan = loaded.plan
-    return {("robots", plan.robot.driver), ("scanners", plan.scanner.driver), ("positioners", plan.positioner.driver),
-            *(("sensors", sensor.driver) for sensor in plan.sensors)}
+    return {
+        ("robots", plan.robot.driver),
+        ("scanners", plan.scanner.driver),
+        ("positioners", plan.positioner.driver),
+        *(("sensors", sensor.driver) for sensor in plan.sensors),
+    }

@@ -33,11 +33,16 @@ def lines(loaded: LoadedPlan) -> Iterator[CheckupLine]:
         yield _refused(error, address, port)
         return
     if address in EVERYWHERE:
-        yield CheckupLine("warning", "network", f"the robot's telegrams are awaited on every interface, port {port}",
-                   "give the address of the card the controller is wired to as robot: options: bind")
+        yield CheckupLine(
+            "warning",
+            "network",
+            f"the robot's telegrams are awaited on every interface, port {port}",
+            "give the address of the card the controller is wired to as robot: options: bind",
+        )
     elif interface and Path(f"/sys/class/net/{interface}/wireless").exists():
-        yield CheckupLine("warning", "network", f"{where} is a wireless interface; telegrams will come late",
-                   "wire the controller to a network card")
+        yield CheckupLine(
+            "warning", "network", f"{where} is a wireless interface; telegrams will come late", "wire the controller to a network card"
+        )
     else:
         yield CheckupLine("ok", "network", f"{where} can be listened on")
 
@@ -46,11 +51,19 @@ def _refused(error: Exception, address: str, port: int) -> CheckupLine:
     number = getattr(error, "errno", None)
     have = ", ".join(f"{held} on {name}" for name, held in sorted(addresses().items())) or "no address"
     if number == errno.EADDRINUSE:
-        return CheckupLine("error", "network", f"{address}:{port} is taken by another program",
-                    "end it (a fake cell, a second mbcacq, KUKA's TestServer), or choose another port on both sides")
+        return CheckupLine(
+            "error",
+            "network",
+            f"{address}:{port} is taken by another program",
+            "end it (a fake cell, a second mbcacq, KUKA's TestServer), or choose another port on both sides",
+        )
     if number == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return CheckupLine("error", "network", f"{address} is no address of this computer, which has {have}",
-                    f"give the card wired to the controller this address (ip addr add {address}/24 dev CARD), or correct bind")
+        return CheckupLine(
+            "error",
+            "network",
+            f"{address} is no address of this computer, which has {have}",
+            f"give the card wired to the controller this address (ip addr add {address}/24 dev CARD), or correct bind",
+        )
     if number == errno.EACCES:
         return CheckupLine("error", "network", f"{address}:{port} may not be listened on by this user", "choose a port above 1023")
     return CheckupLine("error", "network", f"{address}:{port} cannot be listened on ({error})", "correct bind and port in the plan")
@@ -67,7 +80,7 @@ def addresses() -> dict[str, str]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
             try:
-                answer = fcntl.ioctl(probe.fileno(), 0x8915, struct.pack("256s", name.encode()[:15]))     # SIOCGIFADDR
+                answer = fcntl.ioctl(probe.fileno(), 0x8915, struct.pack("256s", name.encode()[:15]))  # SIOCGIFADDR
             except OSError:
                 continue
             found[name] = str(ipaddress.IPv4Address(answer[20:24]))

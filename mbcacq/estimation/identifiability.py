@@ -12,8 +12,8 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-LIMIT = 1.5          # standard deviation of a direction, in plausible sizes of the parameters, beyond which it counts as undetermined
-VISIBLE_MM = 0.05    # effect of a plausible change somewhere in the workspace below which leaving it out does no harm
+LIMIT = 1.5  # standard deviation of a direction, in plausible sizes of the parameters, beyond which it counts as undetermined
+VISIBLE_MM = 0.05  # effect of a plausible change somewhere in the workspace below which leaving it out does no harm
 PROBES = 300
 
 
@@ -36,7 +36,9 @@ class Undetermined:
         return f"{alone}; without effect on what is measured" if self.harmless else alone
 
 
-def hold_undetermined(layout: ParameterLayout, information: np.ndarray, obs: Observations, state: CellState) -> tuple[ParameterLayout, list[Undetermined]]:
+def hold_undetermined(
+    layout: ParameterLayout, information: np.ndarray, obs: Observations, state: CellState
+) -> tuple[ParameterLayout, list[Undetermined]]:
     """Hold one parameter after another until the reduced information (g, g) determines the rest."""
     found: list[Undetermined] = []
     scale, names = layout.gather("scale"), np.array(layout.names)
@@ -64,7 +66,9 @@ def hold_undetermined(layout: ParameterLayout, information: np.ndarray, obs: Obs
     return layout, found
 
 
-def workspace_information(obs: Observations, state: CellState, layout: ParameterLayout, postures: int = PROBES, seed: int = 1) -> np.ndarray:
+def workspace_information(
+    obs: Observations, state: CellState, layout: ParameterLayout, postures: int = PROBES, seed: int = 1
+) -> np.ndarray:
     """(g, g): mean square displacement in mm of measured points, over postures within the joint limits, per unit of the free parameters;
     what a rigid motion of everything would explain is taken out, since the base is wherever the stations put it."""
     rng = np.random.default_rng(seed)
@@ -91,12 +95,14 @@ def base_columns(layout: ParameterLayout, state: CellState, q: np.ndarray, xyz: 
     frames = state.chain.frames(q)
     T = frames[:, -1] @ state.T_flange_scanner
     points = se3.apply(T[:, None], xyz if xyz.ndim == 3 else xyz[None])
-    twists = np.concatenate([
-        state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free],
-        np.swapaxes(se3.adjoint(T), 1, 2)[:, layout.blocks[1].free]], axis=1)
+    twists = np.concatenate(
+        [
+            state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free],
+            np.swapaxes(se3.adjoint(T), 1, 2)[:, layout.blocks[1].free],
+        ],
+        axis=1,
+    )
     moved = twists[:, None, :, :3] + np.cross(twists[:, None, :, 3:], points[:, :, None, :])
     columns = np.zeros((*points.shape[:2], layout.size, 3))
-    columns[:, :, :twists.shape[1]] = moved
+    columns[:, :, : twists.shape[1]] = moved
     return np.swapaxes(columns, 2, 3).reshape(-1, 3, layout.size), points.reshape(-1, 3)
-
-

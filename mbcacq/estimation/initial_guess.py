@@ -17,7 +17,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 ROUNDS = 6
-NEAR_MM = 3.0   # a first guess that brings the points together this well needs no other start
+NEAR_MM = 3.0  # a first guess that brings the points together this well needs no other start
 
 
 def start(obs: Observations, chain: Chain | None = None) -> CellState:
@@ -156,6 +156,7 @@ def _linear_l1(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np
     weight = np.ones(len(columns))
     x = None
     for _ in range(ROUNDS):
+
         def centred(values, weight=weight):
             flat = values.reshape(len(values), -1)
             return (flat - _means(flat, weight, group, count)[group]).reshape(values.shape)

@@ -59,14 +59,14 @@ class Lineariser:
         n, g, free = joints.shape[1], self.layout.size, int(chain_free.sum() + mount_free.sum())
         X = np.empty((*columns.shape[:2], g + 7))
         X[..., :free] = columns[..., :free]
-        X[..., g:g + 6] = columns[..., free:free + 6]
+        X[..., g : g + 6] = columns[..., free : free + 6]
         X[..., g + 6] = rows.pad(residual)
         if self.ball_columns is not None:
             count = int(self.layout.blocks[2].free.sum())
-            X[..., free:free + count] = rows.pad(self._balls(prediction))
+            X[..., free : free + count] = rows.pad(self._balls(prediction))
             free += count
         for one in self.options.terms:
-            X[..., free:free + one.size] = rows.pad(terms.columns(obs, prediction, one))
+            X[..., free : free + one.size] = rows.pad(terms.columns(obs, prediction, one))
             free += one.size
         return Linearization(prediction, residual, X, columns[..., -n:])
 

@@ -46,8 +46,8 @@ class Normal:
         g = self.size
         flat = X.reshape(-1, g + 7)
         whole = flat.T @ flat
-        shared = rows.by_station(np.swapaxes(X[..., g:g + 6], 1, 2) @ X)
-        Hss = shared[..., g:g + 6] + prior.station_information
+        shared = rows.by_station(np.swapaxes(X[..., g : g + 6], 1, 2) @ X)
+        Hss = shared[..., g : g + 6] + prior.station_information
         Hsg = shared[..., :g]
         bs = shared[..., g + 6] - np.einsum("sij,sj->si", prior.station_information, prior.station_offset)
         weight = 1.0 / prior.sigma**2
@@ -60,7 +60,7 @@ class Normal:
         self.station_rank = seen.sum(axis=1)
         root = np.where(seen, 1.0 / np.sqrt(np.where(seen, value, 1.0)), 0.0)
         self.station_root = STATION_SCALE[:, None] * vector * root[:, None, :]  # F with F F' = pseudo-inverse of Hss
-        self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg                # F' Hsg
+        self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg  # F' Hsg
         reduced_b = np.einsum("sji,sj->si", self.station_root, bs)
         self.station_b = reduced_b
         tall = self.reduced.reshape(6 * len(self.reduced), g)

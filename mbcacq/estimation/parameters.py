@@ -68,7 +68,7 @@ class ParameterLayout:
         for b in self.blocks:
             full = np.zeros(len(b.names))
             count = int(b.free.sum())
-            full[b.free] = step[start:start + count]
+            full[b.free] = step[start : start + count]
             out.append(full)
             start += count
         return out
@@ -77,7 +77,7 @@ class ParameterLayout:
         """The layout with one more parameter held. Raises ConfigError if there is no such parameter."""
         for i, b in enumerate(self.blocks):
             if name in b.names:
-                return ParameterLayout((*self.blocks[:i], b.hold(b.names.index(name), why), *self.blocks[i + 1:]))
+                return ParameterLayout((*self.blocks[:i], b.hold(b.names.index(name), why), *self.blocks[i + 1 :]))
         raise ConfigError(f"there is no parameter '{name}'; give one of {', '.join(n for b in self.blocks[:2] for n in b.names)}")
 
     @property
@@ -147,7 +147,9 @@ def _balls(obs: Observations, options: CalibrationOptions) -> ParameterBlock:
     seen = np.isin(np.arange(len(ids)), obs.ball)
     several = np.bincount(cell.ball_artefact, minlength=len(cell.artefacts))[cell.ball_artefact] > 1
     free = seen & several & (sigma > 0) & options.balls
-    return ParameterBlock("balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3))
+    return ParameterBlock(
+        "balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3)
+    )
 
 
 def _term(term) -> ParameterBlock:

@@ -15,7 +15,7 @@ from mbcacq.model.cell import TARGET_IN_BASE, Cell
 from mbcacq.model.observations import Observations
 
 CLEAR = 3.0
-FEW = 8   # scans from whose own scatter their mean is judged; with fewer, by the noise
+FEW = 8  # scans from whose own scatter their mean is judged; with fewer, by the noise
 
 
 @dataclass(frozen=True)

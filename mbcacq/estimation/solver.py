@@ -62,8 +62,9 @@ def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weig
     return replace(at, whitening=whitening, X=X, normal=Normal(lineariser.rows, X, at.prior), noise=noise, weights=weights)
 
 
-def solve(lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, *, tolerance: float = 1e-6,
-          limit: int = 30) -> Solution:
+def solve(
+    lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, *, tolerance: float = 1e-6, limit: int = 30
+) -> Solution:
     """Iterate until the next step would take less than ``tolerance`` off the cost (chi square).
 
     A :class:`Solution` of the same lineariser as start saves evaluating it anew.

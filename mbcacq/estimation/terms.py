@@ -50,8 +50,13 @@ class Term:
         return len(self.names)
 
 
-def term(name: str, parts: Sequence[Part], names: Sequence[str] | None = None, units: Sequence[str] | str = "",
-         sigma: np.ndarray | float = np.inf) -> Term:
+def term(
+    name: str,
+    parts: Sequence[Part],
+    names: Sequence[str] | None = None,
+    units: Sequence[str] | str = "",
+    sigma: np.ndarray | float = np.inf,
+) -> Term:
     """A :class:`Term` with its shapes checked; names default to NAME or NAME[j]. Raises ValueError where shapes disagree."""
     k = {part.basis.shape[1] for part in parts}
     if len(k) != 1:
@@ -99,8 +104,13 @@ def columns(observations: Observations, prediction: Prediction, term: Term) -> n
 def accumulate(observations: Observations, terms: Sequence[Term], coefficients: Sequence[np.ndarray]) -> Displacements:
     """What the terms together do to the cell; coefficients: one (k,) array per term."""
     obs, n = observations, observations.cell.robot.n
-    shapes = {"joint": (obs.n_poses, n), "frame": (obs.n_poses, n + 1, 6), "station": (obs.n_poses, 6),
-              "point": (obs.n_centres, 3), "ball": (obs.n_centres, 3)}
+    shapes = {
+        "joint": (obs.n_poses, n),
+        "frame": (obs.n_poses, n + 1, 6),
+        "station": (obs.n_poses, 6),
+        "point": (obs.n_centres, 3),
+        "ball": (obs.n_centres, 3),
+    }
     total: dict[str, np.ndarray] = {}
     for one, values in zip(terms, coefficients, strict=True):
         for part in one.parts:

@@ -76,13 +76,13 @@ def score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray,
     """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas."""
     W, normal = solution.whitening, solution.normal
     rows, g = normal.rows, normal.size
-    X, r = solution.X[..., :g + 6], solution.X[..., g + 6:]
+    X, r = solution.X[..., : g + 6], solution.X[..., g + 6 :]
     root = np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
-    back = W.transpose(np.concatenate([X, r], axis=2))      # inverse covariance times columns and residual
+    back = W.transpose(np.concatenate([X, r], axis=2))  # inverse covariance times columns and residual
     n, width = len(noise.joint), rows.width
     sigma = np.resize(noise.row_sigma(width), rows.depth * width)
     # Scanner: the rows of one axis each.
-    lever = _leverage(normal, root, back[..., :g + 6])       # (P, B R)
+    lever = _leverage(normal, root, back[..., : g + 6])  # (P, B R)
     own = _own_trace(W)
     quadratic = back[..., -1] ** 2
     per_row = [((quadratic - own + lever) * sigma**2).reshape(-1, rows.depth, width)]
@@ -97,10 +97,10 @@ def score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray,
     images[..., -1] = np.where(row_axis >= 3, back[..., -1] * sigma**2, 0)
     # Joints: one column a pose. W J in units of the repeatability; W.J is scaled by the centres' weights already.
     J = W.J * W.pose_scale
-    V = J - W.J @ (W.M @ (np.swapaxes(W.J, 1, 2) @ J))       # whitened
+    V = J - W.J @ (W.M @ (np.swapaxes(W.J, 1, 2) @ J))  # whitened
     Vt = np.swapaxes(V, 1, 2)
     b = (Vt @ r)[..., 0]
-    lever_j = _leverage(normal, root, Vt @ X)                # (P, n)
+    lever_j = _leverage(normal, root, Vt @ X)  # (P, n)
     score[3:-1] = np.sum(b**2 - np.einsum("pij,pij->pj", V, V) + lever_j, axis=0)
     Y = W(images)
     Y[..., 3:-1] = V * b[:, None, :]
@@ -117,7 +117,7 @@ def score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray,
 
 def _leverage(normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Variance (P, m) of linear forms (P, m, g + 6), from parameters and stations."""
-    a, y = normal.reduce(rows[..., :normal.size], rows[..., normal.size:])
+    a, y = normal.reduce(rows[..., : normal.size], rows[..., normal.size :])
     return np.sum((a @ root.T) ** 2, axis=2) + np.sum(y**2, axis=2)
 
 

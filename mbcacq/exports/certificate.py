@@ -22,9 +22,26 @@ from mbcacq.model.cell import Artefact
 
 MAX_BYTES = 16 << 20
 ALIASES = {
-    "label": "label", "ball": "label", "id": "label", "name": "label", "feature": "label", "sphere": "label",
-    "x": "x", "y": "y", "z": "z", "d": "d", "diameter": "d", "dia": "d", "u": "U", "uncertainty": "U", "k": "k",
-    "t": "T", "temperature": "T", "reference_temperature": "T", "alpha": "alpha", "expansion": "alpha",
+    "label": "label",
+    "ball": "label",
+    "id": "label",
+    "name": "label",
+    "feature": "label",
+    "sphere": "label",
+    "x": "x",
+    "y": "y",
+    "z": "z",
+    "d": "d",
+    "diameter": "d",
+    "dia": "d",
+    "u": "U",
+    "uncertainty": "U",
+    "k": "k",
+    "t": "T",
+    "temperature": "T",
+    "reference_temperature": "T",
+    "alpha": "alpha",
+    "expansion": "alpha",
 }
 
 
@@ -55,7 +72,9 @@ def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Arte
     if "U" in about:
         U.append(float(about["U"]) / float(about.get("k", 2.0)))
     return Artefact(
-        id=artefact_id, name=name or artefact_id, ball_ids=_numbers(labels),
+        id=artefact_id,
+        name=name or artefact_id,
+        ball_ids=_numbers(labels),
         centres=np.array([[r["x"], r["y"], r["z"]] for r in rows], dtype=float),
         diameters=np.array([r["d"] for r in rows], dtype=float),
         uncertainty_mm=max(U) if U else 0.001,
@@ -70,8 +89,10 @@ def artefact_yaml(artefact: Artefact) -> str:
     if artefact.expansion_ppm_per_K is not None:
         data["expansion_ppm_per_K"] = float(artefact.expansion_ppm_per_K)
     data["uncertainty_mm"] = float(artefact.uncertainty_mm)
-    data["balls"] = [{"id": int(b), "centre_mm": [float(v) for v in c], "diameter_mm": float(d)}
-                     for b, c, d in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)]
+    data["balls"] = [
+        {"id": int(b), "centre_mm": [float(v) for v in c], "diameter_mm": float(d)}
+        for b, c, d in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
+    ]
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=140)
 
 
@@ -81,8 +102,16 @@ def certificate_csv(artefact: Artefact) -> str:
     writer = csv.writer(out)
     writer.writerow(["label", "x_mm", "y_mm", "z_mm", "d_mm", "U_mm", "k", "T_C"])
     for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True):
-        writer.writerow([ball, *(repr(float(v)) for v in centre), repr(float(diameter)), repr(2 * float(artefact.uncertainty_mm)), 2,
-                         repr(float(artefact.reference_temperature_C))])
+        writer.writerow(
+            [
+                ball,
+                *(repr(float(v)) for v in centre),
+                repr(float(diameter)),
+                repr(2 * float(artefact.uncertainty_mm)),
+                2,
+                repr(float(artefact.reference_temperature_C)),
+            ]
+        )
     return out.getvalue()
 
 

@@ -38,8 +38,9 @@ class Targets:
 def chains(result: Mapping[str, Any]) -> tuple[Chain, Chain]:
     """Nominal and calibrated arm of a result."""
     sign = np.array(result["robot"]["sign"], dtype=float)
-    nominal, calibrated = (Chain(sign, *(np.array(result["robot"][which][p], dtype=float) for p in PARAMETERS))
-                           for which in ("nominal", "calibrated"))
+    nominal, calibrated = (
+        Chain(sign, *(np.array(result["robot"][which][p], dtype=float) for p in PARAMETERS)) for which in ("nominal", "calibrated")
+    )
     return nominal, calibrated
 
 
@@ -47,12 +48,15 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
     """File name -> content. Raises ConfigError where a target does not fit, before anything is written."""
     T = state_from_dict(dict(result)).T_flange_scanner
     text = {
-        "result.json": json.dumps(result, indent=1), "result.schema.json": json.dumps(result_schema(), indent=1),
-        "parameters.csv": tables.parameters_csv(result), "covariance.csv": tables.covariance_csv(result),
+        "result.json": json.dumps(result, indent=1),
+        "result.schema.json": json.dumps(result_schema(), indent=1),
+        "parameters.csv": tables.parameters_csv(result),
+        "covariance.csv": tables.covariance_csv(result),
         "verification.csv": tables.verification_csv(result),
         "tool_data.txt": kuka.tool_data(T, targets.tool, targets.tool_name),
-        f"{targets.name}.calib": ros.hand_eye_yaml(T, name=targets.name, base=targets.base_frame, flange=targets.flange_frame,
-                                                   scanner=targets.scanner_frame),
+        f"{targets.name}.calib": ros.hand_eye_yaml(
+            T, name=targets.name, base=targets.base_frame, flange=targets.flange_frame, scanner=targets.scanner_frame
+        ),
         "scanner.launch.py": ros.launch_file(T, targets.flange_frame, targets.scanner_frame),
         "static_transform.sh": "#!/bin/sh\nexec " + ros.static_transform_command(T, targets.flange_frame, targets.scanner_frame) + "\n",
     }
@@ -62,8 +66,9 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
     if targets.config_dat is not None:
         files["config.dat.diff"] = kuka.config_diff(targets.config_dat, T, targets.tool, targets.tool_name).encode("latin-1")
     if targets.urdf is not None:
-        files[targets.urdf.name] = urdf.patch(targets.urdf, *chains(result), joints=targets.joints or None, T_flange_scanner=T,
-                                              scanner=targets.scanner_frame)
+        files[targets.urdf.name] = urdf.patch(
+            targets.urdf, *chains(result), joints=targets.joints or None, T_flange_scanner=T, scanner=targets.scanner_frame
+        )
     return files
 
 

@@ -45,7 +45,7 @@ def config_diff(path: str | Path, T_flange_scanner: np.ndarray, number: int, nam
         if at is None:
             missing.append(wanted + end)
         else:
-            new[at] = wanted + new[at][len(new[at].rstrip("\r\n")):]
+            new[at] = wanted + new[at][len(new[at].rstrip("\r\n")) :]
     if missing:
         stop = next((i for i, line in enumerate(new) if line.strip().upper().startswith("ENDDAT")), None)
         if stop is None:

@@ -17,14 +17,26 @@ from mbcacq.recording.datasets import quaternions
 MAX_BYTES = 1 << 20
 
 
-def hand_eye_yaml(T_flange_scanner: np.ndarray, *, name: str, base: str = "base_link", flange: str = "tool0",
-                  scanner: str = "scanner_frame", artefact: str = "artefact") -> str:
+def hand_eye_yaml(
+    T_flange_scanner: np.ndarray,
+    *,
+    name: str,
+    base: str = "base_link",
+    flange: str = "tool0",
+    scanner: str = "scanner_frame",
+    artefact: str = "artefact",
+) -> str:
     """Text of ``~/.ros2/easy_handeye2/calibrations/NAME.calib``: scanner on the flange, parent ``flange``, child ``scanner``."""
     x, y, z, qx, qy, qz, qw = _metres(T_flange_scanner)
     data = {
         "parameters": {
-            "name": name, "calibration_type": "eye_in_hand", "robot_base_frame": base, "robot_effector_frame": flange,
-            "tracking_base_frame": scanner, "tracking_marker_frame": artefact, "freehand_robot_movement": False,
+            "name": name,
+            "calibration_type": "eye_in_hand",
+            "robot_base_frame": base,
+            "robot_effector_frame": flange,
+            "tracking_base_frame": scanner,
+            "tracking_marker_frame": artefact,
+            "freehand_robot_movement": False,
         },
         "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": {"x": qx, "y": qy, "z": qz, "w": qw}},
     }

@@ -16,7 +16,7 @@ from mbcacq.geometry.chain import PARAMETERS, Chain
 
 _HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
 CHUNK = 200_000
-ROUNDING = np.radians(1e-3)   # a controller prints that much more than its limit when it stands on it
+ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit when it stands on it
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     T = state.chain.flange(q[None])[0] @ state.T_flange_scanner
     out = np.empty((len(points), 3))
     for start in range(0, len(points), CHUNK):
-        out[start:start + CHUNK] = points[start:start + CHUNK].astype(float) @ T[:3, :3].T + T[:3, 3]
+        out[start : start + CHUNK] = points[start : start + CHUNK].astype(float) @ T[:3, :3].T + T[:3, 3]
     low, high = (out.min(axis=0), out.max(axis=0)) if len(out) else (T[:3, 3], T[:3, 3])
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     places = np.concatenate([[(low + high) / 2], corners])
@@ -65,12 +65,15 @@ def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
     for i, (angle, (low, high)) in enumerate(zip(q, limits or [], strict=bool(limits))):
         if not low - ROUNDING <= angle <= high + ROUNDING:
             allowed = f"{np.degrees(low):g} to {np.degrees(high):g} deg"
-            raise ConfigError(f"joint {i + 1} at {np.degrees(angle):g} deg is outside its limits {allowed}; "
-                              "give the angles in degrees as the controller reported them at the exposure")
+            raise ConfigError(
+                f"joint {i + 1} at {np.degrees(angle):g} deg is outside its limits {allowed}; "
+                "give the angles in degrees as the controller reported them at the exposure"
+            )
 
 
-def base_covariance(result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray,
-                    places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def base_covariance(
+    result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Covariances (P, 3, 3) mm^2 of places (P, 3) in the base, seen from q (n,): by the parameters, and by the joints' repeatability."""
     frames = chain.frames(q[None])
     by_row = chain.parameter_twists(frames, q[None])[0]

@@ -40,8 +40,10 @@ def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     noise = result["noise"]
     found = residuals(used, state_from_dict(dict(result), observations.cell), noise["scanner_mm"], noise["joint_rad"], rejected)
     rows = zip(found.pose, found.phase, found.ball, found.xyz, found.weighted, found.outlier, strict=True)
-    return _csv(["pose", "phase", "ball", "dx_mm", "dy_mm", "dz_mm", "dx_over_sigma", "dy_over_sigma", "dz_over_sigma", "used"],
-                ([int(p), phase, int(b), *xyz, *w, int(not out)] for p, phase, b, xyz, w, out in rows))
+    return _csv(
+        ["pose", "phase", "ball", "dx_mm", "dy_mm", "dz_mm", "dx_over_sigma", "dy_over_sigma", "dz_over_sigma", "used"],
+        ([int(p), phase, int(b), *xyz, *w, int(not out)] for p, phase, b, xyz, w, out in rows),
+    )
 
 
 def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

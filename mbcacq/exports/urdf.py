@@ -22,8 +22,15 @@ MAX_BYTES = 16 << 20
 AXIS_TOLERANCE_MM, AXIS_TOLERANCE_RAD = 1.0, 2e-3
 
 
-def patch(path: str | Path, nominal: Chain, calibrated: Chain, *, joints: Sequence[str] | None = None,
-          T_flange_scanner: np.ndarray | None = None, scanner: str = "scanner_frame") -> bytes:
+def patch(
+    path: str | Path,
+    nominal: Chain,
+    calibrated: Chain,
+    *,
+    joints: Sequence[str] | None = None,
+    T_flange_scanner: np.ndarray | None = None,
+    scanner: str = "scanner_frame",
+) -> bytes:
     """The file's XML with calibrated joint origins.
 
     joints: names of the n moving joints from base to flange (default: the revolute ones, of which there must be n). The robot's base is
@@ -109,8 +116,10 @@ def _chain(named: dict, joints: Sequence[str] | None, n: int, path) -> list:
     chain = chain[first:]
     moving = [j.get("name") for j in chain if j.get("type") != "fixed"]
     if len(moving) != n or joints and moving != list(joints):
-        raise ConfigError(f"{path}: the joints {', '.join(map(str, moving))} lead from the base to the last one, "
-                          f"but the arm has {n} axes; name them with --joint, base first")
+        raise ConfigError(
+            f"{path}: the joints {', '.join(map(str, moving))} lead from the base to the last one, "
+            f"but the arm has {n} axes; name them with --joint, base first"
+        )
     after = [j for j in named.values() if j.get("type") == "fixed" and _link(j, "parent") == _link(tip, "child")]
     return chain + after[:1]
 
@@ -160,10 +169,12 @@ def _check_axis(element, U: np.ndarray, F: np.ndarray, sign: float, path) -> Non
     apart = U[:3, 3] - F[:3, 3]
     distance = np.linalg.norm(apart - (apart @ F[:3, 2]) * F[:3, 2])
     if angle > AXIS_TOLERANCE_RAD or distance > AXIS_TOLERANCE_MM:
-        raise ConfigError(f"{path}:{element.sourceline}: the axis of joint '{element.get('name')}' is {distance:.1f} mm and "
-                          f"{np.degrees(angle):.1f} deg away from the calibrated arm's at its zero position: "
-                          "another robot, or other joint senses or zeros; "
-                          "give the URDF that uses the controller's joint angles")
+        raise ConfigError(
+            f"{path}:{element.sourceline}: the axis of joint '{element.get('name')}' is {distance:.1f} mm and "
+            f"{np.degrees(angle):.1f} deg away from the calibrated arm's at its zero position: "
+            "another robot, or other joint senses or zeros; "
+            "give the URDF that uses the controller's joint angles"
+        )
 
 
 def _add_scanner(root, named: dict, flange: str, T: np.ndarray, scanner: str) -> None:
@@ -186,5 +197,7 @@ def _vector(text: str, element, path) -> np.ndarray:
     try:
         return vector(text)
     except ValueError as error:
-        raise ConfigError(f"{path}:{element.sourceline}: the origin of joint '{element.get('name')}' is not three numbers: '{text}'; "
-                          "expand the file with xacro first") from error
+        raise ConfigError(
+            f"{path}:{element.sourceline}: the origin of joint '{element.get('name')}' is not three numbers: '{text}'; "
+            "expand the file with xacro first"
+        ) from error

@@ -95,13 +95,16 @@ class Chain:
         x = np.cos(angle)[..., None] * before[..., :3, 0] + np.sin(angle)[..., None] * before[..., :3, 1]
         y = after[..., :3, 1]
         zero = np.zeros_like(z)
-        return np.stack([
-            rotation_twist(z, origin),
-            np.concatenate([z, zero], -1),
-            np.concatenate([x, zero], -1),
-            rotation_twist(x, tip),
-            rotation_twist(y, tip),
-        ], axis=2)
+        return np.stack(
+            [
+                rotation_twist(z, origin),
+                np.concatenate([z, zero], -1),
+                np.concatenate([x, zero], -1),
+                rotation_twist(x, tip),
+                rotation_twist(y, tip),
+            ],
+            axis=2,
+        )
 
 
 def rotation_twist(axis: np.ndarray, point: np.ndarray) -> np.ndarray:

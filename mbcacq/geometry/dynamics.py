@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.gravity import STANDARD_GRAVITY
 
-STATED_SHARE = 0.1   # by which public masses and centres of gravity are off
+STATED_SHARE = 0.1  # by which public masses and centres of gravity are off
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 

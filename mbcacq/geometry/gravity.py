@@ -11,8 +11,13 @@ STANDARD_GRAVITY = 9.80665  # m/s^2
 
 
 def gravity_torque(
-    chain: Chain, frames: np.ndarray, mass: np.ndarray, com: np.ndarray,
-    payload_mass: float | np.ndarray, payload_com: np.ndarray, gravity: np.ndarray,
+    chain: Chain,
+    frames: np.ndarray,
+    mass: np.ndarray,
+    com: np.ndarray,
+    payload_mass: float | np.ndarray,
+    payload_com: np.ndarray,
+    gravity: np.ndarray,
 ) -> np.ndarray:
     """Torque that gravity exerts about each joint axis, counted in the controller's sense of rotation.
 

@@ -81,11 +81,14 @@ def from_abc(xyz: np.ndarray, abc: np.ndarray) -> np.ndarray:
     """KUKA frame: xyz (..., 3) mm, abc (..., 3) rad -> (..., 4, 4) with R = Rz(A) Ry(B) Rx(C)."""
     a, b, c = np.moveaxis(np.asarray(abc, dtype=float), -1, 0)
     ca, sa, cb, sb, cc, sc = np.cos(a), np.sin(a), np.cos(b), np.sin(b), np.cos(c), np.sin(c)
-    R = np.stack([
-        np.stack([ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc], -1),
-        np.stack([sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc], -1),
-        np.stack([-sb, cb * sc, cb * cc], -1),
-    ], -2)
+    R = np.stack(
+        [
+            np.stack([ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc], -1),
+            np.stack([sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc], -1),
+            np.stack([-sb, cb * sc, cb * cc], -1),
+        ],
+        -2,
+    )
     return transform(R, np.asarray(xyz, dtype=float))
 
 

@@ -67,15 +67,25 @@ class RobotSpec(Strict):
     repeatability_mm: float | None = Field(default=None, gt=0)
 
     def model(self) -> cell.RobotModel:
-        column = {name: np.array([getattr(link, name) for link in self.links], dtype=float)
-                  for name in ("sign", "theta_deg", "d_mm", "a_mm", "alpha_deg", "beta_deg", "mass_kg")}
-        optional = {name: _all_or_none([getattr(link, name) for link in self.links])
-                    for name in ("speed_deg_s", "acceleration_deg_s2", "gear_ratio")}
+        column = {
+            name: np.array([getattr(link, name) for link in self.links], dtype=float)
+            for name in ("sign", "theta_deg", "d_mm", "a_mm", "alpha_deg", "beta_deg", "mass_kg")
+        }
+        optional = {
+            name: _all_or_none([getattr(link, name) for link in self.links])
+            for name in ("speed_deg_s", "acceleration_deg_s2", "gear_ratio")
+        }
         gravity = np.array(self.base_to_gravity, dtype=float)
         return cell.RobotModel(
             name=self.name,
-            chain=Chain(column["sign"], np.radians(column["theta_deg"]), column["d_mm"], column["a_mm"],
-                        np.radians(column["alpha_deg"]), np.radians(column["beta_deg"])),
+            chain=Chain(
+                column["sign"],
+                np.radians(column["theta_deg"]),
+                column["d_mm"],
+                column["a_mm"],
+                np.radians(column["alpha_deg"]),
+                np.radians(column["beta_deg"]),
+            ),
             limits=np.radians([link.limits_deg for link in self.links]),
             mass=column["mass_kg"],
             com=np.array([link.com_mm for link in self.links], dtype=float),
@@ -106,10 +116,13 @@ class ArtefactSpec(Strict):
 
     def model(self) -> cell.Artefact:
         return cell.Artefact(
-            id=self.id, name=self.name, ball_ids=tuple(b.id for b in self.balls),
+            id=self.id,
+            name=self.name,
+            ball_ids=tuple(b.id for b in self.balls),
             centres=np.array([b.centre_mm for b in self.balls], dtype=float),
             diameters=np.array([b.diameter_mm for b in self.balls]),
-            uncertainty_mm=self.uncertainty_mm, reference_temperature_C=self.reference_temperature_C,
+            uncertainty_mm=self.uncertainty_mm,
+            reference_temperature_C=self.reference_temperature_C,
             expansion_ppm_per_K=self.expansion_ppm_per_K,
         )
 
@@ -142,11 +155,18 @@ class CellSpec(Strict):
 
     def model(self) -> cell.Cell:
         return cell.Cell(
-            robot=self.robot.model(), T_flange_scanner=self.hand_eye.transform(),
+            robot=self.robot.model(),
+            T_flange_scanner=self.hand_eye.transform(),
             artefacts=tuple(a.model() for a in self.artefacts),
-            stations=tuple(cell.Station(str(s.id), s.artefact,
-                                        s.pose_in_base.transform() if s.pose_in_base else None,
-                                        s.pose_in_base.sigma_mm if s.pose_in_base else None) for s in self.stations),
+            stations=tuple(
+                cell.Station(
+                    str(s.id),
+                    s.artefact,
+                    s.pose_in_base.transform() if s.pose_in_base else None,
+                    s.pose_in_base.sigma_mm if s.pose_in_base else None,
+                )
+                for s in self.stations
+            ),
             scanner_name=self.scanner.name,
             noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
             measurement=self.measurement,

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.model.cell import RobotModel
 
-MOVING_RAD_S, MARGIN_S = 2e-3, 0.25   # an axis moves; what is kept before and after
-SHORTEST = 250                        # samples of a move worth keeping
+MOVING_RAD_S, MARGIN_S = 2e-3, 0.25  # an axis moves; what is kept before and after
+SHORTEST = 250  # samples of a move worth keeping
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,14 @@ def moves(trajectory: Trajectory, samples: int = 15000) -> list[Trajectory]:
 
 
 def _part(t: Trajectory, where: slice) -> Trajectory:
-    signals = {name: None if getattr(t, name) is None else getattr(t, name)[where]
-               for name in ("q", "q_set", "q_joint", "torque", "motor_torque", "current")}
-    return replace(t, time_s=t.time_s[where], **signals, temperatures={k: v[where] for k, v in t.temperatures.items()},
-                   extra={k: v[where] for k, v in t.extra.items()})
+    signals = {
+        name: None if getattr(t, name) is None else getattr(t, name)[where]
+        for name in ("q", "q_set", "q_joint", "torque", "motor_torque", "current")
+    }
+    return replace(
+        t,
+        time_s=t.time_s[where],
+        **signals,
+        temperatures={k: v[where] for k, v in t.temperatures.items()},
+        extra={k: v[where] for k, v in t.extra.items()},
+    )

@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.plan.collision import Body, arm_bodies, station_bodies, surrounding_bodies
 from mbcacq.plan.planned import LoadedPlan
 
-FINEST_MM = 4.0         # motions are divided until nothing moves further than this between two looks
+FINEST_MM = 4.0  # motions are divided until nothing moves further than this between two looks
 
 POSTURES = 100
 
@@ -111,7 +111,7 @@ class Clearance:
         steps = np.linalg.norm(np.diff(frames[:, :3, 3], axis=0), axis=1)
         lever = np.zeros(self._chain.n)
         for joint in range(behind, body.link):
-            lever[joint] = steps[joint:body.link].sum() + np.linalg.norm(body.pose[:3, 3]) + body.radius
+            lever[joint] = steps[joint : body.link].sum() + np.linalg.norm(body.pose[:3, 3]) + body.radius
         return lever
 
 

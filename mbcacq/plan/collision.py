@@ -13,11 +13,11 @@ from mbcacq.plan.planned import LoadedPlan
 
 # Thickness of links 1, 2... as a share of the reach; what follows the last entry is as thin as that.
 LINK_RADIUS = (0.07, 0.07, 0.05, 0.05, 0.04)
-PLATE_MM = 40.0         # what carries the balls, below the lowest of them
-SIDE_MM = 8.0           # around the outermost balls
+PLATE_MM = 40.0  # what carries the balls, below the lowest of them
+SIDE_MM = 8.0  # around the outermost balls
 SHORTEST_MM = 5.0
-WALL_MM = 5000.0        # thicker than any arm reaches
-DEEPEST_MM = 400.0      # of a tripod, where the plan names no floor
+WALL_MM = 5000.0  # thicker than any arm reaches
+DEEPEST_MM = 400.0  # of a tripod, where the plan names no floor
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Body:
     link: int
     pose: np.ndarray
     shape: Any
-    radius: float           # of a sphere around the origin of ``pose`` that holds it
+    radius: float  # of a sphere around the origin of ``pose`` that holds it
 
 
 def arm_bodies(loaded: LoadedPlan) -> list[Body]:

@@ -38,8 +38,10 @@ def unreachable_sentence(loaded: LoadedPlan, target: Target) -> str:
     """'file:line: ...' about a target that no joint position reaches."""
     step = loaded.plan.steps[target.step]
     wrist = "" if target.wrist == "any" else f" with A5 {target.wrist}"
-    return (f"{loaded.path}:{loaded.lines[target.where]}: step '{step.name}' at station '{target.station}': no joint position within the "
-            f"limits of {loaded.cell.robot.name} reaches this pose{wrist}; move the station or change the view")
+    return (
+        f"{loaded.path}:{loaded.lines[target.where]}: step '{step.name}' at station '{target.station}': no joint position within the "
+        f"limits of {loaded.cell.robot.name} reaches this pose{wrist}; move the station or change the view"
+    )
 
 
 def _options(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
@@ -57,6 +59,14 @@ def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> 
     step = loaded.plan.steps[target.step]
     station = next(s for s in loaded.cell.stations if s.id == target.station)
     return PlannedPose(
-        number=number, step=target.step, step_name=step.name, phase=step.phase, station=target.station, artefact=station.artefact,
-        q=q, balls=target.balls, exposures=step.exposures or loaded.plan.exposures, line=loaded.lines[target.where],
+        number=number,
+        step=target.step,
+        step_name=step.name,
+        phase=step.phase,
+        station=target.station,
+        artefact=station.artefact,
+        q=q,
+        balls=target.balls,
+        exposures=step.exposures or loaded.plan.exposures,
+        line=loaded.lines[target.where],
     )

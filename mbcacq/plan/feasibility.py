@@ -24,8 +24,15 @@ def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | Non
     """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises.
 
     routes: of ``find_paths``, where they are known already."""
-    return [*check_reach(loaded), *check_joints(loaded, poses), *check_sight(loaded, poses), *check_clearance(loaded, poses),
-            *check_ways(loaded, poses, routes), *check_repetition(loaded, poses), *check_revisits(loaded, poses)]
+    return [
+        *check_reach(loaded),
+        *check_joints(loaded, poses),
+        *check_sight(loaded, poses),
+        *check_clearance(loaded, poses),
+        *check_ways(loaded, poses, routes),
+        *check_repetition(loaded, poses),
+        *check_revisits(loaded, poses),
+    ]
 
 
 def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
@@ -122,8 +129,14 @@ def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator
     visited: set[str] = set()
     for pose in poses:
         if pose.station in visited and stands[pose.artefact] != pose.station:
-            yield finding(loaded, pose, "warning", "revisited", "the artefact was taken away meanwhile and will not stand where it stood; "
-                          "give the second visit a station of its own, at the same place")
+            yield finding(
+                loaded,
+                pose,
+                "warning",
+                "revisited",
+                "the artefact was taken away meanwhile and will not stand where it stood; "
+                "give the second visit a station of its own, at the same place",
+            )
         visited.add(pose.station)
         stands[pose.artefact] = pose.station
 

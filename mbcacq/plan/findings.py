@@ -40,8 +40,11 @@ def merged(findings: list[PlanFinding]) -> list[PlanFinding]:
     for finding in findings:
         key = (finding.level, finding.code, finding.step)
         known = first.get(key)
-        first[key] = finding if known is None else PlanFinding(
-            known.level, known.code, known.step, known.place, known.sentence, known.poses + finding.poses)
+        first[key] = (
+            finding
+            if known is None
+            else PlanFinding(known.level, known.code, known.step, known.place, known.sentence, known.poses + finding.poses)
+        )
     order = {"error": 0, "warning": 1, "info": 2}
     return sorted((_with_count(f) for f in first.values()), key=lambda f: order[f.level])
 

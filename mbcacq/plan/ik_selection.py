@@ -10,7 +10,7 @@ from mbcacq.model.cell import RobotModel
 LIMIT_MARGIN = np.radians(5.0)
 SINGULAR = np.radians(12.0)
 OVERHEAD_S = 20.0
-DEFAULT_SPEED = np.radians(180.0)       # rad/s, for arms whose source gives none
+DEFAULT_SPEED = np.radians(180.0)  # rad/s, for arms whose source gives none
 
 
 def cheapest(start: np.ndarray, options: list[np.ndarray], restart: list[bool], robot: RobotModel, speed: np.ndarray) -> list[int]:

@@ -18,7 +18,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
 
 TURN = 2 * np.pi
-AGREEMENT = 1e-6        # mm, and rad: how well the closed form must repeat the chain
+AGREEMENT = 1e-6  # mm, and rad: how well the closed form must repeat the chain
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,15 @@ def _derive(robot: RobotModel) -> InverseKinematics:
     tool = axis[5] * (np.sign(axis[5] @ (flange - centre)) or 1.0)
     sense[5] = np.sign(axis[5] @ tool)
     theta5 = np.arctan2(tool @ bent, tool @ forearm)
-    lengths = {"a1": shoulder[0], "a2": (centre - elbow) @ across, "b": centre[1], "c1": shoulder[2],
-               "c2": np.hypot(upper[0], upper[2]), "c3": (centre - elbow) @ forearm, "c4": (flange - centre) @ tool}
+    lengths = {
+        "a1": shoulder[0],
+        "a2": (centre - elbow) @ across,
+        "b": centre[1],
+        "c1": shoulder[2],
+        "c2": np.hypot(upper[0], upper[2]),
+        "c3": (centre - elbow) @ forearm,
+        "c4": (flange - centre) @ tool,
+    }
     offset = np.array([0.0, theta2, pitch - theta2, theta4, theta5, 0.0])
     bare = InverseKinematics(chain, robot.limits, {k: float(v) for k, v in lengths.items()}, sense, offset, T_base_opw, np.eye(4))
     rest = se3.inverse(bare.forward(np.zeros((1, 6)))[0]) @ frames[6]

@@ -13,7 +13,7 @@ from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.schema import Look, Plan, Taught
 from mbcacq.plan.yaml_source import Path_, YamlFile, read
 
-ROTATION_TOLERANCE = 0.02      # published matrices carry two to four digits
+ROTATION_TOLERANCE = 0.02  # published matrices carry two to four digits
 
 
 def load(path: str | Path) -> LoadedPlan:
@@ -156,5 +156,3 @@ def _check_balls(file: YamlFile, where: Path_, step: str, balls: tuple[int, ...]
 def _check_joints(file: YamlFile, where: Path_, q: np.ndarray, n: int) -> None:
     if len(q) != n:
         raise file.error(where, f"{len(q)} joint angles are given, but the robot has {n} axes")
-
-

@@ -8,7 +8,7 @@ from mbcacq.devices import MotionLimits, SafetyStop
 from mbcacq.model.cell import Cell
 from mbcacq.plan.planned import LoadedPlan
 
-T1_MM_S = 250.0                  # a controller's reduced speed, ISO 10218-1
+T1_MM_S = 250.0  # a controller's reduced speed, ISO 10218-1
 DEFAULT_SPEED = np.radians(60.0)  # rad/s, for a model whose source gives no speeds
 
 

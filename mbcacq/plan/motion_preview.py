@@ -12,7 +12,7 @@ from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
-STEP = np.radians(2.0)      # between two looks at where flange and scanner are; for the figures, not for the clearance
+STEP = np.radians(2.0)  # between two looks at where flange and scanner are; for the figures, not for the clearance
 ROUNDING = 1e-9
 
 
@@ -37,8 +37,13 @@ class Swept:
     legs: int
 
 
-def legs(loaded: LoadedPlan, poses: Sequence[PlannedPose], paths: Sequence[Transit], way_home: Sequence[np.ndarray],
-         done: frozenset[int] = frozenset()) -> Iterator[MotionSegment]:
+def legs(
+    loaded: LoadedPlan,
+    poses: Sequence[PlannedPose],
+    paths: Sequence[Transit],
+    way_home: Sequence[np.ndarray],
+    done: frozenset[int] = frozenset(),
+) -> Iterator[MotionSegment]:
     """All motions of a run in order, from home to home; ``done`` poses are passed over."""
     at, station = np.radians(loaded.plan.robot.home_deg), None
     for pose, path in zip(poses, paths, strict=True):
@@ -61,15 +66,17 @@ def refuse_unsafe(loaded: LoadedPlan, way: Sequence[MotionSegment]) -> None:
     limits, clearance = loaded.cell.robot.limits, Clearance(loaded)
     for leg in way:
         where = "on the way home" if leg.pose is None else f"on the way to pose {leg.pose.number} (step '{leg.pose.step_name}')"
-        for q in (leg.start, leg.end):      # what lies between two points within the limits is within them
+        for q in (leg.start, leg.end):  # what lies between two points within the limits is within them
             outside = ~np.isfinite(q) | (q < limits[:, 0] - ROUNDING) | (q > limits[:, 1] + ROUNDING)
             if outside.any():
                 axis = int(np.argmax(outside))
                 raise SafetyStop(f"{where} A{axis + 1} would reach {np.degrees(q[axis]):.1f} deg, outside its limits; nothing was moved")
         near = clearance.on_way(leg.start, leg.end, leg.station, loaded.plan.clearance_mm)
         if near is not None:
-            raise SafetyStop(f"{where} {near.a} would come within {near.distance:.0f} mm of {near.b}; nothing was moved: change the views "
-                             "or the stations (mbcacq plan check)")
+            raise SafetyStop(
+                f"{where} {near.a} would come within {near.distance:.0f} mm of {near.b}; nothing was moved: change the views "
+                "or the stations (mbcacq plan check)"
+            )
 
 
 def swept(loaded: LoadedPlan, way: Sequence[MotionSegment]) -> Swept:

@@ -11,8 +11,8 @@ from mbcacq.plan.field_of_view import margin
 from mbcacq.plan.findings import PlanFinding, finding
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 
-STEEPEST = np.radians(70.0)     # between the scanner's axis and the artefact's: more, and it looks at the plate's edge
-HIDDEN = 0.6                    # of the sum of two radii: seen closer together than that, the far ball shows too little
+STEEPEST = np.radians(70.0)  # between the scanner's axis and the artefact's: more, and it looks at the plate's edge
+HIDDEN = 0.6  # of the sum of two radii: seen closer together than that, the far ball shows too little
 
 
 def check_sight(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
@@ -50,7 +50,7 @@ def occluded(xyz: np.ndarray, radius: np.ndarray, field) -> list[tuple[int, int]
     ray = xyz - camera
     distance = np.linalg.norm(ray, axis=1)
     direction = ray / distance[:, None]
-    aside = np.linalg.norm(np.cross(direction[:, None], ray[None]), axis=-1)      # [i, j]: ball j beside the ray to ball i
+    aside = np.linalg.norm(np.cross(direction[:, None], ray[None]), axis=-1)  # [i, j]: ball j beside the ray to ball i
     front = distance[None] < distance[:, None]
     hides = front & (aside < HIDDEN * (radius[:, None] + radius[None]))
     np.fill_diagonal(hides, False)

@@ -14,8 +14,8 @@ from mbcacq.plan.clearance import Clearance, Closest
 from mbcacq.plan.kinematics import InverseKinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
-RETRACTIONS_MM = (80.0, 160.0, 260.0)   # along the scanner's axis, away from what it looks at
-FARTHEST = np.radians(75.0)             # joint travel of a retraction; more means another branch of the arm
+RETRACTIONS_MM = (80.0, 160.0, 260.0)  # along the scanner's axis, away from what it looks at
+FARTHEST = np.radians(75.0)  # joint travel of a retraction; more means another branch of the arm
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,10 @@ def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
     near = router.clearance.on_way(q, router.home, None, min(loaded.plan.clearance_mm, router.clearance.at(q, None).distance - 1.0))
     if near is not None:
         angles = ", ".join(f"{a:.1f}" for a in np.degrees(q))
-        raise SafetyStop(f"the arm stands at {angles} deg; on its straight way to home {near.a} would come within {near.distance:.0f} mm "
-                         f"of {near.b}; bring it near home by hand, then start again")
+        raise SafetyStop(
+            f"the arm stands at {angles} deg; on its straight way to home {near.a} would come within {near.distance:.0f} mm "
+            f"of {near.b}; bring it near home by hand, then start again"
+        )
 
 
 Routes = tuple[list[Transit], list[Obstructed]]
@@ -85,8 +87,10 @@ def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
 def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], blocked: Obstructed) -> str:
     pose = next(p for p in poses if p.number == blocked.number)
     near = blocked.closest
-    return (f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free way to pose {pose.number} was found "
-            f"(on the straight one {near.a} comes within {near.distance:.0f} mm of {near.b}); move the station, or put a view between")
+    return (
+        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free way to pose {pose.number} was found "
+        f"(on the straight one {near.a} comes within {near.distance:.0f} mm of {near.b}); move the station, or put a view between"
+    )
 
 
 class Router:
@@ -100,10 +104,11 @@ class Router:
         try:
             self._solver: InverseKinematics | None = InverseKinematics.of(loaded.cell.robot)
         except ConfigError:
-            self._solver = None     # taught poses of another kind of arm: no retraction, only by home
+            self._solver = None  # taught poses of another kind of arm: no retraction, only by home
 
     def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a to b, both looking at the artefact of one station; None: no free way."""
+
         def ways() -> Iterator[list[np.ndarray]]:
             yield []
             back = list(zip(self._retracted(a.q), self._retracted(b.q), strict=False))

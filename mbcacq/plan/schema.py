@@ -13,18 +13,18 @@ class RobotUse(Strict):
     """Which arm, how to reach it, and how fast it may move."""
 
     driver: str
-    model: str                                              # robot YAML, relative to the plan
-    urdf: str | None = None                                 # draws the arm in the viewer; relative to the plan
-    options: dict[str, Any] = {}                            # the driver's own
-    speed: float = Field(default=0.3, gt=0, le=1)           # share of the model's largest joint speed
-    acceleration_time_s: float = Field(default=0.3, gt=0)   # time to reach that speed
-    jerk_time_s: float = Field(default=0.1, gt=0)           # time to reach that acceleration
+    model: str  # robot YAML, relative to the plan
+    urdf: str | None = None  # draws the arm in the viewer; relative to the plan
+    options: dict[str, Any] = {}  # the driver's own
+    speed: float = Field(default=0.3, gt=0, le=1)  # share of the model's largest joint speed
+    acceleration_time_s: float = Field(default=0.3, gt=0)  # time to reach that speed
+    jerk_time_s: float = Field(default=0.1, gt=0)  # time to reach that acceleration
     settle_s: float = Field(default=0.3, ge=0)
     tolerance_deg: float = Field(default=0.01, gt=0)
-    home_deg: tuple[float, ...]                             # where the run starts, ends, and the artefact is moved
-    payload: PayloadSpec | None = None                      # scanner with bracket, in the flange frame; default: the robot file's
-    link_radius_mm: float | None = Field(default=None, gt=0)    # of the upper arm, for collisions; default: 7 % of the arm's reach
-    base_to_gravity: Vector | None = None                   # for an arm on a wall or a ceiling; default: the robot file's
+    home_deg: tuple[float, ...]  # where the run starts, ends, and the artefact is moved
+    payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
+    link_radius_mm: float | None = Field(default=None, gt=0)  # of the upper arm, for collisions; default: 7 % of the arm's reach
+    base_to_gravity: Vector | None = None  # for an arm on a wall or a ceiling; default: the robot file's
 
 
 class FieldOfView(Strict):
@@ -34,7 +34,7 @@ class FieldOfView(Strict):
     far_z_mm: float
     near_half_mm: tuple[float, float]
     far_half_mm: tuple[float, float]
-    body_mm: tuple[Vector, Vector] | None = None            # housing, a box in the scanner frame: min, max corner
+    body_mm: tuple[Vector, Vector] | None = None  # housing, a box in the scanner frame: min, max corner
 
 
 class ScannerUse(Strict):
@@ -43,9 +43,9 @@ class ScannerUse(Strict):
     options: dict[str, Any] = {}
     field_of_view: FieldOfView
     exposure_us: float | None = None
-    noise_mm: Vector | None = None                          # of one fitted ball centre along x, y, z
-    scan_time_s: float = Field(default=1.0, ge=0)           # of one exposure with its transfer, for the estimate of the duration
-    reconnect_s: float = Field(default=90.0, ge=0)          # how long a scanner that went away (a reboot, a cable) is tried again
+    noise_mm: Vector | None = None  # of one fitted ball centre along x, y, z
+    scan_time_s: float = Field(default=1.0, ge=0)  # of one exposure with its transfer, for the estimate of the duration
+    reconnect_s: float = Field(default=90.0, ge=0)  # how long a scanner that went away (a reboot, a cable) is tried again
 
 
 class DeviceUse(Strict):
@@ -55,7 +55,7 @@ class DeviceUse(Strict):
 
 
 class SensorUse(DeviceUse):
-    required: bool = False                                  # a run ends where its value is missing; else the pose is without it
+    required: bool = False  # a run ends where its value is missing; else the pose is without it
 
 
 class StationPlace(Strict):
@@ -72,8 +72,8 @@ class View(Strict):
     tilt_deg: float = Field(default=0.0, ge=0, lt=90)
     azimuth_deg: float = 0.0
     roll_deg: float = 0.0
-    shift_mm: Vector = (0.0, 0.0, 0.0)                      # of the looked-at point, in the scanner frame
-    wrist: Literal["any", "positive", "negative"] = "any"   # sign of A5: the two ways a wrist reaches one orientation
+    shift_mm: Vector = (0.0, 0.0, 0.0)  # of the looked-at point, in the scanner frame
+    wrist: Literal["any", "positive", "negative"] = "any"  # sign of A5: the two ways a wrist reaches one orientation
 
 
 class Step(Strict):
@@ -107,7 +107,7 @@ class Taught(Step):
     do: Literal["joints"]
     station: str | int
     poses_deg: tuple[tuple[float, ...], ...] = Field(min_length=1)
-    balls: tuple[int, ...] | None = None                    # expected ids; default: all in view
+    balls: tuple[int, ...] | None = None  # expected ids; default: all in view
 
 
 AnyStep = Annotated[Translate | Look | Taught, Field(discriminator="do")]
@@ -143,14 +143,14 @@ class Plan(Strict):
     positioner: DeviceUse = DeviceUse(driver="manual")
     sensors: tuple[SensorUse, ...] = ()
     hand_eye: PoseSpec
-    artefacts: tuple[str, ...] = Field(min_length=1)        # artefact YAML files, relative to the plan
+    artefacts: tuple[str, ...] = Field(min_length=1)  # artefact YAML files, relative to the plan
     stations: tuple[StationPlace, ...] = Field(min_length=1)
     exposures: int = Field(default=3, ge=1)
-    station_tolerance_mm: float = Field(default=30.0, gt=0)     # an artefact seen farther from its planned place ends the run
+    station_tolerance_mm: float = Field(default=30.0, gt=0)  # an artefact seen farther from its planned place ends the run
     obstacles: tuple[Obstacle, ...] = ()
-    workspace: Workspace | None = None                      # nothing of the arm that moves may leave it
-    clearance_mm: float = Field(default=10.0, ge=0)         # closer than this counts as a collision
-    tripod_radius_mm: float = Field(default=40.0, ge=0)     # of the stand below each station, down to the lowest obstacle; 0: none
+    workspace: Workspace | None = None  # nothing of the arm that moves may leave it
+    clearance_mm: float = Field(default=10.0, ge=0)  # closer than this counts as a collision
+    tripod_radius_mm: float = Field(default=40.0, ge=0)  # of the stand below each station, down to the lowest obstacle; 0: none
     steps: tuple[AnyStep, ...] = Field(min_length=1)
     accept: Acceptance = Acceptance()
-    fake: dict[str, Any] = {}                               # what the fake cell conceals; a real run ignores it
+    fake: dict[str, Any] = {}  # what the fake cell conceals; a real run ignores it

@@ -26,20 +26,40 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
         "scanner": loaded.cell.scanner_name,
         "steps": [_step(loaded, index, poses) for index in range(len(loaded.plan.steps))],
         "poses": [
-            {"pose": p.number, "step": p.step_name, "phase": p.phase, "station": p.station, "artefact": p.artefact,
-             "balls": list(p.balls), "q_deg": np.degrees(p.q).round(4).tolist(), "exposures": p.exposures, "line": p.line,
-             "waypoints": len(t), "start_s": round(s, 2)}
+            {
+                "pose": p.number,
+                "step": p.step_name,
+                "phase": p.phase,
+                "station": p.station,
+                "artefact": p.artefact,
+                "balls": list(p.balls),
+                "q_deg": np.degrees(p.q).round(4).tolist(),
+                "exposures": p.exposures,
+                "line": p.line,
+                "waypoints": len(t),
+                "start_s": round(s, 2),
+            }
             for p, t, s in zip(poses, transits, starts, strict=True)
         ],
-        "duration": {"total_s": total.total_s, "motion_s": total.motion_s, "settle_s": total.settle_s, "exposure_s": total.exposure_s,
-                     "station_changes": total.station_changes},
+        "duration": {
+            "total_s": total.total_s,
+            "motion_s": total.motion_s,
+            "settle_s": total.settle_s,
+            "exposure_s": total.exposure_s,
+            "station_changes": total.station_changes,
+        },
     }
 
 
 def _step(loaded: LoadedPlan, index: int, poses: Sequence[PlannedPose]) -> dict[str, Any]:
     step, own = loaded.plan.steps[index], [p for p in poses if p.step == index]
-    return {"name": step.name, "phase": step.phase, "stations": list(dict.fromkeys(p.station for p in own)), "poses": len(own),
-            "exposures": sum(p.exposures for p in own)}
+    return {
+        "name": step.name,
+        "phase": step.phase,
+        "stations": list(dict.fromkeys(p.station for p in own)),
+        "poses": len(own),
+        "exposures": sum(p.exposures for p in own),
+    }
 
 
 def _starts(loaded: LoadedPlan, poses, transits) -> list[float]:

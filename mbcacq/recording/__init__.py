@@ -10,10 +10,18 @@ if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
 
 _LAZY = {
-    "Journal": "run_folder.journal", "Recorder": "rrd.writer", "Recording": "rrd.reader", "Trajectory": "datasets.trajectory_set",
-    "find_gaps": "run_folder.gaps", "log_result": "rrd.result_recording", "poses_done": "run_folder.progress",
-    "read_observation_set": "datasets.observation_set", "read_trajectory_set": "datasets.trajectory_set",
-    "recover": "run_folder.recovery", "take_stock": "run_folder.progress", "write_diagnosis": "rrd.diagnosis_recording",
+    "Journal": "run_folder.journal",
+    "Recorder": "rrd.writer",
+    "Recording": "rrd.reader",
+    "Trajectory": "datasets.trajectory_set",
+    "find_gaps": "run_folder.gaps",
+    "log_result": "rrd.result_recording",
+    "poses_done": "run_folder.progress",
+    "read_observation_set": "datasets.observation_set",
+    "read_trajectory_set": "datasets.trajectory_set",
+    "recover": "run_folder.recovery",
+    "take_stock": "run_folder.progress",
+    "write_diagnosis": "rrd.diagnosis_recording",
     "write_observation_set": "datasets.observation_set",
 }
 __all__ = ["ACCEPTED", "load", *_LAZY]

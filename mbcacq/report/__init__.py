@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 __all__ = ["about_run", "everything_about", "report_from_result", "write_diagnosis_page"]
 
 
-def report_from_result(result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None,
-                       run_info: Mapping[str, Any] | None = None) -> Path:
+def report_from_result(
+    result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None, run_info: Mapping[str, Any] | None = None
+) -> Path:
     """Write the report of a result.json, with 'verification', 'accuracy_map' and 'gaps' in it or not.
 
     observations: the recording, for residuals, histogram and coverage. run_info: what ``everything_about`` a run says: optional texts

@@ -24,8 +24,17 @@ def render(content: Content) -> str:
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
     figures = _figures(content) | ({} if content.diagnosis is None else _of_diagnosis(content.diagnosis))
-    return _template("page.html.j2", c=content, figures=figures, np=np, picture=picture, groups=groups(content), matrices=matrices(content),
-                     held=held(content), d=content.diagnosis)
+    return _template(
+        "page.html.j2",
+        c=content,
+        figures=figures,
+        np=np,
+        picture=picture,
+        groups=groups(content),
+        matrices=matrices(content),
+        held=held(content),
+        d=content.diagnosis,
+    )
 
 
 def render_diagnosis(told: DiagnosisContent, title: str) -> str:
@@ -49,8 +58,9 @@ def _template(name: str, **values: Any) -> str:
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
 
-    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-                              lstrip_blocks=True)
+    environment = Environment(
+        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters |= {"number": number, "signed": signed, "shape_title": shape_title}
     kept = {key: Markup((HERE / file).read_text(encoding="utf-8")) for key, file in (("css", "page.css"), ("js", "page.js"))}
     return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
@@ -111,8 +121,11 @@ def _of_devices(content: Content) -> dict[str, Any]:
         return out
     if devices.state_s:
         out["states"] = more_charts.time_spent(devices)
-    for name, data, draw in (("late", devices.late, more_charts.late_answers), ("period", devices.period_ms, more_charts.periods),
-                             ("exposure", devices.exposure_s, more_charts.exposure_times)):
+    for name, data, draw in (
+        ("late", devices.late, more_charts.late_answers),
+        ("period", devices.period_ms, more_charts.periods),
+        ("exposure", devices.exposure_s, more_charts.exposure_times),
+    ):
         if data is not None and len(data) and (name != "late" or data.any()):
             out[name] = draw(devices)
     return out
@@ -133,5 +146,7 @@ def _div(name: str, figure: Any) -> Any:
 
     data = figure.to_json().replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
     height = figure.layout.height or 300
-    return Markup(f'<div class="plot" id="figure-{name}" data-figure="data-{name}" style="height:{height:g}px"></div>'
-                  f'<script type="application/json" id="data-{name}">{data}</script>')
+    return Markup(
+        f'<div class="plot" id="figure-{name}" data-figure="data-{name}" style="height:{height:g}px"></div>'
+        f'<script type="application/json" id="data-{name}">{data}</script>'
+    )

@@ -31,11 +31,28 @@ def matrices(content: Content) -> list[Matrix]:
     balls = _table([p for p in content.parameters if p.held is None], _BALL, lambda m: (m.group(1), m.group(2)), list("xyz"))
     out = []
     if kinematic:
-        out.append(Matrix("Kinematic errors, MD-H", "axis", list(MDH.values()), kinematic, [4, 4, 4, 4, 4],
-                          note="Calibrated minus nominal, with standard deviations (k = 1)."))
+        out.append(
+            Matrix(
+                "Kinematic errors, MD-H",
+                "axis",
+                list(MDH.values()),
+                kinematic,
+                [4, 4, 4, 4, 4],
+                note="Calibrated minus nominal, with standard deviations (k = 1).",
+            )
+        )
     if balls:
-        out.append(Matrix("Ball centres against their certificate", "ball", ["x / µm", "y / µm", "z / µm"], balls, [2, 2, 2], 1e3,
-                          "Estimated within the uncertainty of the certificate, in the artefact's frame."))
+        out.append(
+            Matrix(
+                "Ball centres against their certificate",
+                "ball",
+                ["x / µm", "y / µm", "z / µm"],
+                balls,
+                [2, 2, 2],
+                1e3,
+                "Estimated within the uncertainty of the certificate, in the artefact's frame.",
+            )
+        )
     return out
 
 

@@ -17,8 +17,14 @@ from mbcacq.spheres.voxels import Patches, Voxels, patches, voxelise
 MAX_CANDIDATES = 60
 
 
-def find_balls(points: np.ndarray, artefact: Artefact, *, expected: Sequence[int] | None = None,
-               predicted: np.ndarray | None = None, options: BallOptions | None = None) -> FoundBalls:
+def find_balls(
+    points: np.ndarray,
+    artefact: Artefact,
+    *,
+    expected: Sequence[int] | None = None,
+    predicted: np.ndarray | None = None,
+    options: BallOptions | None = None,
+) -> FoundBalls:
     """Centres of the artefact's balls in one cloud.
 
     points: (N, 3) float32 or float64, mm, in any order, plates and other things included; rows that are not finite are dropped.
@@ -125,24 +131,33 @@ def _other_diameter(surface: Surface, artefact: Artefact, options: BallOptions) 
                 if fit is None:
                     break
                 centre, radius = fit.centre[None], float(np.clip(radius + fit.radius_error, 0.5 * radius, 2 * radius))
-            if fit is not None and fit.coverage > 0.5 and fit.noise_mm < options.max_noise and fit.n_points >= options.min_points \
-                    and (best is None or count > best[0]):
+            if (
+                fit is not None
+                and fit.coverage > 0.5
+                and fit.noise_mm < options.max_noise
+                and fit.n_points >= options.min_points
+                and (best is None or count > best[0])
+            ):
                 best = (count, radius)
     if best is not None:
         wanted = ", ".join(f"{d:g}" for d in np.unique(artefact.diameters))
-        raise DeviceFault(f"wrong artefact in view: a ball of {2 * best[1]:.2f} mm diameter is seen, artefact '{artefact.id}' has balls of "
-                          f"{wanted} mm; put the right artefact in place or correct the plan")
+        raise DeviceFault(
+            f"wrong artefact in view: a ball of {2 * best[1]:.2f} mm diameter is seen, artefact '{artefact.id}' has balls of "
+            f"{wanted} mm; put the right artefact in place or correct the plan"
+        )
 
 
 def _check(artefact: Artefact, expected: Sequence[int] | None, predicted: np.ndarray | None) -> None:
     if not (artefact.diameters > 0).all():
-        raise ConfigError(f"artefact '{artefact.id}' has a ball without diameter_mm, which finding it in a cloud needs; "
-                          "add it to the certificate")
+        raise ConfigError(
+            f"artefact '{artefact.id}' has a ball without diameter_mm, which finding it in a cloud needs; add it to the certificate"
+        )
     ids = artefact.ball_ids if expected is None else tuple(expected)
     for ball in ids:
         if ball not in artefact.ball_ids:
-            raise ConfigError(f"ball {ball} is expected in view, but artefact '{artefact.id}' has the balls "
-                              f"{list(artefact.ball_ids)}; correct the plan")
+            raise ConfigError(
+                f"ball {ball} is expected in view, but artefact '{artefact.id}' has the balls {list(artefact.ball_ids)}; correct the plan"
+            )
     if predicted is not None and np.shape(predicted) != (len(ids), 3):
         raise ConfigError(f"predicted centres have shape {np.shape(predicted)}, for {len(ids)} balls ({len(ids)}, 3) is needed")
 

@@ -62,8 +62,9 @@ def rough_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndar
     return centres
 
 
-def sphere_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, view: np.ndarray | None, max_incidence: float,
-                max_noise: float) -> list[SphereFit | None]:
+def sphere_fits(
+    clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, view: np.ndarray | None, max_incidence: float, max_noise: float
+) -> list[SphereFit | None]:
     """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None where nothing is left to fit.
 
     view: (3,) unit vector towards the scanner, None to take it from the caps; points seen at more than ``max_incidence`` rad are
@@ -127,8 +128,9 @@ class _Work:
         distance += 1e-300
         offset /= distance[:, None]
         if noise is None:
-            median = [np.partition(row, len(row) // 2)[len(row) // 2] if len(row) else 0.0
-                      for row in (size[j][use[j]] for j in range(len(size)))]
+            median = [
+                np.partition(row, len(row) // 2)[len(row) // 2] if len(row) else 0.0 for row in (size[j][use[j]] for j in range(len(size)))
+            ]
             noise = np.clip(1.4826 * np.array(median), NOISE_FLOOR_MM, ceiling)
         np.divide(f, (TUKEY * noise)[:, None], out=w)
         w *= w
@@ -152,8 +154,16 @@ def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
     free[:3, 3] = free[3, :3] = u.T @ w
     inverse = np.linalg.inv(free + 1e-12 * np.eye(4))
     radius_error = float(inverse[3] @ np.append(u.T @ (w * f), w @ f))
-    return SphereFit(centre, covariance, float(np.sqrt(variance)), float(np.sqrt(np.mean(f**2))), len(f),
-                     _coverage(u, view, max_incidence), radius_error, float(np.sqrt(variance * max(inverse[3, 3], 0.0))))
+    return SphereFit(
+        centre,
+        covariance,
+        float(np.sqrt(variance)),
+        float(np.sqrt(np.mean(f**2))),
+        len(f),
+        _coverage(u, view, max_incidence),
+        radius_error,
+        float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
+    )
 
 
 def _coverage(u: np.ndarray, view: np.ndarray, max_incidence: float) -> float:

@@ -15,8 +15,14 @@ from mbcacq.spheres.recognise import Assignment, assignments, decided, predictio
 Refusals = list[tuple[str, np.ndarray | None]]
 
 
-def name_balls(fits: list[tuple[float, SphereFit]], refused: Refusals, artefact: Artefact, expected: Sequence[int] | None,
-               predicted: np.ndarray | None, options: BallOptions) -> FoundBalls:
+def name_balls(
+    fits: list[tuple[float, SphereFit]],
+    refused: Refusals,
+    artefact: Artefact,
+    expected: Sequence[int] | None,
+    predicted: np.ndarray | None,
+    options: BallOptions,
+) -> FoundBalls:
     """See :func:`mbcacq.spheres.find_balls`. fits: (radius, fit) of every ball seen."""
     centres = np.array([f.centre for _, f in fits]).reshape(-1, 3)
     radii = np.array([r for r, _ in fits])
@@ -44,8 +50,14 @@ def name_balls(fits: list[tuple[float, SphereFit]], refused: Refusals, artefact:
     return found
 
 
-def _choose(possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None,
-            guess: np.ndarray | None, options: BallOptions) -> Assignment | None:
+def _choose(
+    possible: list[Assignment],
+    centres: np.ndarray,
+    artefact: Artefact,
+    expected: Sequence[int] | None,
+    guess: np.ndarray | None,
+    options: BallOptions,
+) -> Assignment | None:
     """The one assignment that the data, or failing that the prediction, single out; None where nothing does."""
     if not possible:
         return None
@@ -54,9 +66,11 @@ def _choose(possible: list[Assignment], centres: np.ndarray, artefact: Artefact,
         # a mirror image has the right distances, but no rotation takes it to the certificate
         proper = [p for p in possible if p.rms < max(2 * options.centre_tolerance, 3 * p.mirrored)]
         if not proper:
-            raise DeviceFault(f"wrong artefact in view: the {size} balls seen are a mirror image of artefact '{artefact.id}' "
-                              f"(rms {possible[0].rms:.2f} mm as certified, {possible[0].mirrored:.3f} mm mirrored); "
-                              "put the right artefact in place or correct the certificate")
+            raise DeviceFault(
+                f"wrong artefact in view: the {size} balls seen are a mirror image of artefact '{artefact.id}' "
+                f"(rms {possible[0].rms:.2f} mm as certified, {possible[0].mirrored:.3f} mm mirrored); "
+                "put the right artefact in place or correct the certificate"
+            )
         rivals = [p for p in proper[1:] if not decided(proper[0], p, options.centre_sigma)]
         if not rivals:
             return proper[0]
@@ -71,13 +85,16 @@ def _choose(possible: list[Assignment], centres: np.ndarray, artefact: Artefact,
         if np.isfinite(costs[order[0]]) and (len(costs) == 1 or costs[order[0]] < 0.5 * costs[order[1]]):
             return possible[order[0]]
     if size >= 3:
-        raise DeviceFault(f"cannot tell which ball is which: the {size} balls seen fit artefact '{artefact.id}' in {len(possible)} ways; "
-                          "show more of its balls, or use an artefact without symmetry")
+        raise DeviceFault(
+            f"cannot tell which ball is which: the {size} balls seen fit artefact '{artefact.id}' in {len(possible)} ways; "
+            "show more of its balls, or use an artefact without symmetry"
+        )
     return None
 
 
-def _check_artefact(possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None,
-                    options: BallOptions) -> None:
+def _check_artefact(
+    possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None, options: BallOptions
+) -> None:
     """Raise unless most of the balls seen are at distances that the certificate knows."""
     n, k = len(centres), len(possible[0].seen)
     if k < 3:
@@ -87,9 +104,11 @@ def _check_artefact(possible: list[Assignment], centres: np.ndarray, artefact: A
         rms = min(min(p.rms, p.mirrored) for p in possible)
         fits = 2 * k > n and rms < options.centre_tolerance * (0.4 if k == 3 else 1.0)
     if not fits:
-        raise DeviceFault(f"wrong artefact in view: {n} balls with the distances {_distances(centres)} mm are seen, "
-                          f"of which at most {k} fit artefact '{artefact.id}' with {_distances(artefact.centres)} mm; "
-                          "put the right artefact in place or correct the plan")
+        raise DeviceFault(
+            f"wrong artefact in view: {n} balls with the distances {_distances(centres)} mm are seen, "
+            f"of which at most {k} fit artefact '{artefact.id}' with {_distances(artefact.centres)} mm; "
+            "put the right artefact in place or correct the plan"
+        )
 
 
 def _distances(centres: np.ndarray) -> str:

@@ -44,7 +44,13 @@ def read_cloud(path: str | Path) -> np.ndarray:
     return read_tensor_cloud(path).point.positions.numpy()
 
 
-def centres_from_ply(path: str | Path, artefact: Artefact, *, expected: Sequence[int] | None = None,
-                     predicted: np.ndarray | None = None, options: BallOptions | None = None) -> FoundBalls:
+def centres_from_ply(
+    path: str | Path,
+    artefact: Artefact,
+    *,
+    expected: Sequence[int] | None = None,
+    predicted: np.ndarray | None = None,
+    options: BallOptions | None = None,
+) -> FoundBalls:
     """:func:`find_balls` on the cloud in a file (mm, scanner frame)."""
     return find_balls(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)

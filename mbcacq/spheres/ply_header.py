@@ -9,8 +9,24 @@ from mbcacq.errors import ConfigError
 
 MAX_HEADER = 64 * 1024
 MAX_LINE = 500
-_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4, "uint": 4, "int32": 4,
-          "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}
+_BYTES = {
+    "char": 1,
+    "uchar": 1,
+    "int8": 1,
+    "uint8": 1,
+    "short": 2,
+    "ushort": 2,
+    "int16": 2,
+    "uint16": 2,
+    "int": 4,
+    "uint": 4,
+    "int32": 4,
+    "uint32": 4,
+    "float": 4,
+    "float32": 4,
+    "double": 8,
+    "float64": 8,
+}
 _TYPE = "(" + "|".join(_BYTES) + ")"
 _FORMAT = re.compile(r"format (ascii|binary_little_endian|binary_big_endian) 1\.0")
 _ELEMENT = re.compile(r"element ([!-~]{1,100}) (\d{1,10})")
@@ -24,7 +40,7 @@ def check_header(path: Path) -> None:
     end = re.search(rb"(?m)^end_header *\r?\n", head)
     if not head.startswith((b"ply\n", b"ply\r\n")) or end is None:
         raise ConfigError(f"{path}: is no PLY file (its header must begin with 'ply' and end with 'end_header'); export the cloud anew")
-    lines = head[:end.start()].split(b"\n")[1:-1]
+    lines = head[: end.start()].split(b"\n")[1:-1]
     text, rows, needed, xyz = False, 0, 0, set()
     element = ""
     for number, line in enumerate(lines, 2):

@@ -26,8 +26,9 @@ class Assignment:
     mirrored: float
 
 
-def assignments(centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, certified: np.ndarray,
-                options: BallOptions) -> list[Assignment]:
+def assignments(
+    centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, certified: np.ndarray, options: BallOptions
+) -> list[Assignment]:
     """All largest assignments of seen centres (k, 3) to certified ones (B, 3), best rms first.
 
     sigma: (k,) mm uncertainty of each centre. allowed: (k, B) bool, which may be which (diameter, expectation).

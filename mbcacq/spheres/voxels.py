@@ -97,9 +97,7 @@ def smallest_eigenvector(xx, yy, zz, xy, yz, zx) -> tuple[np.ndarray, np.ndarray
     largest = middle + 2 * radius * np.cos(angle)
     smallest = middle + 2 * radius * np.cos(angle + 2 * np.pi / 3)
     values = np.stack([smallest, 3 * middle - largest - smallest, largest], axis=1)
-    rows = np.stack([
-        np.stack([xx - smallest, xy, zx], 1), np.stack([xy, yy - smallest, yz], 1), np.stack([zx, yz, zz - smallest], 1),
-    ])
+    rows = np.stack([np.stack([xx - smallest, xy, zx], 1), np.stack([xy, yy - smallest, yz], 1), np.stack([zx, yz, zz - smallest], 1)])
     products = np.stack([np.cross(rows[0], rows[1]), np.cross(rows[1], rows[2]), np.cross(rows[2], rows[0])], axis=1)
     length = np.linalg.norm(products, axis=2)
     best = length.argmax(axis=1)

@@ -29,9 +29,13 @@ def facts(loaded: LoadedPlan) -> dict[str, Any]:
     robot = loaded.cell.robot
     xyz, abc = se3.to_abc(loaded.cell.T_flange_scanner)
     return {
-        "plan": loaded.plan.name, "robot": robot.name, "speed_share": loaded.plan.robot.speed,
-        "tool_frame": (*xyz.tolist(), *np.degrees(abc).tolist()), "load_kg": robot.payload_mass,
-        "load_centre_mm": tuple(robot.payload_com.tolist()), "home_deg": tuple(loaded.plan.robot.home_deg),
+        "plan": loaded.plan.name,
+        "robot": robot.name,
+        "speed_share": loaded.plan.robot.speed,
+        "tool_frame": (*xyz.tolist(), *np.degrees(abc).tolist()),
+        "load_kg": robot.payload_mass,
+        "load_centre_mm": tuple(robot.payload_com.tolist()),
+        "home_deg": tuple(loaded.plan.robot.home_deg),
     }
 
 

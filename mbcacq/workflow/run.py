@@ -117,8 +117,14 @@ class Acquisition:
         return swept(self.loaded, list(legs(self.loaded, self.poses, self.paths, self.way_home, self.done)))
 
     def execute(
-        self, overrides: Overrides | None = None, subscribers: Iterable[Subscriber] = (), *, live: bool = False,
-        confirm: Callable[[np.ndarray], None] | None = None, told: Callable[[str], None] = lambda url: None, pause: Pause | None = None,
+        self,
+        overrides: Overrides | None = None,
+        subscribers: Iterable[Subscriber] = (),
+        *,
+        live: bool = False,
+        confirm: Callable[[np.ndarray], None] | None = None,
+        told: Callable[[str], None] = lambda url: None,
+        pause: Pause | None = None,
     ) -> str:
         """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder. Returns '', or a sentence
         where all is measured and the parts of a resumed run could not be merged.
@@ -137,16 +143,26 @@ class Acquisition:
             if confirm is not None:
                 confirm(q)
 
-        (self.folder / WHOLE).unlink(missing_ok=True)    # of an earlier resume; it would lack what comes now
+        (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = places_seen(self.folder, self.loaded, self.done) if self.done else {}
         keep_plan(self.folder, self.loaded.text, self.loaded.files, self.cell)
         with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
             if recorder.live_url:
                 told(recorder.live_url)
             Runner(
-                self.loaded, self.poses, self.paths, self.way_home, create_devices(self.loaded, overrides),
-                EventBus([recorder, journal, *subscribers]), find_balls, cell_to_yaml(solver_cell(self.loaded)), versions(),
-                gate, self.done, pause, known,
+                self.loaded,
+                self.poses,
+                self.paths,
+                self.way_home,
+                create_devices(self.loaded, overrides),
+                EventBus([recorder, journal, *subscribers]),
+                find_balls,
+                cell_to_yaml(solver_cell(self.loaded)),
+                versions(),
+                gate,
+                self.done,
+                pause,
+                known,
             ).run()
         return merge(self.folder) if self.part else ""
 
@@ -197,7 +213,8 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     calibration = calibrate(observations, CalibrationOptions(refuse="position" in observations.phase))
     result = calibration.to_dict() | {
         "verification": verify(observations, calibration, limit_mm=limit_mm).to_dict(),
-        "accuracy_map": accuracy_map(calibration).to_dict(), "gaps": find_gaps(run),
+        "accuracy_map": accuracy_map(calibration).to_dict(),
+        "gaps": find_gaps(run),
     }
     write_text(run / "result.json", json.dumps(result, indent=1))
     report = report_from_result(result, path=run / "report.html", observations=observations, run_info=everything_about(run))

@@ -18,8 +18,9 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 
-def simulate(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None = None, noise: bool = False,
-             seed: int = 0) -> Observations:
+def simulate(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None = None, noise: bool = False, seed: int = 0
+) -> Observations:
     """Every planned pose with its expected balls, where the model puts them (mm, scanner frame); times and senses of motion as planned.
 
     result: the content of a result.json; default the nominal cell. Stations that the result does not know stand where the plan puts
@@ -82,5 +83,15 @@ def simulate_motion(trajectory: Trajectory) -> Trajectory:
     t = trajectory
     time_s = t.time_s[0] + run.step_s * np.arange(len(run.q))
     rigid = run.rigid if t.robot.mass.any() else None
-    return replace(t, time_s=time_s, q=run.q, q_set=None if t.q_set is None else run.q, q_joint=None if t.q_joint is None else run.q,
-                   torque=rigid, motor_torque=None, current=None, temperatures={}, extra={})
+    return replace(
+        t,
+        time_s=time_s,
+        q=run.q,
+        q_set=None if t.q_set is None else run.q,
+        q_joint=None if t.q_joint is None else run.q,
+        torque=rigid,
+        motor_torque=None,
+        current=None,
+        temperatures={},
+        extra={},
+    )

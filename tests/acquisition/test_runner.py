@@ -20,8 +20,14 @@ from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration, motion_limits
 from mbcacq.plan.schema import Plan
 
-CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0.0, 0, -90, 0, 0, 180]), np.array([400.0, 0, 0, 515, 0, 90]),
-              np.array([25.0, 560, 25, 0, 0, 0]), np.radians([-90.0, 0, -90, 90, -90, 180]), np.zeros(6))
+CHAIN = Chain(
+    np.array([-1.0, 1, 1, -1, 1, -1]),
+    np.radians([0.0, 0, -90, 0, 0, 180]),
+    np.array([400.0, 0, 0, 515, 0, 90]),
+    np.array([25.0, 560, 25, 0, 0, 0]),
+    np.radians([-90.0, 0, -90, 90, -90, 180]),
+    np.zeros(6),
+)
 BALLS = Artefact("mbc", "", (1, 2, 3, 4), np.array([[0.0, 0, 0], [20, 0, 0], [0, 30, 0], [0, 0, 40]]), np.full(4, 12.0))
 
 
@@ -30,14 +36,25 @@ def world():
     robot = RobotModel("arm", CHAIN, np.radians([[-170.0, 170]] * 6), np.zeros(6), np.zeros((6, 3)), speed=np.ones(6))
     stations = tuple(Station(s, "mbc", se3.from_abc(np.array([600.0, 0, 100 * k]), np.zeros(3))) for k, s in enumerate("ab"))
     cell = Cell(robot, np.eye(4), (BALLS,), stations)
-    plan = Plan.model_validate({
-        "format": "mbcacq-plan/1", "name": "test", "robot": {"driver": "x", "model": "x", "home_deg": [0, -90, 90, 0, 0, 0]},
-        "scanner": {"driver": "x", "field_of_view": {"near_z_mm": 50, "far_z_mm": -50, "near_half_mm": [40, 40], "far_half_mm": [50, 50]}},
-        "hand_eye": {}, "artefacts": ["mbc.yaml"], "stations": [{"id": "a", "artefact": "mbc", "pose_in_base": {}}],
-        "steps": [{"do": "joints", "name": "s", "phase": "position", "station": "a", "poses_deg": [[0] * 6]}],
-    })
-    poses = [PlannedPose(k, 0 if k < 2 else 1, "s", "position", "ab"[k // 2], "mbc", np.full(6, 0.1 * (k + 1)), (1, 2, 3, 4), 3, 9)
-             for k in range(4)]
+    plan = Plan.model_validate(
+        {
+            "format": "mbcacq-plan/1",
+            "name": "test",
+            "robot": {"driver": "x", "model": "x", "home_deg": [0, -90, 90, 0, 0, 0]},
+            "scanner": {
+                "driver": "x",
+                "field_of_view": {"near_z_mm": 50, "far_z_mm": -50, "near_half_mm": [40, 40], "far_half_mm": [50, 50]},
+            },
+            "hand_eye": {},
+            "artefacts": ["mbc.yaml"],
+            "stations": [{"id": "a", "artefact": "mbc", "pose_in_base": {}}],
+            "steps": [{"do": "joints", "name": "s", "phase": "position", "station": "a", "poses_deg": [[0] * 6]}],
+        }
+    )
+    poses = [
+        PlannedPose(k, 0 if k < 2 else 1, "s", "position", "ab"[k // 2], "mbc", np.full(6, 0.1 * (k + 1)), (1, 2, 3, 4), 3, 9)
+        for k in range(4)
+    ]
     return LoadedPlan(Path("plan.yaml"), plan, cell, "text", {}), poses
 
 
@@ -59,8 +76,17 @@ def make(world, **changes):
     loaded, poses = world
     parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()} | changes
     seen = Recorded()
-    runner = Runner(loaded, poses, [Transit()] * len(poses), [HOME], CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
-                    EventBus([seen]), parts["finder"], "cell", done=parts["done"])
+    runner = Runner(
+        loaded,
+        poses,
+        [Transit()] * len(poses),
+        [HOME],
+        CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
+        EventBus([seen]),
+        parts["finder"],
+        "cell",
+        done=parts["done"],
+    )
     return runner, seen, parts
 
 
@@ -131,7 +157,7 @@ def test_the_arm_is_stopped_before_the_rest_is_tidied_up(world):
     with pytest.raises(devices.DeviceTimeout):
         runner.run()
     log = parts["robot"].log
-    assert "cycles" in log[log.index("stop"):]
+    assert "cycles" in log[log.index("stop") :]
 
 
 def test_interrupt_while_connecting_closes_what_is_connected(world, monkeypatch):

@@ -6,17 +6,7 @@ from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.registers import Register
 from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
 
-from mbcacq.devices import (
-    Aborted,
-    ConfigError,
-    ConnectError,
-    DeviceFault,
-    DeviceTimeout,
-    IdentityError,
-    Positioner,
-    Sensor,
-    create,
-)
+from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, Sensor, create
 
 POSITION = {"address": 10, "type": "float32", "unit": "mm"}
 FLAG = {"address": 3, "table": "discrete"}
@@ -28,8 +18,16 @@ def fake(**more):
 
 
 def options(server, **more):
-    return {"host": server.host, "port": server.port, "timeout_s": 0.4, "retries": 0, "stations": {1: 100.0, 2: 152.5},
-            "position": POSITION, "in_position": FLAG, **more}
+    return {
+        "host": server.host,
+        "port": server.port,
+        "timeout_s": 0.4,
+        "retries": 0,
+        "stations": {1: 100.0, 2: 152.5},
+        "position": POSITION,
+        "in_position": FLAG,
+        **more,
+    }
 
 
 def test_position_goes_out_as_two_big_endian_registers():
@@ -41,12 +39,15 @@ def test_position_goes_out_as_two_big_endian_registers():
         assert server.positioner.station == "2"
 
 
-@pytest.mark.parametrize(("spec", "value", "words"), [
-    ({"type": "float32", "word_order": "little"}, 152.5, [0x8000, 0x4318]),
-    ({"type": "int16", "scale": 0.1}, -12.3, [0xFF85]),
-    ({"type": "int32", "scale": 0.001}, 70.0, [0x0001, 0x1170]),
-    ({"type": "uint16", "offset": 5.0}, 47.0, [42]),
-])
+@pytest.mark.parametrize(
+    ("spec", "value", "words"),
+    [
+        ({"type": "float32", "word_order": "little"}, 152.5, [0x8000, 0x4318]),
+        ({"type": "int16", "scale": 0.1}, -12.3, [0xFF85]),
+        ({"type": "int32", "scale": 0.001}, 70.0, [0x0001, 0x1170]),
+        ({"type": "uint16", "offset": 5.0}, 47.0, [42]),
+    ],
+)
 def test_register_codes(spec, value, words):
     register = Register(address=0, **spec)
     assert register.encode(value) == words
@@ -140,7 +141,9 @@ def test_a_drive_that_is_off_is_not_sent_anywhere():
 
 def test_a_station_beyond_the_limits_is_refused_before_connecting():
     with pytest.raises(ConfigError, match=r"station 2 at 152\.5 is outside the limits 0\.\.150"):
-        ModbusPositioner("p", "", {"host": "h", "stations": {1: 1.0, 2: 152.5}, "position": POSITION, "in_position": FLAG, "limits": [0, 150]})
+        ModbusPositioner(
+            "p", "", {"host": "h", "stations": {1: 1.0, 2: 152.5}, "position": POSITION, "in_position": FLAG, "limits": [0, 150]}
+        )
 
 
 def test_a_probe_beyond_what_it_can_read_is_broken():
@@ -187,17 +190,22 @@ def test_temperatures_over_tcp_and_over_rtu_on_a_serial_server(rtu):
 def test_a_broken_probe_is_no_number():
     arm = Register(address=4, type="float32")
     with FakeModbus(values=[(arm, lambda: float("nan"))]) as server:
-        with ModbusSensor("s", "", {"host": server.host, "port": server.port, "values": {"robot_C": {"address": 4, "type": "float32"}}}) as s:
+        with ModbusSensor(
+            "s", "", {"host": server.host, "port": server.port, "values": {"robot_C": {"address": 4, "type": "float32"}}}
+        ) as s:
             with pytest.raises(DeviceFault, match="nan for robot_C"):
                 s.read()
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"adress": 1}, "adress"),
-    ({"host": None}, "either host or serial"),
-    ({"position": {"address": 10, "table": "input"}}, "cannot be written"),
-    ({"position": {"address": 70000}}, "position.address"),
-])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"adress": 1}, "adress"),
+        ({"host": None}, "either host or serial"),
+        ({"position": {"address": 10, "table": "input"}}, "cannot be written"),
+        ({"position": {"address": 70000}}, "position.address"),
+    ],
+)
 def test_wrong_options_are_one_sentence(change, words):
     base = {"host": "127.0.0.1", "stations": {1: 0.0}, "position": POSITION, "in_position": FLAG}
     with pytest.raises(ConfigError, match=words):

@@ -14,7 +14,9 @@ from mbcacq.devices import create
 
 PAGE = (Path(__file__).parents[2] / "docs" / "positioners-and-sensors.md").read_text()
 BLOCKS = [yaml.safe_load(text) for text in re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)]
-USES = [("positioners", b["positioner"]) for b in BLOCKS if "positioner" in b] + [("sensors", s) for b in BLOCKS for s in b.get("sensors", ())]
+USES = [("positioners", b["positioner"]) for b in BLOCKS if "positioner" in b] + [
+    ("sensors", s) for b in BLOCKS for s in b.get("sensors", ())
+]
 
 
 @pytest.mark.parametrize(("kind", "use"), USES, ids=[f"{kind} {use['driver']}" for kind, use in USES])
@@ -30,4 +32,9 @@ def test_the_page_can_be_copied(kind, use):
 
 def test_it_shows_each_driver():
     assert {(kind, use["driver"]) for kind, use in USES} == {
-        ("positioners", "manual"), ("positioners", "modbus"), ("positioners", "serial"), ("sensors", "modbus"), ("sensors", "serial")}
+        ("positioners", "manual"),
+        ("positioners", "modbus"),
+        ("positioners", "serial"),
+        ("sensors", "modbus"),
+        ("sensors", "serial"),
+    }

@@ -19,8 +19,12 @@ def test_streamed_lines_become_named_values():
 
 
 def test_raw_numbers_are_scaled_and_a_broken_probe_is_named_on_a_terminal_device():
-    spec = {"line": r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)", "scale": {"air_C": 0.1}, "offset": {"air_C": -5.0},
-            "valid": {"robot_C": [-20, 80]}}
+    spec = {
+        "line": r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)",
+        "scale": {"air_C": 0.1},
+        "offset": {"air_C": -5.0},
+        "valid": {"robot_C": [-20, 80]},
+    }
     said = ["T=255 R=31"]
     with FakeSerialSensor(lambda: said[0], pty=True) as fake:
         assert fake.url.startswith("/dev/")

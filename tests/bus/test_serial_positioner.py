@@ -8,20 +8,13 @@ from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptio
 from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
-from mbcacq.devices import (
-    Aborted,
-    ConfigError,
-    ConnectError,
-    DeviceFault,
-    DeviceTimeout,
-    IdentityError,
-    Positioner,
-    ProtocolError,
-    create,
-)
+from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, ProtocolError, create
 
 WORDS = {
-    "stations": {1: 0.0, 2: 152.5}, "unit": "mm", "scale": 0.01, "timeout_s": 0.5,
+    "stations": {1: 0.0, 2: 152.5},
+    "unit": "mm",
+    "scale": 0.01,
+    "timeout_s": 0.5,
     "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
     "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"},
     "ready": {"send": "?S\r\n", "reply": "S=READY"},
@@ -45,7 +38,7 @@ def test_drives_there_in_the_devices_own_units(pty):
     with fake(pty) as line, driver(line) as positioner:
         positioner.go_to("2", "")
         assert line.motion.station == "2"
-        assert "MA 15250" in line.heard          # 152.5 mm in hundredths
+        assert "MA 15250" in line.heard  # 152.5 mm in hundredths
         assert line.heard[0] == "*IDN?"
         positioner.go_to("1", "")
         assert line.motion.station == "1"
@@ -81,7 +74,7 @@ def test_a_fault_is_told_with_its_code():
         line.motion.fault = 17
         with pytest.raises(DeviceFault, match="fault 17 on the way to station 2"):
             positioner.go_to("2", "")
-        assert not any(heard.startswith("MA") for heard in line.heard)   # noticed before it was sent anywhere
+        assert not any(heard.startswith("MA") for heard in line.heard)  # noticed before it was sent anywhere
 
 
 def test_a_refused_order_is_no_arrival():
@@ -119,13 +112,16 @@ def test_the_wrong_device_silence_and_absence_are_told_apart():
         SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
 
 
-@pytest.mark.parametrize(("spoil", "error", "words"), [
-    (lambda data: data[:-2], DeviceTimeout, "half a line"),
-    (lambda data: b"\xff\x00#", DeviceTimeout, "half a line"),
-    (lambda data: b"\xff\x00#\r\n", DeviceFault, "answered"),
-    (lambda data: b"x" * 3000, ProtocolError, "without an end of line"),
-    (lambda data: None, DeviceTimeout, "was lost|answered nothing"),
-])
+@pytest.mark.parametrize(
+    ("spoil", "error", "words"),
+    [
+        (lambda data: data[:-2], DeviceTimeout, "half a line"),
+        (lambda data: b"\xff\x00#", DeviceTimeout, "half a line"),
+        (lambda data: b"\xff\x00#\r\n", DeviceFault, "answered"),
+        (lambda data: b"x" * 3000, ProtocolError, "without an end of line"),
+        (lambda data: None, DeviceTimeout, "was lost|answered nothing"),
+    ],
+)
 def test_noise_on_the_line_is_an_error_and_never_a_position(spoil, error, words):
     with fake(pty=False) as line, driver(line, fault=None) as positioner:
         line.spoil = spoil
@@ -140,7 +136,7 @@ def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
     def answer(heard):
         if heard == "?P":
             if next(replies, None):
-                held.wait(1.0)      # later than the driver waits
+                held.wait(1.0)  # later than the driver waits
                 return "P=15250"
             return "P=0"
         return {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "OK")
@@ -154,16 +150,19 @@ def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
             positioner.go_to("2", "")
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"ready": None, "position": None}, "give ready or position"),
-    ({"move": {"send": "GO\r"}}, "needs {raw} or {value}"),
-    ({"move": {"send": "GO {place}\r"}}, "no text with {raw} or {value}"),
-    ({"limits": (0, 100)}, "station 2 at 152.5 mm is outside the limits 0..100"),
-    ({"position": {"send": "?", "reply": r"P=(\d+)"}}, "position.reply needs a named group"),
-    ({"ready": {"send": "?", "reply": "("}}, "ready.reply is not a regular expression"),
-    ({"speed": 3}, "speed"),
-    ({"scale": 0}, "scale must not be zero"),
-])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"ready": None, "position": None}, "give ready or position"),
+        ({"move": {"send": "GO\r"}}, "needs {raw} or {value}"),
+        ({"move": {"send": "GO {place}\r"}}, "no text with {raw} or {value}"),
+        ({"limits": (0, 100)}, "station 2 at 152.5 mm is outside the limits 0..100"),
+        ({"position": {"send": "?", "reply": r"P=(\d+)"}}, "position.reply needs a named group"),
+        ({"ready": {"send": "?", "reply": "("}}, "ready.reply is not a regular expression"),
+        ({"speed": 3}, "speed"),
+        ({"scale": 0}, "scale must not be zero"),
+    ],
+)
 def test_a_wrong_description_is_one_sentence(change, words):
     with pytest.raises(ConfigError) as error:
         SerialPositioner("p", "", {"port": "x", **WORDS, **change})

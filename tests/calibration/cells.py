@@ -10,18 +10,21 @@ from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.cell import (
-    ARTEFACT_IN_SCANNER,
-    TARGET_IN_BASE,
-    Artefact,
-    Cell,
-    RobotModel,
-    Station,
-)
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
 
-MBC = np.array([[-4.5, 24.9, -10.5], [-37.4, 6.3, -5.4], [6.9, -8.9, 5.8], [-17.6, -10.7, 5.9],
-                [-30.5, -22.7, 10.2], [15.6, -37.0, 3.8], [6.3, 10.4, 14.8], [-16.1, -32.2, -5.1]])
+MBC = np.array(
+    [
+        [-4.5, 24.9, -10.5],
+        [-37.4, 6.3, -5.4],
+        [6.9, -8.9, 5.8],
+        [-17.6, -10.7, 5.9],
+        [-30.5, -22.7, 10.2],
+        [15.6, -37.0, 3.8],
+        [6.3, 10.4, 14.8],
+        [-16.1, -32.2, -5.1],
+    ]
+)
 BAR = np.array([[-250.0, 0, 0], [250.0, 0, 0]])
 HAND_EYE = se3.transform(np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), np.array([1.0, -0.5, 265.0]))
 
@@ -36,15 +39,26 @@ class Simulated:
 def kr10() -> Chain:
     """A KR 10 class arm: axes 2 and 3 parallel, spherical wrist."""
     deg = np.pi / 180
-    return Chain(sign=np.array([-1.0, 1, 1, -1, 1, -1]), theta=np.array([0, 0, -90, 0, 0, 180]) * deg,
-                 d=np.array([450.0, 0, 0, 660, 0, 80]), a=np.array([150.0, 610, 20, 0, 0, 0]),
-                 alpha=np.array([-90, 0, -90, 90, -90, 180]) * deg, beta=np.zeros(6))
+    return Chain(
+        sign=np.array([-1.0, 1, 1, -1, 1, -1]),
+        theta=np.array([0, 0, -90, 0, 0, 180]) * deg,
+        d=np.array([450.0, 0, 0, 660, 0, 80]),
+        a=np.array([150.0, 610, 20, 0, 0, 0]),
+        alpha=np.array([-90, 0, -90, 90, -90, 180]) * deg,
+        beta=np.zeros(6),
+    )
 
 
 def iiwa() -> Chain:
     """A seven-axis arm without parallel neighbours."""
-    return Chain(sign=np.ones(7), theta=np.zeros(7), d=np.array([360.0, 0, 420, 0, 400, 0, 126]), a=np.zeros(7),
-                 alpha=np.array([-90, 90, 90, -90, -90, 90, 0]) * np.pi / 180, beta=np.zeros(7))
+    return Chain(
+        sign=np.ones(7),
+        theta=np.zeros(7),
+        d=np.array([360.0, 0, 420, 0, 400, 0, 126]),
+        a=np.zeros(7),
+        alpha=np.array([-90, 90, 90, -90, -90, 90, 0]) * np.pi / 180,
+        beta=np.zeros(7),
+    )
 
 
 def robot(chain: Chain) -> RobotModel:
@@ -64,9 +78,20 @@ def random_errors(chain: Chain, rng: np.random.Generator, scale: float = 1.0) ->
 
 
 def scanner_cell(
-    rng: np.random.Generator, *, chain: Chain | None = None, stations: int = 8, per_station: int = 8, bars: int = 0, tilt_deg: float = 30.0,
-    noise: tuple[float, float, float] = (0.005, 0.005, 0.009), joint_rad: float = 8e-6, errors: np.ndarray | None = None,
-    hand_eye_error: float = 1.0, stated: bool = True, preliminary: bool = False, bar_mm: float = 500.0,
+    rng: np.random.Generator,
+    *,
+    chain: Chain | None = None,
+    stations: int = 8,
+    per_station: int = 8,
+    bars: int = 0,
+    tilt_deg: float = 30.0,
+    noise: tuple[float, float, float] = (0.005, 0.005, 0.009),
+    joint_rad: float = 8e-6,
+    errors: np.ndarray | None = None,
+    hand_eye_error: float = 1.0,
+    stated: bool = True,
+    preliminary: bool = False,
+    bar_mm: float = 500.0,
 ) -> Simulated:
     """A scanner on the flange looks at an eight-ball artefact (and at bars, ball by ball) from tilts about each station's normal.
 
@@ -85,9 +110,9 @@ def scanner_cell(
         bar = s >= stations
         placed.append(Station(str(s + 1), "bar" if bar else "mbc"))
         T_stations.append(_place(rng, 1.0 if chain.n == 6 else 0.75))
-        balls = ([[8], [9]] * 2 if bar else [list(range(8))] * per_station)
+        balls = [[8], [9]] * 2 if bar else [list(range(8))] * per_station
         for look in balls:
-            centre = (bar_balls[look[0] - 8] if bar else MBC.mean(axis=0))
+            centre = bar_balls[look[0] - 8] if bar else MBC.mean(axis=0)
             joints = _look(true_chain, true_hand_eye, T_stations[-1], centre, rng, tilt_deg)
             pose += [len(q)] * len(look)
             ball += look
@@ -103,8 +128,16 @@ def scanner_cell(
             phase.append(name)
     cell = Cell(robot(chain), HAND_EYE, tuple(artefacts), tuple(placed), noise_mm=np.array(noise) if stated else None)
     truth = CellState(true_chain, true_hand_eye, np.array(T_stations), cell.ball_centres)
-    obs = Observations(cell, np.arange(len(q)), np.array(station), np.array(q), np.array(pose), np.array(ball),
-                       np.zeros((len(pose), 3)), phase=np.array(phase))
+    obs = Observations(
+        cell,
+        np.arange(len(q)),
+        np.array(station),
+        np.array(q),
+        np.array(pose),
+        np.array(ball),
+        np.zeros((len(pose), 3)),
+        phase=np.array(phase),
+    )
     return Simulated(measure(obs, truth, rng, noise, joint_rad), truth, errors)
 
 
@@ -115,8 +148,15 @@ def measure(obs: Observations, truth: CellState, rng: np.random.Generator, noise
     return replace(obs, xyz=xyz + rng.normal(size=xyz.shape) * np.asarray(noise))
 
 
-def tracker_cell(rng: np.random.Generator, poses: int = 300, *, orientation: bool = False, noise: float = 0.02, joint_rad: float = 0.0,
-                 turn: float = 5e-5) -> Simulated:
+def tracker_cell(
+    rng: np.random.Generator,
+    poses: int = 300,
+    *,
+    orientation: bool = False,
+    noise: float = 0.02,
+    joint_rad: float = 0.0,
+    turn: float = 5e-5,
+) -> Simulated:
     """An external tracker measures a target on the flange."""
     chain = kr10()
     errors = random_errors(chain, rng)
@@ -126,8 +166,16 @@ def tracker_cell(rng: np.random.Generator, poses: int = 300, *, orientation: boo
     artefact = Artefact("tracker", "tracker", (1,), np.zeros((1, 3)), np.zeros(1))
     cell = Cell(robot(chain), np.eye(4), (artefact,), (Station("1", "tracker"),), noise_mm=np.full(3, noise), measurement=TARGET_IN_BASE)
     truth = CellState(chain.with_errors(errors), hand_eye, station, np.zeros((1, 3)))
-    obs = Observations(cell, np.arange(poses), np.zeros(poses, int), q, np.arange(poses), np.zeros(poses, int), np.zeros((poses, 3)),
-                       rotation=np.tile(np.eye(3), (poses, 1, 1)) if orientation else None)
+    obs = Observations(
+        cell,
+        np.arange(poses),
+        np.zeros(poses, int),
+        q,
+        np.arange(poses),
+        np.zeros(poses, int),
+        np.zeros((poses, 3)),
+        rotation=np.tile(np.eye(3), (poses, 1, 1)) if orientation else None,
+    )
     exact = forward_model.predict(obs, truth, forward_model.Displacements(joint=rng.normal(size=q.shape) * joint_rad))
     obs = replace(obs, xyz=exact.xyz + rng.normal(size=(poses, 3)) * noise)
     if orientation:
@@ -175,18 +223,35 @@ def inverse_kinematics(chain: Chain, target: np.ndarray, start: np.ndarray) -> n
 def _inverse(chain: Chain, target: np.ndarray, rng, start: np.ndarray | None = None, exact: bool = False) -> np.ndarray | None:
     """Numerical inverse kinematics: damped Gauss-Newton from a random start."""
     n = chain.n
-    q = start.copy() if start is not None else rng.uniform(-1, 1, n) * 0.8 + (np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0]))
+    q = (
+        start.copy()
+        if start is not None
+        else rng.uniform(-1, 1, n) * 0.8 + (np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0]))
+    )
     for _ in range(60):
         frames = chain.frames(q[None])
         off = target @ se3.inverse(frames[0, -1])
         xi = np.concatenate([off[:3, 3] + np.cross(target[:3, 3], np.zeros(3)), se3.rotation_log(off[:3, :3])])
         J = chain.joint_twists(frames)[0].T
         scale = np.array([1e-3] * 3 + [1.0] * 3)
-        step = np.linalg.lstsq(np.vstack([scale[:, None] * J, (1e-6 if exact else 0.03) * np.eye(n)]), np.concatenate([scale * xi, np.zeros(n)]), rcond=None)[0]
+        step = np.linalg.lstsq(
+            np.vstack([scale[:, None] * J, (1e-6 if exact else 0.03) * np.eye(n)]), np.concatenate([scale * xi, np.zeros(n)]), rcond=None
+        )[0]
         q = q + np.clip(step, -0.3, 0.3)
         if np.abs(scale * xi).max() < (1e-10 if exact else 1e-3):
             return q if exact or np.abs(q).max() < 3 else None
     return None
 
 
-__all__ = ["ARTEFACT_IN_SCANNER", "Simulated", "iiwa", "inverse_kinematics", "kr10", "measure", "random_errors", "robot", "scanner_cell", "tracker_cell"]
+__all__ = [
+    "ARTEFACT_IN_SCANNER",
+    "Simulated",
+    "iiwa",
+    "inverse_kinematics",
+    "kr10",
+    "measure",
+    "random_errors",
+    "robot",
+    "scanner_cell",
+    "tracker_cell",
+]

@@ -79,13 +79,26 @@ def balls_on_one_line(cell):
 
 
 UNDETERMINED = {  # recording -> which methods must refuse it, with what
-    one_orientation: {**dict.fromkeys(AXXB, "about one axis only"), "hand-eye only": "same orientation",
-                      **dict.fromkeys(PAPER, "do not determine"), "distances only": "same orientation", "maximum likelihood": "same orientation"},
+    one_orientation: {
+        **dict.fromkeys(AXXB, "about one axis only"),
+        "hand-eye only": "same orientation",
+        **dict.fromkeys(PAPER, "do not determine"),
+        "distances only": "same orientation",
+        "maximum likelihood": "same orientation",
+    },
     one_station: dict.fromkeys(JOINT, "all poses are at one station"),
-    two_balls: {**dict.fromkeys(AXXB, "three balls each"), **dict.fromkeys(PAPER, "four balls"),
-                **dict.fromkeys(["hand-eye only", "distances only", *OURS], "three balls of the artefact")},
-    turns_about_one_axis: {**dict.fromkeys(AXXB, "about one axis only"), "hand-eye only": "hand_eye", "distances only": "hand_eye",
-                           **dict.fromkeys(PAPER, "first hand-eye transform"), "maximum likelihood": "hand_eye"},
+    two_balls: {
+        **dict.fromkeys(AXXB, "three balls each"),
+        **dict.fromkeys(PAPER, "four balls"),
+        **dict.fromkeys(["hand-eye only", "distances only", *OURS], "three balls of the artefact"),
+    },
+    turns_about_one_axis: {
+        **dict.fromkeys(AXXB, "about one axis only"),
+        "hand-eye only": "hand_eye",
+        "distances only": "hand_eye",
+        **dict.fromkeys(PAPER, "first hand-eye transform"),
+        "maximum likelihood": "hand_eye",
+    },
     no_translations: dict.fromkeys(PAPER, "do not span a plane"),
     balls_on_one_line: {**dict.fromkeys(AXXB, "not all on one line"), **dict.fromkeys(PAPER, "not on one line")},
 }

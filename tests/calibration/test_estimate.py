@@ -50,10 +50,13 @@ def test_normalised_errors_follow_chi_square(cell):
     values, factors = [], []
     for _ in range(40):
         found = calibrate(measure(base, cell.truth, rng, NOISE, 8e-6))
-        off = np.concatenate([
-            (found.errors - cell.errors).reshape(-1),
-            _twist(se3.inverse(cell.truth.T_flange_scanner) @ found.state.T_flange_scanner),
-            (found.state.balls - cell.truth.balls).reshape(-1)])
+        off = np.concatenate(
+            [
+                (found.errors - cell.errors).reshape(-1),
+                _twist(se3.inverse(cell.truth.T_flange_scanner) @ found.state.T_flange_scanner),
+                (found.state.balls - cell.truth.balls).reshape(-1),
+            ]
+        )
         free = np.concatenate([b.free for b in found.layout.blocks])
         arm = slice(0, 24)
         d = off[free][arm]
@@ -99,7 +102,7 @@ def test_tracker(orientation):
     cell = tracker_cell(np.random.default_rng(7), orientation=orientation, joint_rad=1e-5)
     found = calibrate(cell.observations)
     off = (found.errors - cell.errors).reshape(-1)[found.layout.blocks[0].free]
-    d = off @ np.linalg.solve(found.covariance[:len(off), :len(off)], off)
+    d = off @ np.linalg.solve(found.covariance[: len(off), : len(off)], off)
     assert d < len(off) + 5 * np.sqrt(2 * len(off))
     assert found.chi2 / found.dof == pytest.approx(1, abs=0.05)
     np.testing.assert_allclose(found.state.T_base_station, cell.truth.T_base_station, atol=0.1)
@@ -121,8 +124,16 @@ def test_order_of_poses_and_stations_does_not_matter(cell):
     rows = np.argsort(place[obs.pose], kind="stable")
     inverse = np.argsort(relabel)
     shuffled = replace(
-        obs, cell=replace(obs.cell, stations=tuple(obs.cell.stations[i] for i in relabel)), pose_id=obs.pose_id[order],
-        station=inverse[obs.station[order]], q=obs.q[order], phase=obs.phase[order], pose=place[obs.pose][rows], ball=obs.ball[rows], xyz=obs.xyz[rows])
+        obs,
+        cell=replace(obs.cell, stations=tuple(obs.cell.stations[i] for i in relabel)),
+        pose_id=obs.pose_id[order],
+        station=inverse[obs.station[order]],
+        q=obs.q[order],
+        phase=obs.phase[order],
+        pose=place[obs.pose][rows],
+        ball=obs.ball[rows],
+        xyz=obs.xyz[rows],
+    )
     one, two = calibrate(obs), calibrate(shuffled)
     np.testing.assert_allclose(two.errors, one.errors, atol=1e-6)
     np.testing.assert_allclose(two.state.T_base_station[inverse][:8], one.state.T_base_station[:8], atol=1e-5)
@@ -154,7 +165,9 @@ def test_effects_are_estimated_with_everything_else(cell):
     scale = term("scale", [Part("joint", 1, 0, obs.q[:, 1:2]), Part("joint", 2, 0, np.zeros((obs.n_poses, 1)))], units="rad/rad")
     bent = replace(obs, q=obs.q / (1 + np.array([0, 1e-3, 0, 0, 0, 0])))
     used = bent.phase != "verification"
-    scale = replace(scale, parts=tuple(replace(p, basis=(bent.q[used, 1:2] if p.index == 1 else np.zeros((used.sum(), 1)))) for p in scale.parts))
+    scale = replace(
+        scale, parts=tuple(replace(p, basis=(bent.q[used, 1:2] if p.index == 1 else np.zeros((used.sum(), 1)))) for p in scale.parts)
+    )
     found = calibrate(bent, CalibrationOptions(terms=(scale,)))
     std = np.sqrt(found.covariance[-1, -1])
     assert found.names[-1] == "scale"

@@ -104,11 +104,21 @@ def test_the_unit_of_length(cell, method):
     chain, artefact = obs.cell.robot.chain, obs.cell.artefacts[0]
     X = obs.cell.T_flange_scanner.copy()
     X[:3, 3] *= 2
-    double = replace(obs, xyz=2 * obs.xyz, cell=replace(
-        obs.cell, T_flange_scanner=X, noise_mm=2 * obs.cell.noise_mm,
-        robot=replace(obs.cell.robot, chain=Chain(chain.sign, chain.theta, 2 * chain.d, 2 * chain.a, chain.alpha, chain.beta),
-                      repeatability_mm=2 * obs.cell.robot.repeatability_mm),
-        artefacts=(replace(artefact, centres=2 * artefact.centres, uncertainty_mm=2 * artefact.uncertainty_mm),)))
+    double = replace(
+        obs,
+        xyz=2 * obs.xyz,
+        cell=replace(
+            obs.cell,
+            T_flange_scanner=X,
+            noise_mm=2 * obs.cell.noise_mm,
+            robot=replace(
+                obs.cell.robot,
+                chain=Chain(chain.sign, chain.theta, 2 * chain.d, 2 * chain.a, chain.alpha, chain.beta),
+                repeatability_mm=2 * obs.cell.robot.repeatability_mm,
+            ),
+            artefacts=(replace(artefact, centres=2 * artefact.centres, uncertainty_mm=2 * artefact.uncertainty_mm),),
+        ),
+    )
     again, still = calibrate(double, options), calibrate(obs, options)
     np.testing.assert_allclose(identified(again) / [1, 2, 2, 1, 1], identified(still), atol=1e-5)
     np.testing.assert_allclose(again.noise.point, 2 * still.noise.point, rtol=1e-3)
@@ -135,7 +145,7 @@ def test_frame_of_the_tracker(orientation):
     free = still.layout.blocks[0].free
     # The noise is estimated axis by axis, so a turn of the axes changes weights a little: far within one sigma.
     off = np.abs(moved.errors - still.errors).reshape(-1)[free]
-    assert np.all(off < 0.5 * std[:len(off)])
+    assert np.all(off < 0.5 * std[: len(off)])
 
 
 def test_balls_of_the_artefact_are_the_ones_certified():

@@ -22,7 +22,9 @@ def cell():
 @pytest.fixture(scope="module")
 def exact():
     """No noise and a perfect arm."""
-    return scanner_cell(np.random.default_rng(32), stations=2, per_station=4, errors=np.zeros((6, 5)), noise=(0, 0, 0), joint_rad=0, preliminary=True)
+    return scanner_cell(
+        np.random.default_rng(32), stations=2, per_station=4, errors=np.zeros((6, 5)), noise=(0, 0, 0), joint_rad=0, preliminary=True
+    )
 
 
 def test_angles_and_their_derivatives():
@@ -38,7 +40,10 @@ def test_angles_and_their_derivatives():
     for j in range(12):
         step = np.zeros(12)
         step[j] = 1e-6
-        difference = angle_adjustment.angles(points + step.reshape(4, 3), corners)[0] - angle_adjustment.angles(points - step.reshape(4, 3), corners)[0]
+        difference = (
+            angle_adjustment.angles(points + step.reshape(4, 3), corners)[0]
+            - angle_adjustment.angles(points - step.reshape(4, 3), corners)[0]
+        )
         np.testing.assert_allclose(B[0, :, j], difference[0] / 2e-6, atol=1e-7)
 
 
@@ -126,8 +131,12 @@ def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(c
     stage = published.to_dict()["stages"][-1]
     assert stage["rms_distance_after_mm"] < 0.5 * stage["rms_distance_before_mm"]
     names = [s["stage"] for s in published.to_dict()["stages"]]
-    assert [n.split(" (")[0] for n in names] == ["angle adjustment", "hand-eye rotation from translations",
-                                                 "hand-eye translation from orientations", "distance constraint"]
+    assert [n.split(" (")[0] for n in names] == [
+        "angle adjustment",
+        "hand-eye rotation from translations",
+        "hand-eye translation from orientations",
+        "distance constraint",
+    ]
     assert "d_2" in published.held
     assert "theta_1" not in published.held
 
@@ -155,9 +164,13 @@ def test_stated_uncertainty_is_the_scatter_of_repetitions(how, draws):
     exact = measure(ends, cell.truth, rng, (0, 0, 0), 0)
     ratio = []
     for _ in range(draws):
-        found = calibrate(measure(used, cell.truth, rng, (0.005, 0.005, 0.009), 8e-6), CalibrationOptions(method="paper", pairs=how, refuse=False))
+        found = calibrate(
+            measure(used, cell.truth, rng, (0.005, 0.005, 0.009), 8e-6), CalibrationOptions(method="paper", pairs=how, refuse=False)
+        )
         places = verify(exact, found.state).places
-        a, b = (np.array([np.flatnonzero((exact.station[exact.pose] == s) & (exact.ball == ball))[0] for s in range(8, 12)]) for ball in (8, 9))
+        a, b = (
+            np.array([np.flatnonzero((exact.station[exact.pose] == s) & (exact.ball == ball))[0] for s in range(8, 12)]) for ball in (8, 9)
+        )
         sigma = distance_uncertainty(found, exact.q[exact.pose[a]], exact.xyz[a], exact.q[exact.pose[b]], exact.xyz[b])
         ratio.append(np.array([p.after_mm for p in places]) / sigma)
     assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1, abs=3 / np.sqrt(2 * draws))

@@ -23,10 +23,17 @@ def three_reflectors(rng, orientation=False, poses=150):
     obs = one.observations
     cell = replace(obs.cell, artefacts=(artefact,))
     index = np.repeat(np.arange(poses), 3)
-    obs = replace(obs, cell=cell, pose=index, ball=np.tile(np.arange(3), poses), xyz=np.zeros((3 * poses, 3)),
-                  rotation=np.tile(np.eye(3), (3 * poses, 1, 1)) if orientation else None)
-    truth = replace(one.truth, balls=REFLECTORS + rng.normal(size=(3, 3)) * 0.005,
-                    T_flange_scanner=se3.exp(np.array([30.0, -20, 90, 0.3, -0.2, 1.1])))
+    obs = replace(
+        obs,
+        cell=cell,
+        pose=index,
+        ball=np.tile(np.arange(3), poses),
+        xyz=np.zeros((3 * poses, 3)),
+        rotation=np.tile(np.eye(3), (3 * poses, 1, 1)) if orientation else None,
+    )
+    truth = replace(
+        one.truth, balls=REFLECTORS + rng.normal(size=(3, 3)) * 0.005, T_flange_scanner=se3.exp(np.array([30.0, -20, 90, 0.3, -0.2, 1.1]))
+    )
     if orientation:
         obs = replace(obs, rotation=forward_model.predict(obs, truth).rotation)
     return measure(obs, truth, rng, np.full(3, 0.02), 1e-5), truth

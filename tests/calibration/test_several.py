@@ -50,9 +50,14 @@ def test_normalised_errors_with_two_artefacts_follow_chi_square(cell):
 def test_parameters_that_cannot_be_told_apart_are_named():
     """Two axes nearly parallel (0.5 deg): d_2 and d_3 shift almost alike; the pair is named, with a correlation near one."""
     deg = np.pi / 180
-    chain = Chain(sign=np.array([-1.0, 1, 1, -1, 1, -1]), theta=np.array([0, 0, -90, 0, 0, 180]) * deg,
-                  d=np.array([450.0, 0, 0, 660, 0, 80]), a=np.array([150.0, 610, 20, 0, 0, 0]),
-                  alpha=np.array([-90, 0.5, -90, 90, -90, 180]) * deg, beta=np.zeros(6))
+    chain = Chain(
+        sign=np.array([-1.0, 1, 1, -1, 1, -1]),
+        theta=np.array([0, 0, -90, 0, 0, 180]) * deg,
+        d=np.array([450.0, 0, 0, 660, 0, 80]),
+        a=np.array([150.0, 610, 20, 0, 0, 0]),
+        alpha=np.array([-90, 0.5, -90, 90, -90, 180]) * deg,
+        beta=np.zeros(6),
+    )
     found = calibrate(scanner_cell(np.random.default_rng(73), chain=chain, errors=np.zeros((6, 5)), stations=5, per_station=5).observations)
     named = {frozenset((a, b)): r for a, b, r in found.correlated}
     held = " ".join(found.held.values())
@@ -64,8 +69,10 @@ def test_parameters_that_cannot_be_told_apart_are_named():
 def test_a_known_station_and_an_unknown_one_agree(cell):
     """One station given in the base within 10 um: theta_1 and d_1 become free, the rest of the cell is none the worse."""
     obs = cell.observations
-    stations = tuple(Station(s.id, s.artefact, cell.truth.T_base_station[i] if i == 0 else None, 0.01 if i == 0 else None)
-                     for i, s in enumerate(obs.cell.stations))
+    stations = tuple(
+        Station(s.id, s.artefact, cell.truth.T_base_station[i] if i == 0 else None, 0.01 if i == 0 else None)
+        for i, s in enumerate(obs.cell.stations)
+    )
     known = calibrate(replace(obs, cell=replace(obs.cell, stations=stations)))
     assert {"theta_1", "d_1"} <= set(known.names)
     d, n = normalised(known, cell.errors)

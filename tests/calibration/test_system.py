@@ -40,13 +40,17 @@ def test_columns_of_every_parameter_are_derivatives(kind):
     for j, name in enumerate(layout.names):
         step = np.zeros(g)
         step[j] = 1e-4
-        difference = lineariser.residual(at.moved(layout, -step, np.zeros((stations, 6))))[1] \
+        difference = (
+            lineariser.residual(at.moved(layout, -step, np.zeros((stations, 6))))[1]
             - lineariser.residual(at.moved(layout, step, np.zeros((stations, 6))))[1]
+        )
         np.testing.assert_allclose(columns[..., j], difference / 2e-4, atol=1e-3, rtol=1e-5, err_msg=name)
     for c in range(6):
         twist = np.zeros((stations, 6))
         twist[:, c] = 1e-4
-        difference = lineariser.residual(at.moved(layout, np.zeros(g), -twist))[1] - lineariser.residual(at.moved(layout, np.zeros(g), twist))[1]
+        difference = (
+            lineariser.residual(at.moved(layout, np.zeros(g), -twist))[1] - lineariser.residual(at.moved(layout, np.zeros(g), twist))[1]
+        )
         np.testing.assert_allclose(columns[..., g + c], difference / 2e-4, atol=1e-3, rtol=1e-5)
 
 
@@ -89,7 +93,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     dense[..., :g] = now.X[..., :g]
     for p in range(obs.n_poses):
         s = lineariser.rows.run[p]
-        dense[p, :, g + 6 * s:g + 6 * s + 6] = now.X[p, :, g:g + 6]
+        dense[p, :, g + 6 * s : g + 6 * s + 6] = now.X[p, :, g : g + 6]
     A = dense.reshape(-1, dense.shape[2])
     r = now.X[..., -1].reshape(-1)
     H = A.T @ A + np.diag(np.concatenate([1 / now.prior.sigma**2, np.zeros(6 * stations)]))
@@ -107,6 +111,25 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
 def test_redundant_parameters_are_held_by_name():
     rng = np.random.default_rng(4)
     layout = parameters.build(scanner_cell(rng, stations=1, per_station=2).observations, CalibrationOptions(balls=False))
-    assert layout.names == ("a_1", "alpha_1", "theta_2", "a_2", "alpha_2", "beta_2", "theta_3", "d_3", "a_3", "alpha_3", "theta_4", "d_4", "a_4",
-                            "alpha_4", "theta_5", "d_5", "a_5", "alpha_5", *(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")))
+    assert layout.names == (
+        "a_1",
+        "alpha_1",
+        "theta_2",
+        "a_2",
+        "alpha_2",
+        "beta_2",
+        "theta_3",
+        "d_3",
+        "a_3",
+        "alpha_3",
+        "theta_4",
+        "d_4",
+        "a_4",
+        "alpha_4",
+        "theta_5",
+        "d_5",
+        "a_5",
+        "alpha_5",
+        *(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+    )
     assert {"theta_1", "d_1", "d_2", "beta_3", "theta_6", "beta_6"} <= set(layout.held)

@@ -21,8 +21,13 @@ def residual_derivative(obs, state, one, h=1e-4):
     return np.stack(out, axis=-1)
 
 
-PLACES = [("joint", i, 0) for i in (0, 3, 5)] + [("frame", i, c) for i in (0, 2, 6) for c in range(6)] \
-    + [("station", 0, c) for c in range(6)] + [("point", 0, c) for c in range(3)] + [("ball", 0, c) for c in range(3)]
+PLACES = (
+    [("joint", i, 0) for i in (0, 3, 5)]
+    + [("frame", i, c) for i in (0, 2, 6) for c in range(6)]
+    + [("station", 0, c) for c in range(6)]
+    + [("point", 0, c) for c in range(3)]
+    + [("ball", 0, c) for c in range(3)]
+)
 
 
 @pytest.mark.parametrize(("place", "index", "component"), PLACES)

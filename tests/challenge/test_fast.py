@@ -100,9 +100,12 @@ def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
     cell = calibrate(observations, CalibrationOptions(kinematics=False))
     twin = simulate(loaded, poses, cell.to_dict())
     nominal = simulate(loaded, poses)
-    seen = {(int(observations.pose_id[p]), int(b)): x for p, b, x in zip(observations.pose, observations.ball, observations.xyz, strict=True)}
-    pairs = np.array([[x, n, seen[int(twin.pose_id[p]), int(b)]]
-                      for p, b, x, n in zip(twin.pose, twin.ball, twin.xyz, nominal.xyz, strict=True)])
+    seen = {
+        (int(observations.pose_id[p]), int(b)): x for p, b, x in zip(observations.pose, observations.ball, observations.xyz, strict=True)
+    }
+    pairs = np.array(
+        [[x, n, seen[int(twin.pose_id[p]), int(b)]] for p, b, x, n in zip(twin.pose, twin.ball, twin.xyz, nominal.xyz, strict=True)]
+    )
     assert np.linalg.norm(pairs[:, 1] - pairs[:, 2], axis=1).mean() > 0.5
     assert np.linalg.norm(pairs[:, 0] - pairs[:, 2], axis=1).mean() < 0.2
 

@@ -55,8 +55,13 @@ def test_a_wrong_name_is_confident_only_where_the_verdict_is_explained():
 
 
 def test_unknown_is_no_name():
-    s = score("axis_wobble", [{"name": "axis_wobble", "where": ["link2"]}],
-              diagnosis('[{"name": "unknown", "where": ["link2"], "parameters": {}}]', "unexplained", at="A3"), 0.5, catalogued=False)
+    s = score(
+        "axis_wobble",
+        [{"name": "axis_wobble", "where": ["link2"]}],
+        diagnosis('[{"name": "unknown", "where": ["link2"], "parameters": {}}]', "unexplained", at="A3"),
+        0.5,
+        catalogued=False,
+    )
     assert s.extra == []
     assert not s.located
 
@@ -97,11 +102,21 @@ def test_a_coupling_needs_both_of_its_joints():
 
 
 def test_phases_are_compared_around_the_circle_and_by_order():
-    truth = {"name": "gear_transmission_error", "where": ["A3"], "order": [2.0, 100.0], "amplitude_deg": [0.02, 0.01], "phase_deg": [179.0, 0.0]}
-    told = {"A3.order": {"value": [100.0, 2.0], "std": [0, 0]}, "A3.amplitude_deg": {"value": [0.011, 0.02], "std": [0.0005, 0.001]},
-            "A3.phase_deg": {"value": [3.0, -179.0], "std": [2.0, 1.0]}}
-    assert parameter_errors(truth, told) == pytest.approx({
-        "A3.amplitude_deg[2]": 0.0, "A3.phase_deg[2]": 2.0, "A3.amplitude_deg[100]": 2.0, "A3.phase_deg[100]": 1.5})
+    truth = {
+        "name": "gear_transmission_error",
+        "where": ["A3"],
+        "order": [2.0, 100.0],
+        "amplitude_deg": [0.02, 0.01],
+        "phase_deg": [179.0, 0.0],
+    }
+    told = {
+        "A3.order": {"value": [100.0, 2.0], "std": [0, 0]},
+        "A3.amplitude_deg": {"value": [0.011, 0.02], "std": [0.0005, 0.001]},
+        "A3.phase_deg": {"value": [3.0, -179.0], "std": [2.0, 1.0]},
+    }
+    assert parameter_errors(truth, told) == pytest.approx(
+        {"A3.amplitude_deg[2]": 0.0, "A3.phase_deg[2]": 2.0, "A3.amplitude_deg[100]": 2.0, "A3.phase_deg[100]": 1.5}
+    )
 
 
 def test_vectors_count_by_their_worst_component_and_numbers_without_a_sigma_not_at_all():
@@ -111,7 +126,10 @@ def test_vectors_count_by_their_worst_component_and_numbers_without_a_sigma_not_
 
 
 def test_the_table_has_a_row_a_kind_and_one_for_all():
-    scores = [score("joint_compliance", [COMPLIANCE], diagnosis(FOUND), 0.9), score("joint_compliance", [COMPLIANCE], diagnosis(OTHER), 0.9)]
+    scores = [
+        score("joint_compliance", [COMPLIANCE], diagnosis(FOUND), 0.9),
+        score("joint_compliance", [COMPLIANCE], diagnosis(OTHER), 0.9),
+    ]
     rows = summary(scores)
     assert [r["kind"] for r in rows] == ["joint_compliance", "all catalogued"]
     assert rows[0]["named"] == 0.5

@@ -20,11 +20,19 @@ from mbcacq.conformance import Channel, PtyProxy, Stand, TcpProxy, Trace, counte
 MBAP = counted(at=4, size=2, order="big", plus=6)
 LINE = ended(b"\n")
 WORDS = {
-    "stations": {"1": 0.0, "2": 152.5}, "scale": 0.01, "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
-    "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"}, "ready": {"send": "?S\r\n", "reply": "S=READY"},
-    "halt": {"send": "ST\r\n"}, "identity": {"ask": "*IDN?\r\n", "expect": "LIFT 3000"},
+    "stations": {"1": 0.0, "2": 152.5},
+    "scale": 0.01,
+    "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
+    "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"},
+    "ready": {"send": "?S\r\n", "reply": "S=READY"},
+    "halt": {"send": "ST\r\n"},
+    "identity": {"ask": "*IDN?\r\n", "expect": "LIFT 3000"},
 }
-IN_POSITION, POSITION, ACTUAL = {"address": 3, "table": "discrete"}, {"address": 10, "type": "int32", "scale": 0.1}, {"address": 20, "type": "float32"}
+IN_POSITION, POSITION, ACTUAL = (
+    {"address": 3, "table": "discrete"},
+    {"address": 10, "type": "int32", "scale": 0.1},
+    {"address": 20, "type": "float32"},
+)
 HASTY = {"timeout_s": 0.3}
 IDENTITY = {"address": 100, "table": "input"}
 
@@ -32,9 +40,16 @@ IDENTITY = {"address": 100, "table": "input"}
 @contextmanager
 def modbus_positioner(trace: Trace | None = None) -> Iterator[Stand]:
     lift = FakePositioner({"1": 0.0, "2": 120.0}, Register(**POSITION), Register(**IN_POSITION), Register(**ACTUAL), travel_s=0.03)
-    given = {"stations": {"1": 0.0, "2": 120.0}, "position": POSITION, "in_position": IN_POSITION, "actual": ACTUAL, "move_timeout_s": 10.0,
-             "identity": {"where": IDENTITY, "equals": 4711}}
+    given = {
+        "stations": {"1": 0.0, "2": 120.0},
+        "position": POSITION,
+        "in_position": IN_POSITION,
+        "actual": ACTUAL,
+        "move_timeout_s": 10.0,
+        "identity": {"where": IDENTITY, "equals": 4711},
+    }
     with _modbus(FakeModbus(lift, [(Register(**IDENTITY), lambda: 4711.0)]), given, ModbusPositioner, trace) as (make, proxies):
+
         def use(positioner: ModbusPositioner) -> None:
             station = "2" if lift.target == 0.0 else "1"
             positioner.go_to(station, "")
@@ -57,6 +72,7 @@ def modbus_sensor(trace: Trace | None = None, rtu: bool = False) -> Iterator[Sta
     served = [(Register(**values[name]), lambda v=value: v) for name, value in known.items()] + [(Register(**IDENTITY), lambda: 4711.0)]
     given = {"values": values, "identity": {"where": IDENTITY, "equals": 4711}}
     with _modbus(FakeModbus(values=served, rtu=rtu), given, ModbusSensor, trace, rtu) as (make, proxies):
+
         def use(sensor: ModbusSensor) -> None:
             assert (got := sensor.read()) == known, f"it reads {got} instead of {known}"
 
@@ -91,8 +107,13 @@ def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Sta
         fake.silent = True
         kind = PtyProxy if pty else TcpProxy
         with kind(Channel("line", note), fake.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
-            given = {"port": proxy.path if pty else f"socket://127.0.0.1:{proxy.port}", "ask": "T?\n", "timeout_s": 3.0,
-                     "line": r"T=(?P<air_C>[-+0-9.]+) H=(?P<humidity>[0-9]+)", "identity": {"ask": "ID?\n", "expect": "THERM-2"}}
+            given = {
+                "port": proxy.path if pty else f"socket://127.0.0.1:{proxy.port}",
+                "ask": "T?\n",
+                "timeout_s": 3.0,
+                "line": r"T=(?P<air_C>[-+0-9.]+) H=(?P<humidity>[0-9]+)",
+                "identity": {"ask": "ID?\n", "expect": "THERM-2"},
+            }
 
             def use(sensor: SerialSensor) -> None:
                 """Lines carry no number: after a late or doubled reply the one before may be taken, never an older one."""
@@ -110,8 +131,10 @@ def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Sta
 @contextmanager
 def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
     note = trace.note if trace else (lambda *_: None)
-    with FakeSerialPositioner(parse(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake, \
-            PtyProxy(Channel("line", note), fake.address, cut=LINE, cut_driver=LINE) as proxy:
+    with (
+        FakeSerialPositioner(parse(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake,
+        PtyProxy(Channel("line", note), fake.address, cut=LINE, cut_driver=LINE) as proxy,
+    ):
         lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 10.0}
 
         def use(positioner: SerialPositioner) -> None:
@@ -129,5 +152,12 @@ def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
         def make(**more: Any) -> SerialPositioner:
             return SerialPositioner("lift", "L4", {**given, **more})
 
-        yield Stand(make, use, {"line": proxy}, lambda: make(timeout_s=0.3, identity={"ask": "*IDN?\r\n", "expect": "LIFT 4000"}), begin,
-                    lambda: lift.arrived, HASTY)
+        yield Stand(
+            make,
+            use,
+            {"line": proxy},
+            lambda: make(timeout_s=0.3, identity={"ask": "*IDN?\r\n", "expect": "LIFT 4000"}),
+            begin,
+            lambda: lift.arrived,
+            HASTY,
+        )

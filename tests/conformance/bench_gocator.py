@@ -33,8 +33,10 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
 
     with ExitStack() as stack:
         sensor = stack.enter_context(FakeGocator(source, health_period_s=0.1))
-        proxies = {name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
-                   for name, port in sensor.ports._asdict().items()}
+        proxies = {
+            name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
+            for name, port in sensor.ports._asdict().items()
+        }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
         given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
         hasty = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
@@ -51,5 +53,6 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             sensor.faults.set("no_data", times=1)
             scanner.capture()
 
-        yield Stand(lambda **o: Gocator("eye", "3210", {**given, **o}), use, proxies, lambda: Gocator("eye", "3504", given), begin,
-                    hasty=hasty)
+        yield Stand(
+            lambda **o: Gocator("eye", "3210", {**given, **o}), use, proxies, lambda: Gocator("eye", "3504", given), begin, hasty=hasty
+        )

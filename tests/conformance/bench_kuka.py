@@ -20,7 +20,7 @@ from mbcacq.devices import MotionLimits
 
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
 HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-EKI_LIMITS_DEG = [(-5, 5), (-95, -85), (85, 95), (-5, 5), (-5, 5), (-5, 5)]    # as in the data list that is shipped
+EKI_LIMITS_DEG = [(-5, 5), (-95, -85), (85, 95), (-5, 5), (-5, 5), (-5, 5)]  # as in the data list that is shipped
 EKI_HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 1.0, 0.0])
 SPEED_DEG_S = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
 XML = ended(b"</Robot>")
@@ -32,6 +32,7 @@ def limits(speed: float = 60.0) -> MotionLimits:
 
 def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], None]:
     """Away from home, or back; and it must really be there. where: the arm's true joint angles, deg."""
+
     def use(robot: Any) -> None:
         away = np.degrees(robot.state().q) - home
         target = home if np.abs(away).max() > 0.5 else home + [1.5, 0, -1.0, 0, 0, 0]
@@ -42,6 +43,7 @@ def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], 
             time.sleep(0.002)
         there = where()
         assert np.abs(there - target).max() < 0.02, f"'arrived', but the arm is at {there}, not at {target}"
+
     return use
 
 
@@ -59,8 +61,9 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
             link = TcpProxy(Channel("eki", note), ("127.0.0.1", server.port), cut=XML, cut_driver=ended(b"</External>"))
             proxies["eki"] = stack.enter_context(link)
             given["eki"] = f"127.0.0.1:{link.port}"
-        fake = stack.enter_context(FakeKrc(client=proxies["rsi"].address, realtime=False, limits_deg=LIMITS_DEG,
-                                           start_deg=tuple(HOME_DEG), rearm_s=0.3, **krc))
+        fake = stack.enter_context(
+            FakeKrc(client=proxies["rsi"].address, realtime=False, limits_deg=LIMITS_DEG, start_deg=tuple(HOME_DEG), rearm_s=0.3, **krc)
+        )
         made = []
 
         def make(model: str = "KR 16 R2010-2", **options: Any) -> KukaRsi:
@@ -72,8 +75,16 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
 
         stack.callback(lambda: [robot.close() for robot in made])
         use = moves(HOME_DEG, lambda: np.degrees(fake.state.read().q))
-        yield Stand(make, use, proxies, (lambda: make("KR 210 R2700-2")) if eki else None, begin, lambda: fake.state.read().standstill,
-                    {"silence_s": 0.8, "connect_timeout_s": 1.5}, lambda: not fake.counters()["active"])
+        yield Stand(
+            make,
+            use,
+            proxies,
+            (lambda: make("KR 210 R2700-2")) if eki else None,
+            begin,
+            lambda: fake.state.read().standstill,
+            {"silence_s": 0.8, "connect_timeout_s": 1.5},
+            lambda: not fake.counters()["active"],
+        )
 
 
 @contextmanager
@@ -82,11 +93,21 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
     note, folder = trace.note if trace else (lambda *_: None), files("mbcacq_kuka") / "controller"
     sources = {name: (folder / "eki_kss" / name).read_text() for name in ("mbcacq_eki.dat", "mbcacq_eki.src", "mbcacq_link.src")}
     with ExitStack() as stack:
-        fake = stack.enter_context(FakeEkiController(sources=sources, channel=(folder / "eki_kss" / "mbcacq_eki.xml").read_text(),
-                                                     start_deg=tuple(EKI_HOME_DEG), realtime=False))
+        fake = stack.enter_context(
+            FakeEkiController(
+                sources=sources, channel=(folder / "eki_kss" / "mbcacq_eki.xml").read_text(), start_deg=tuple(EKI_HOME_DEG), realtime=False
+            )
+        )
         proxy = stack.enter_context(TcpProxy(Channel("eki", note), ("127.0.0.1", fake.port), cut=XML, cut_driver=ended(b"</Command>")))
-        given = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEED_DEG_S, "silence_s": 2.0,
-                 "reconnect_s": 4.0, "connect_timeout_s": 20.0}
+        given = {
+            "address": "127.0.0.1",
+            "port": proxy.port,
+            "limits_deg": EKI_LIMITS_DEG,
+            "speed_deg_s": SPEED_DEG_S,
+            "silence_s": 2.0,
+            "reconnect_s": 4.0,
+            "connect_timeout_s": 20.0,
+        }
         made = []
 
         def make(model: str = "KR 10 R1100-2", **options: Any) -> KukaEki:
@@ -97,5 +118,12 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
             robot.move_to(np.radians(EKI_HOME_DEG + [4.9, 0, 0, 0, 0, 0]), limits(2.0))
 
         stack.callback(lambda: [robot.close() for robot in made])
-        yield Stand(make, moves(EKI_HOME_DEG, lambda: np.degrees(fake.state.read().q)), {"eki": proxy}, lambda: make("KR 210 R2700-2"), begin,
-                    lambda: fake.state.read().standstill, {"silence_s": 0.4, "connect_timeout_s": 2.0, "reconnect_s": 0.5})
+        yield Stand(
+            make,
+            moves(EKI_HOME_DEG, lambda: np.degrees(fake.state.read().q)),
+            {"eki": proxy},
+            lambda: make("KR 210 R2700-2"),
+            begin,
+            lambda: fake.state.read().standstill,
+            {"silence_s": 0.4, "connect_timeout_s": 2.0, "reconnect_s": 0.5},
+        )

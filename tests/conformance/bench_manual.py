@@ -19,6 +19,7 @@ def manual() -> Iterator[Stand]:
     master, slave = os.openpty()
     before, sys.stdin = sys.stdin, os.fdopen(slave, "r")
     try:
+
         def use(positioner: ManualPositioner) -> None:
             os.write(master, b"\n")
             positioner.go_to("1", "place the artefact at station 1")

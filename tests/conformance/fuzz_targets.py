@@ -34,7 +34,7 @@ from mbcacq.recording.datasets.csvfile import read_table
 from mbcacq.recording.datasets.observation_set import _read_centres, _read_poses, read_observation_set
 from mbcacq.spheres.ply import read_cloud
 
-OURS = (MbcacqError, Malformed, FramingError, telegrams.BadTelegram)    # the last three become ProtocolError one call above
+OURS = (MbcacqError, Malformed, FramingError, telegrams.BadTelegram)  # the last three become ProtocolError one call above
 MEMORY = os.environ.get("XDG_RUNTIME_DIR") or ("/dev/shm" if os.path.isdir("/dev/shm") else None)
 
 
@@ -60,8 +60,8 @@ class Stub:
         self._data, self._at = data, 0
 
     def recv_into(self, view: memoryview) -> int:
-        part = self._data[self._at:self._at + len(view)]
-        view[:len(part)] = part
+        part = self._data[self._at : self._at + len(view)]
+        view[: len(part)] = part
         self._at += len(part)
         return len(part)
 
@@ -70,6 +70,7 @@ class Stub:
 
 
 # KUKA
+
 
 def rob(**quirks: bool) -> bytes:
     template = RobTemplate(("RIst", "AIPos", "ASPos", "MACur", "Delay"), 6, **quirks)
@@ -93,19 +94,31 @@ def rsi_later(data: bytes) -> None:
     int(digits)
 
 
-HELLO = (b'<Robot><Hello Axes="6" Interface="mbcacq 1" MachineData="V8.6.11" Model="#KR10R1100_2 C4 SV" Session="3" LoadKg="5.0">'
-         + b"".join(b'<%s X="0.0" Y="1.0" Z="-2.5" A="0.0" B="0.0" C="0.0"></%s>' % (n, n) for n in (b"BaseFrame", b"ToolFrame", b"RobRoot", b"LoadCentre"))
-         + b"</Hello></Robot>")
-STATE = (b'<Robot><State ' + b" ".join(b'%s="1"' % n.encode() for n in sorted(telegrams._INTEGERS.values())) + b">"
-         + b"".join(b"<%s %s></%s>" % (n, b" ".join(b'%s="1.5"' % a.encode() for a in names), n) for n, names in (
-             (b"Axis", telegrams.AXES), (b"Cart", telegrams.POSE), (b"Current", telegrams.AXES))) + b"</State></Robot>")
+HELLO = (
+    b'<Robot><Hello Axes="6" Interface="mbcacq 1" MachineData="V8.6.11" Model="#KR10R1100_2 C4 SV" Session="3" LoadKg="5.0">'
+    + b"".join(
+        b'<%s X="0.0" Y="1.0" Z="-2.5" A="0.0" B="0.0" C="0.0"></%s>' % (n, n)
+        for n in (b"BaseFrame", b"ToolFrame", b"RobRoot", b"LoadCentre")
+    )
+    + b"</Hello></Robot>"
+)
+STATE = (
+    b"<Robot><State "
+    + b" ".join(b'%s="1"' % n.encode() for n in sorted(telegrams._INTEGERS.values()))
+    + b">"
+    + b"".join(
+        b"<%s %s></%s>" % (n, b" ".join(b'%s="1.5"' % a.encode() for a in names), n)
+        for n, names in ((b"Axis", telegrams.AXES), (b"Cart", telegrams.POSE), (b"Current", telegrams.AXES))
+    )
+    + b"</State></Robot>"
+)
 
 
 def eki_stream(data: bytes) -> None:
     cutter = Cutter("Robot")
     third = len(data) // 3 + 1
     for start in range(0, len(data), third):
-        for telegram in cutter.feed(data[start:start + third]):
+        for telegram in cutter.feed(data[start : start + third]):
             telegrams.parse(telegram)
 
 
@@ -127,8 +140,11 @@ def gocator_seeds() -> dict[str, tuple[bytes, ...]]:
     from bench_gocator import tilted_plane
 
     frame = tilted_plane()
-    sets = [encode.data_set(frame, exposure_us=900.0, ticks=5000, index=3, serial=12345, uniform=uniform, generation=generation)
-            for generation in (4, 5, 6) for uniform in (False, True)]
+    sets = [
+        encode.data_set(frame, exposure_us=900.0, ticks=5000, index=3, serial=12345, uniform=uniform, generation=generation)
+        for generation in (4, 5, 6)
+        for uniform in (False, True)
+    ]
     sensor = FakeGocator(lambda exposure_us: frame)
     sensor.ports = type(sensor).__init__.__globals__["Ports"](3190, 3194, 3196)
     request = struct.pack("<QQQQ", 32, 5, 0x0000504455494D4C, 0)
@@ -137,11 +153,26 @@ def gocator_seeds() -> dict[str, tuple[bytes, ...]]:
         answers = (discovery.answer(request), discovery.answer(request[:8] + b"\x01" + request[9:]))
     finally:
         discovery.close()
-    replies = tuple(channel.reply_to(sensor, number, payload) for number, payload in (
-        (0x4511, b""), (0x4010, b""), (0x4002, b""), (0x4525, b""), (0x101A, bytes(64)), (0x4512, b""), (0x100A, b"")))
-    return {"messages": tuple({bytes(m) for each in sets for m in each}), "sets": tuple(b"".join(each) for each in sets), "discovery": answers,
-            "replies": replies, "health": (bytes(encode.health({(2002, 0): 41, (2404, 1): 45, (20005, 0): 7})),),
-            "cfg": (SHORT_CFG,)}
+    replies = tuple(
+        channel.reply_to(sensor, number, payload)
+        for number, payload in (
+            (0x4511, b""),
+            (0x4010, b""),
+            (0x4002, b""),
+            (0x4525, b""),
+            (0x101A, bytes(64)),
+            (0x4512, b""),
+            (0x100A, b""),
+        )
+    )
+    return {
+        "messages": tuple({bytes(m) for each in sets for m in each}),
+        "sets": tuple(b"".join(each) for each in sets),
+        "discovery": answers,
+        "replies": replies,
+        "health": (bytes(encode.health({(2002, 0): 41, (2404, 1): 45, (20005, 0): 7})),),
+        "cfg": (SHORT_CFG,),
+    }
 
 
 def gocator_message(data: bytes) -> None:
@@ -180,6 +211,7 @@ def gocator_configuration(data: bytes) -> None:
 
 
 # bus
+
 
 class Client(ModbusTcpClient):
     """Has received ``data`` behind the number of its own request."""
@@ -259,9 +291,11 @@ FA(BALL 1)=FEAT/SPHERE,OUTER,CART,0.5,-2.0,$
 FA(BALL 2)=FEAT/SPHERE,OUTER,CART,10,0,0,12
 """
 PLY_HEAD = "ply\nformat {} 1.0\ncomment made\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-PLYS = (PLY_HEAD.format("ascii").encode() + b"0 0 0\n1 2.5 -3\n1e-3 4 5\n",
-        PLY_HEAD.format("binary_little_endian").encode() + struct.pack("<9f", *range(9)),
-        PLY_HEAD.format("binary_big_endian").encode() + struct.pack(">9f", *range(9)))
+PLYS = (
+    PLY_HEAD.format("ascii").encode() + b"0 0 0\n1 2.5 -3\n1e-3 4 5\n",
+    PLY_HEAD.format("binary_little_endian").encode() + struct.pack("<9f", *range(9)),
+    PLY_HEAD.format("binary_big_endian").encode() + struct.pack(">9f", *range(9)),
+)
 PLAN = b"""format: mbcacq-plan/1
 name: made     # a comment
 steps:
@@ -285,6 +319,7 @@ def in_file(name: str, read: Callable[[Path], object], beside: dict[str, bytes] 
     def parse(data: bytes) -> object:
         path.write_bytes(data)
         return read(path)
+
     return parse
 
 
@@ -298,7 +333,11 @@ def targets() -> dict[str, Target]:
     cell = parse_cell(CELL.decode())
     poses = in_file("poses.csv", lambda path: _read_poses(read_table(path), cell))(POSES)
     words = struct.unpack(">2H", struct.pack(">f", 38.25))
-    modbus_seeds = (struct.pack(">HHBBB2H", 0, 7, 1, 3, 4, *words), struct.pack(">HHBBBB", 0, 4, 1, 2, 1, 1), struct.pack(">HHBBB", 0, 3, 1, 0x83, 2))
+    modbus_seeds = (
+        struct.pack(">HHBBB2H", 0, 7, 1, 3, 4, *words),
+        struct.pack(">HHBBBB", 0, 4, 1, 2, 1, 1),
+        struct.pack(">HHBBB", 0, 3, 1, 0x83, 2),
+    )
     listed = [
         Target("rsi telegram, first", (rob(), rob(spaced=True), rob(swap=True, upper_type=True)), rsi),
         Target("rsi telegram, later", (rob(), rob(spaced=True), rob(swap=True)), rsi_later),
@@ -314,7 +353,9 @@ def targets() -> dict[str, Target]:
         Target("plan YAML", (PLAN,), plan_text),
         Target("cell YAML", (CELL,), lambda data: parse_cell(data.decode("utf-8", "replace"))),
         Target("observation set, poses.csv", (POSES,), in_file("poses.csv", lambda path: _read_poses(read_table(path), cell))),
-        Target("observation set, centres.csv", (CENTRES,), in_file("centres.csv", lambda path: _read_centres(read_table(path), cell, poses))),
+        Target(
+            "observation set, centres.csv", (CENTRES,), in_file("centres.csv", lambda path: _read_centres(read_table(path), cell, poses))
+        ),
         Target("observation set, cell.yaml", (CELL,), in_file("cell.yaml", lambda path: read_observation_set(path.parent), SET)),
         Target("certificate CSV", (LISTED, LISTED_HERE), in_file("c.csv", lambda path: read_certificate(path, "mbc"))),
         Target("certificate YAML", (BALLS,), in_file("c.yaml", lambda path: read_certificate(path, "mbc"))),

@@ -76,17 +76,20 @@ class WorksAlone(SerialSensor):
         return {"air_C": 20.0, "humidity": 40.0}
 
 
-@pytest.mark.parametrize(("driver", "name", "words"), [
-    (Foreign, "silence_is_an_error_in_time", r"raised KeyError .*none of mbcacq's errors"),
-    (Waits, "silence_is_an_error_in_time", r"did not end within 2 s; it hangs at(.|\n)*time.sleep"),
-    (MakesUp, "silence_is_an_error_in_time", "it reads .*'air_C': 55.0"),
-    (WorksAlone, "refuses_to_work_unconnected", "it works without a connection"),
-    (Believes, "refuses_the_wrong_device", "instead of an IdentityError"),
-    (TakesAll, "refuses_an_unknown_option", "instead of a ConfigError"),
-    (StopsOnce, "stop_and_close_are_always_allowed", "RuntimeError: already stopped"),
-    (Mute, "names_an_absent_device", "a message is one sentence"),
-    (NoDescription, "describes_itself_unconnected", "it is no Sensor: a method is missing"),
-])
+@pytest.mark.parametrize(
+    ("driver", "name", "words"),
+    [
+        (Foreign, "silence_is_an_error_in_time", r"raised KeyError .*none of mbcacq's errors"),
+        (Waits, "silence_is_an_error_in_time", r"did not end within 2 s; it hangs at(.|\n)*time.sleep"),
+        (MakesUp, "silence_is_an_error_in_time", "it reads .*'air_C': 55.0"),
+        (WorksAlone, "refuses_to_work_unconnected", "it works without a connection"),
+        (Believes, "refuses_the_wrong_device", "instead of an IdentityError"),
+        (TakesAll, "refuses_an_unknown_option", "instead of a ConfigError"),
+        (StopsOnce, "stop_and_close_are_always_allowed", "RuntimeError: already stopped"),
+        (Mute, "names_an_absent_device", "a message is one sentence"),
+        (NoDescription, "describes_itself_unconnected", "it is no Sensor: a method is missing"),
+    ],
+)
 def test_a_bad_driver_is_caught(driver, name, words):
     made = []
 
@@ -121,13 +124,20 @@ def test_a_step_that_hangs_is_given_up_and_placed():
     assert bounded("adding", lambda: 1 + 1, 5.0) == 2
 
 
-@pytest.mark.parametrize(("action", "arrives"), [
-    ("drop", [b"ab\n", b"ef\n"]), ("duplicate", [b"ab\n", b"cd\n", b"cd\n", b"ef\n"]), ("truncate", [b"ab\n", b"c", b"ef\n"]),
-    ("close", [b"ab\n", b"c"]), ("delay", [b"ab\n", b"cd\n", b"ef\n"]), ("split", [b"ab\n", b"cd\n", b"ef\n"]), ("join", [b"ab\n", b"cd\nef\n"]),
-])
+@pytest.mark.parametrize(
+    ("action", "arrives"),
+    [
+        ("drop", [b"ab\n", b"ef\n"]),
+        ("duplicate", [b"ab\n", b"cd\n", b"cd\n", b"ef\n"]),
+        ("truncate", [b"ab\n", b"c", b"ef\n"]),
+        ("close", [b"ab\n", b"c"]),
+        ("delay", [b"ab\n", b"cd\n", b"ef\n"]),
+        ("split", [b"ab\n", b"cd\n", b"ef\n"]),
+        ("join", [b"ab\n", b"cd\nef\n"]),
+    ],
+)
 def test_a_fault_befalls_one_message_only(action, arrives):
-    with socket.create_server(("127.0.0.1", 0)) as device, \
-            TcpProxy(Channel("line"), device.getsockname(), cut=ended(b"\n")) as proxy:
+    with socket.create_server(("127.0.0.1", 0)) as device, TcpProxy(Channel("line"), device.getsockname(), cut=ended(b"\n")) as proxy:
         proxy.channel.fault = Fault("device", 1, action, seconds=0.05)
         with socket.create_connection(proxy.address) as driver:
             there, _ = device.accept()
@@ -172,7 +182,9 @@ def test_datagrams_and_serial_lines_pass_too():
             assert there.recv(100) == b"T?\n"
 
 
-@pytest.mark.parametrize(("data", "size"), [(b"", 0), (b"\x05\0\0", 0), (b"\x05\0\0\0", 0), (b"\x05\0\0\0x", 5), (b"\x05\0\0\0xy", 5), (b"\0\0\0\0", 4)])
+@pytest.mark.parametrize(
+    ("data", "size"), [(b"", 0), (b"\x05\0\0", 0), (b"\x05\0\0\0", 0), (b"\x05\0\0\0x", 5), (b"\x05\0\0\0xy", 5), (b"\0\0\0\0", 4)]
+)
 def test_a_length_field_cuts_messages(data, size):
     assert counted()(data) == size
     assert counted(at=4, size=2, order="big", plus=6)(b"\0\1\0\0\0\2ab") == 8

@@ -8,9 +8,17 @@ from benches import BENCHES
 from mbcacq.conformance import CHECKS, check
 from mbcacq.devices import available
 
-NO_LINE = {"silence_is_an_error_in_time", "garbage_is_survived", "half_a_message_is_survived", "an_end_in_mid_frame_is_survived",
-           "two_messages_in_one_segment_are_two", "a_message_byte_by_byte_is_one", "refuses_the_wrong_device", "names_an_absent_device",
-           "refuses_to_work_unconnected"}
+NO_LINE = {
+    "silence_is_an_error_in_time",
+    "garbage_is_survived",
+    "half_a_message_is_survived",
+    "an_end_in_mid_frame_is_survived",
+    "two_messages_in_one_segment_are_two",
+    "a_message_byte_by_byte_is_one",
+    "refuses_the_wrong_device",
+    "names_an_absent_device",
+    "refuses_to_work_unconnected",
+}
 SKIPPED = {"manual": NO_LINE, "serial sensor pty": {"stop_ends_what_is_under_way"}}
 QUICK = {"manual", "gocator", "kuka_rsi with EKI", "kuka_eki", "modbus positioner", "serial sensor pty"}
 

@@ -9,20 +9,32 @@ from mbcacq.conformance import Case, cases, inject
 from mbcacq.conformance.injection import NAMED, RECOVERED
 
 CHOSEN = [
-    ("gocator", Case("control", "device", 3, "garbage"), {NAMED}), ("gocator", Case("data", "device", 1, "duplicate"), {RECOVERED}),
-    ("gocator", Case("data", "device", 0, "drop"), {NAMED}), ("gocator", Case("data", "device", 3, "close"), {RECOVERED}),
-    ("gocator", Case("control", "driver", 7, "truncate"), {NAMED}), ("gocator", Case("health", "device", 0, "garbage"), {RECOVERED}),
-    ("gocator trigger", Case("control", "device", 12, "duplicate"), {NAMED, RECOVERED}), ("gocator trigger", Case("data", "device", 1, "drop"), {NAMED}),
-    ("kuka_rsi", Case("rsi", "device", 40, "duplicate"), {RECOVERED}), ("kuka_rsi", Case("rsi", "device", 40, "garbage"), {NAMED}),
-    ("kuka_rsi", Case("rsi", "driver", 30, "drop"), {NAMED, RECOVERED}), ("kuka_rsi", Case("rsi", "device", 30, "delay"), {NAMED, RECOVERED}),
-    ("kuka_eki", Case("eki", "device", 5, "close"), {NAMED, RECOVERED}), ("kuka_eki", Case("eki", "device", 6, "truncate"), {NAMED, RECOVERED}),
-    ("modbus positioner", Case("modbus", "device", 3, "truncate"), {NAMED, RECOVERED}), ("modbus positioner", Case("modbus", "driver", 2, "close"), {NAMED}),
-    ("serial positioner", Case("line", "device", 2, "delay"), {NAMED}), ("serial positioner", Case("line", "driver", 1, "garbage"), {NAMED}),
-    ("serial sensor pty", Case("line", "device", 1, "duplicate"), {RECOVERED}), ("serial sensor pty", Case("line", "device", 1, "close"), {NAMED}),
+    ("gocator", Case("control", "device", 3, "garbage"), {NAMED}),
+    ("gocator", Case("data", "device", 1, "duplicate"), {RECOVERED}),
+    ("gocator", Case("data", "device", 0, "drop"), {NAMED}),
+    ("gocator", Case("data", "device", 3, "close"), {RECOVERED}),
+    ("gocator", Case("control", "driver", 7, "truncate"), {NAMED}),
+    ("gocator", Case("health", "device", 0, "garbage"), {RECOVERED}),
+    ("gocator trigger", Case("control", "device", 12, "duplicate"), {NAMED, RECOVERED}),
+    ("gocator trigger", Case("data", "device", 1, "drop"), {NAMED}),
+    ("kuka_rsi", Case("rsi", "device", 40, "duplicate"), {RECOVERED}),
+    ("kuka_rsi", Case("rsi", "device", 40, "garbage"), {NAMED}),
+    ("kuka_rsi", Case("rsi", "driver", 30, "drop"), {NAMED, RECOVERED}),
+    ("kuka_rsi", Case("rsi", "device", 30, "delay"), {NAMED, RECOVERED}),
+    ("kuka_eki", Case("eki", "device", 5, "close"), {NAMED, RECOVERED}),
+    ("kuka_eki", Case("eki", "device", 6, "truncate"), {NAMED, RECOVERED}),
+    ("modbus positioner", Case("modbus", "device", 3, "truncate"), {NAMED, RECOVERED}),
+    ("modbus positioner", Case("modbus", "driver", 2, "close"), {NAMED}),
+    ("serial positioner", Case("line", "device", 2, "delay"), {NAMED}),
+    ("serial positioner", Case("line", "driver", 1, "garbage"), {NAMED}),
+    ("serial sensor pty", Case("line", "device", 1, "duplicate"), {RECOVERED}),
+    ("serial sensor pty", Case("line", "device", 1, "close"), {NAMED}),
 ]
 
 
-@pytest.mark.parametrize(("name", "case", "expected"), CHOSEN, ids=lambda value: str(value).replace(" ", "-") if not isinstance(value, set) else "")
+@pytest.mark.parametrize(
+    ("name", "case", "expected"), CHOSEN, ids=lambda value: str(value).replace(" ", "-") if not isinstance(value, set) else ""
+)
 def test_one_hurt_message(name, case, expected):
     verdict = inject(BENCHES[name], case)
     assert verdict.result in expected, f"{case}: {verdict.result}: {verdict.detail}"

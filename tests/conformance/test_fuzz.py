@@ -13,15 +13,23 @@ from mbcacq.errors import ConfigError
 from mbcacq.spheres import read_cloud
 
 NAMES = sorted(targets())
-CUTS = st.tuples(st.floats(0, 1), st.floats(0, 1), st.one_of(st.binary(max_size=12), st.sampled_from(
-    [b"nan", b"1e999", b"-1", b"9" * 25, b"", b"[" * 100, b"\xff\xff\xff\xff", b"\0\0\0\x80", b"<!ENTITY x 'y'>", b"\0"])))
+CUTS = st.tuples(
+    st.floats(0, 1),
+    st.floats(0, 1),
+    st.one_of(
+        st.binary(max_size=12),
+        st.sampled_from(
+            [b"nan", b"1e999", b"-1", b"9" * 25, b"", b"[" * 100, b"\xff\xff\xff\xff", b"\0\0\0\x80", b"<!ENTITY x 'y'>", b"\0"]
+        ),
+    ),
+)
 
 
 def changed(seed: bytes, cuts: list[tuple[float, float, bytes]]) -> bytes:
     """A piece of the seed is replaced, several times."""
     for start, length, new in cuts:
         at = int(start * len(seed))
-        seed = seed[:at] + new + seed[at + int(length**4 * len(seed)):]
+        seed = seed[:at] + new + seed[at + int(length**4 * len(seed)) :]
     return seed
 
 
@@ -56,16 +64,20 @@ def test_an_announced_size_takes_no_memory_by_itself(name, announced):
 HEAD = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
 
 
-@pytest.mark.parametrize(("data", "words"), [
-    (b"ply\nformat ascii 1.0\ncomment", "is no PLY file"),    # the library's reader ends the program here
-    (b"", "is no PLY file"), (b"plyx\nend_header\n", "is no PLY file"),
-    (HEAD.replace(b"2\n", b"2000000000\n") + b"0 0 0\n", "is cut off: its header announces at least 12000000000 bytes"),
-    (HEAD.replace(b"property float z\n", b""), "holds no points"),
-    (HEAD.replace(b"float y", b"float128 y"), "c.ply:5: 'property float128 y' is nothing"),
-    (HEAD.replace(b"ascii", b"gzip"), "c.ply:2: 'format gzip 1.0' is nothing"),
-    (HEAD.replace(b"end_header", b"comment\nend_header"), "c.ply:7: an empty 'comment' line"),
-    (HEAD.replace(b"element", b"comment " + b"x" * 600 + b"\nelement"), "c.ply:3: a header line of 608 bytes"),
-])
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"ply\nformat ascii 1.0\ncomment", "is no PLY file"),  # the library's reader ends the program here
+        (b"", "is no PLY file"),
+        (b"plyx\nend_header\n", "is no PLY file"),
+        (HEAD.replace(b"2\n", b"2000000000\n") + b"0 0 0\n", "is cut off: its header announces at least 12000000000 bytes"),
+        (HEAD.replace(b"property float z\n", b""), "holds no points"),
+        (HEAD.replace(b"float y", b"float128 y"), "c.ply:5: 'property float128 y' is nothing"),
+        (HEAD.replace(b"ascii", b"gzip"), "c.ply:2: 'format gzip 1.0' is nothing"),
+        (HEAD.replace(b"end_header", b"comment\nend_header"), "c.ply:7: an empty 'comment' line"),
+        (HEAD.replace(b"element", b"comment " + b"x" * 600 + b"\nelement"), "c.ply:3: a header line of 608 bytes"),
+    ],
+)
 def test_a_broken_cloud_is_refused_before_the_library_sees_it(tmp_path, data, words):
     (tmp_path / "c.ply").write_bytes(data)
     with pytest.raises(ConfigError, match=words):
@@ -75,7 +87,8 @@ def test_a_broken_cloud_is_refused_before_the_library_sees_it(tmp_path, data, wo
 @pytest.mark.parametrize("line", [b"comment VCGLIB generated\n", b"obj_info num_cols 100\n"])
 def test_what_other_programs_write_into_headers_is_taken(tmp_path, line):
     data = HEAD.replace(b"element vertex", line + b"element vertex").replace(
-        b"end_header", b"property uchar red\nelement face 1\nproperty list uchar int vertex_indices\nend_header")
+        b"end_header", b"property uchar red\nelement face 1\nproperty list uchar int vertex_indices\nend_header"
+    )
     for end in (b"\n", b"\r\n"):
         (tmp_path / "c.ply").write_bytes(data.replace(b"\n", end) + b"0 1 2 255\n3 4 5.5 0\n3 0 1 0\n")
         assert read_cloud(tmp_path / "c.ply").tolist() == [[0, 1, 2], [3, 4, 5.5]]

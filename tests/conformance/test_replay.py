@@ -23,9 +23,11 @@ IPOC = re.compile(rb"<IPOC>\d+</IPOC>")
 @pytest.fixture
 def saved(tmp_path):
     """A trace goes through its file."""
+
     def through(trace: Trace) -> Trace:
         trace.save(tmp_path / "session.txt")
         return Trace.load(tmp_path / "session.txt")
+
     return through
 
 
@@ -65,12 +67,12 @@ def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(save
         robot.state()
     lines = saved(trace).lines
     answered = IPOC.search(next(line.data for line in lines if line.sender == "driver"))[0]
-    start = next(i for i, line in enumerate(lines) if answered in line.data)    # telegrams before that found nobody
+    start = next(i for i, line in enumerate(lines) if answered in line.data)  # telegrams before that found nobody
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "stop_at_close": False})
-    with Replay(Trace(lines[start:start + 40]), {"rsi": ("127.0.0.1", port)}) as replay:
+    with Replay(Trace(lines[start : start + 40]), {"rsi": ("127.0.0.1", port)}) as replay:
         with robot:
             np.testing.assert_allclose(np.degrees(robot.state().q), HOME_DEG, atol=1e-9)
         assert replay.played >= 12

@@ -23,7 +23,7 @@ from mbcacq.recording import load as load_recording
 from mbcacq.workflow import run as pipeline
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
-LIMIT_S, NOISE_MM = 180.0, 0.15     # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away
+LIMIT_S, NOISE_MM = 180.0, 0.15  # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away
 HASTY = {"timeout_s": 2.0, "reply_limit_s": 2.0, "connect_timeout_s": 2.0}
 
 
@@ -50,8 +50,9 @@ def cell(loaded: Any, poses: list[Any]) -> Iterator[tuple[Any, dict[str, dict[st
         scanner, robot = overrides["scanner"], overrides["robot"]
         proxies: dict[str, Proxy] = {}
         for link in ("control", "data", "health"):
-            proxies[link] = stack.enter_context(TcpProxy(Channel(link), (scanner["address"], scanner[f"{link}_port"]), cut=counted(),
-                                                         cut_driver=counted()))
+            proxies[link] = stack.enter_context(
+                TcpProxy(Channel(link), (scanner["address"], scanner[f"{link}_port"]), cut=counted(), cut_driver=counted())
+            )
             scanner[f"{link}_port"] = proxies[link].port
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
@@ -108,13 +109,18 @@ class WholeRun:
             if error is None or "no " not in str(unread):
                 return verdict("unreadable", str(unread))
             found = {}
-        strange = [f"pose {pose} ball {ball}" for (pose, ball), xyz in found.items()
-                   if (pose, ball) not in self.centres or np.abs(xyz - self.centres[pose, ball]).max() > NOISE_MM]
+        strange = [
+            f"pose {pose} ball {ball}"
+            for (pose, ball), xyz in found.items()
+            if (pose, ball) not in self.centres or np.abs(xyz - self.centres[pose, ball]).max() > NOISE_MM
+        ]
         if strange:
             return verdict("wrong", f"centres of {', '.join(strange[:4])} are not those of the undisturbed run")
         if error is not None:
             return verdict(NAMED, f"{type(error).__name__}: {error}")
-        if {pose for pose, _ in found} != {pose for pose, _ in self.centres}:    # a ball at the edge may be seen in one scan and not in the next
+        if {pose for pose, _ in found} != {
+            pose for pose, _ in self.centres
+        }:  # a ball at the edge may be seen in one scan and not in the next
             return verdict("wrong", f"the run ended well without some of its poses ({len(found)} of {len(self.centres)} centres)")
         return verdict(RECOVERED if struck else UNREACHED)
 

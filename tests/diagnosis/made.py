@@ -24,12 +24,27 @@ POINT_NOISE = np.array([0.005, 0.005, 0.009])
 def robot() -> RobotModel:
     """A six-axis arm of the ten-kilogram class with masses and gear ratios."""
     deg = np.pi / 180
-    chain = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.array([0, 0, -90, 0, 0, 180]) * deg, np.array([450.0, 0, 0, 660, 0, 80]),
-                  np.array([150.0, 610, 20, 0, 0, 0]), np.array([-90, 0, -90, 90, -90, 180]) * deg, np.zeros(6))
+    chain = Chain(
+        np.array([-1.0, 1, 1, -1, 1, -1]),
+        np.array([0, 0, -90, 0, 0, 180]) * deg,
+        np.array([450.0, 0, 0, 660, 0, 80]),
+        np.array([150.0, 610, 20, 0, 0, 0]),
+        np.array([-90, 0, -90, 90, -90, 180]) * deg,
+        np.zeros(6),
+    )
     limits = np.array([[-170, 170], [-185, 65], [-137, 163], [-185, 185], [-120, 120], [-350, 350]]) * deg
     com = np.array([[0.0, 0, 0], [-240, 0, 0], [0, 0, 120], [0, 200, 0], [0, 0, 0], [0, 0, -20]])
-    return RobotModel("made arm", chain, limits, np.array([0, 38, 24, 9, 5, 0.5]), com, gear_ratio=np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),
-                      payload_mass=3.0, payload_com=np.array([-5.0, 3, 110]), repeatability_mm=0.04)
+    return RobotModel(
+        "made arm",
+        chain,
+        limits,
+        np.array([0, 38, 24, 9, 5, 0.5]),
+        com,
+        gear_ratio=np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),
+        payload_mass=3.0,
+        payload_com=np.array([-5.0, 3, 110]),
+        repeatability_mm=0.04,
+    )
 
 
 def cell(stations: int, bars: int, rng: np.random.Generator) -> Cell:
@@ -70,13 +85,20 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
         while True:
             start = rng.uniform(0.6 * arm.limits[:, 0], 0.6 * arm.limits[:, 1])
             T_base_scanner = arm.chain.frames(start[None])[0, -1] @ here.T_flange_scanner
-            facing = se3.transform(se3.rotation_exp(rng.normal(0, 0.2, 3)), -here.ball_centres[targets[0]].mean(axis=0) * (len(targets) > 1))
+            facing = se3.transform(
+                se3.rotation_exp(rng.normal(0, 0.2, 3)), -here.ball_centres[targets[0]].mean(axis=0) * (len(targets) > 1)
+            )
             T_base_station = T_base_scanner @ facing
             reached = []
             for seen in targets:
                 centre = here.ball_centres[seen].mean(axis=0) * (len(targets) > 1)
                 turn = se3.rotation_exp(rng.uniform(-1, 1, (40, 3)) * [0.7, 0.7, 3.0])
-                T = T_base_station @ se3.transform(np.eye(3), centre) @ se3.inverse(facing @ se3.transform(np.eye(3), centre))[None] @ se3.transform(turn, np.zeros(3))
+                T = (
+                    T_base_station
+                    @ se3.transform(np.eye(3), centre)
+                    @ se3.inverse(facing @ se3.transform(np.eye(3), centre))[None]
+                    @ se3.transform(turn, np.zeros(3))
+                )
                 found, good = joints(arm, T @ se3.inverse(here.T_flange_scanner), np.tile(start, (40, 1)) + rng.normal(0, 0.1, (40, 6)))
                 reached.append(found[good])
             need = each // len(targets)
@@ -95,8 +117,18 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
     time = np.cumsum(rng.uniform(12, 28, count))
     sense = np.sign(np.diff(np.array(q), axis=0, prepend=np.array(q)[:1] - 1))
     warm = 24 + 6 * (1 - np.exp(-time / 1200)) + rng.normal(0, 0.02, count)
-    return Observations(here, np.arange(count), np.array(station), np.array(q), np.array(pose), np.array(ball), np.concatenate(xyz), time_s=time,
-                        direction=sense, temperatures={"robot_C": warm})
+    return Observations(
+        here,
+        np.arange(count),
+        np.array(station),
+        np.array(q),
+        np.array(pose),
+        np.array(ball),
+        np.concatenate(xyz),
+        time_s=time,
+        direction=sense,
+        temperatures={"robot_C": warm},
+    )
 
 
 def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:
@@ -117,8 +149,12 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
     rng = np.random.default_rng(seed)
     obs = template
     start = geometry_fit.start(obs)
-    state = CellState(obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)), obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),
-                      start.T_base_station, obs.cell.ball_centres + rng.normal(0, 0.001, (len(obs.cell.ball_ids), 3)))
+    state = CellState(
+        obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)),
+        obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),
+        start.T_base_station,
+        obs.cell.ball_centres + rng.normal(0, 0.001, (len(obs.cell.ball_ids), 3)),
+    )
     if obs.cell.measurement == "artefact_in_scanner":
         state = replace(state, T_base_station=start.T_base_station)
     situation = Context(obs, state, forward_model.predict(obs, state))
@@ -128,12 +164,16 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
             moved = add(moved, effect(situation))
             continue
         name, where, coefficients, hyper = effect
-        candidate = next(c for c in catalogue.candidates(situation)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients))
+        candidate = next(
+            c for c in catalogue.candidates(situation)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients)
+        )
         terms.append(term(name, candidate.build(hyper)))
         values.append(np.asarray(coefficients, dtype=float))
     moved = add(moved, accumulate(obs, terms, values))
     moved = add(moved, Displacements(joint=rng.normal(0, joint_noise, obs.q.shape)))
-    xyz = forward_model.predict(obs, state, moved).xyz + rng.normal(0, 1, obs.xyz.shape) * (POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm)
+    xyz = forward_model.predict(obs, state, moved).xyz + rng.normal(0, 1, obs.xyz.shape) * (
+        POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm
+    )
     wrong = rng.random(len(xyz)) < outliers
     xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
     return replace(obs, xyz=xyz)
@@ -142,4 +182,5 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
 def add(a: Displacements, b: Displacements) -> Displacements:
     def both(x, y):
         return y if x is None else x if y is None else x + y
+
     return Displacements(*(both(getattr(a, k), getattr(b, k)) for k in ("joint", "frame", "point", "ball", "station")))

@@ -24,7 +24,9 @@ def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
 
     together = here.best_fixed(setup.candidates)
 
-    apart = {c.key: max(here.test(c, h).gain for h in (c.hyper.values if c.hyper else (None,))) for c in setup.candidates if not c.separable}
+    apart = {
+        c.key: max(here.test(c, h).gain for h in (c.hyper.values if c.hyper else (None,))) for c in setup.candidates if not c.separable
+    }
     assert len(apart) > 40
     assert together.keys() == apart.keys()
     np.testing.assert_allclose([together[key][1] for key in apart], list(apart.values()), rtol=1e-7, atol=1e-7)
@@ -51,6 +53,11 @@ def test_two_by_two_in_closed_form():
     values, along = two(S, b)
 
     np.testing.assert_allclose(values, np.linalg.eigvalsh(S), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(np.sum(along[5:] ** 2 / values[5:], axis=1), np.einsum("hi,hij,hj->h", b[5:], np.linalg.inv(S[5:]), b[5:]), rtol=1e-8)
-    np.testing.assert_allclose(solve_blocks(S[5:], b[5:], np.diagonal(S[5:], axis1=1, axis2=2)),
-                               np.einsum("hi,hij,hj->h", b[5:], np.linalg.inv(S[5:]), b[5:]), rtol=1e-8)
+    np.testing.assert_allclose(
+        np.sum(along[5:] ** 2 / values[5:], axis=1), np.einsum("hi,hij,hj->h", b[5:], np.linalg.inv(S[5:]), b[5:]), rtol=1e-8
+    )
+    np.testing.assert_allclose(
+        solve_blocks(S[5:], b[5:], np.diagonal(S[5:], axis1=1, axis2=2)),
+        np.einsum("hi,hij,hj->h", b[5:], np.linalg.inv(S[5:]), b[5:]),
+        rtol=1e-8,
+    )

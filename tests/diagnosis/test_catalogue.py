@@ -9,9 +9,24 @@ from mbcacq.effects.context import Context
 from mbcacq.estimation import forward_model
 
 CONTRACT = {
-    "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling", "joint_step",
-    "thermal_growth", "mount_shift", "scanner_scale", "scanner_distortion", "scanner_warmup", "ball_shift", "artefact_expansion", "station_drift",
-    "payload", "exposure_latency",
+    "joint_compliance",
+    "base_compliance",
+    "mount_compliance",
+    "gear_transmission_error",
+    "backlash",
+    "joint_scale",
+    "wrist_coupling",
+    "joint_step",
+    "thermal_growth",
+    "mount_shift",
+    "scanner_scale",
+    "scanner_distortion",
+    "scanner_warmup",
+    "ball_shift",
+    "artefact_expansion",
+    "station_drift",
+    "payload",
+    "exposure_latency",
 }
 
 

@@ -11,7 +11,13 @@ from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet
 
-SOUGHT = ("joint_scale:A2:q2:", "joint_scale:A5:q5:", "base_compliance:base:gravity_torque_2:", "ball_shift:ball4:x:", "joint_compliance:A3:gravity_torque_3:")
+SOUGHT = (
+    "joint_scale:A2:q2:",
+    "joint_scale:A5:q5:",
+    "base_compliance:base:gravity_torque_2:",
+    "ball_shift:ball4:x:",
+    "joint_compliance:A3:gravity_torque_3:",
+)
 
 
 def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):

@@ -9,9 +9,17 @@ from mbcacq.diagnosis.diagnose import diagnose
 @pytest.fixture(scope="module")
 def told():
     plan = made.plan(stations=24, bars=8, each=12)
-    return diagnose(made.observe(plan, 151, [("gear_transmission_error", ("A1",), [1.5e-4, 1e-4], 13.4),
-                                             ("gear_transmission_error", ("A1",), [0.0, 1.2e-4], 23.0),
-                                             ("gear_transmission_error", ("A3",), [1.5e-4, 0.0], 15.1)]))
+    return diagnose(
+        made.observe(
+            plan,
+            151,
+            [
+                ("gear_transmission_error", ("A1",), [1.5e-4, 1e-4], 13.4),
+                ("gear_transmission_error", ("A1",), [0.0, 1.2e-4], 23.0),
+                ("gear_transmission_error", ("A3",), [1.5e-4, 0.0], 15.1),
+            ],
+        )
+    )
 
 
 def test_the_orders_of_two_gears_are_named_and_explain_nearly_all(told):

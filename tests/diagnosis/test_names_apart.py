@@ -100,6 +100,7 @@ def test_a_joint_that_predicts_nothing_beside_another_is_taken_back(plan):
 
 def test_what_is_plain_but_predicts_nothing_is_not_passed_over(plan):
     """A ball that comes loose lies elsewhere at every station: no other station knows where, but it is no noise."""
+
     def loose(s):
         ball = np.zeros(s.obs.xyz.shape)
         lies = np.random.default_rng(6).normal(0, 0.02, (len(s.obs.cell.stations), 3))

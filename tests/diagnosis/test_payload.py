@@ -36,7 +36,10 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
 
     assert verdict_of(found) == "explained"
     assert {(c.name, c.where) for c, _ in found.model.members} == {
-        ("payload", ("mount",)), ("joint_compliance", ("A2",)), ("joint_compliance", ("A3",))}
+        ("payload", ("mount",)),
+        ("joint_compliance", ("A2",)),
+        ("joint_compliance", ("A3",)),
+    }
     for (candidate, hyper), p in zip(found.model.members, found.model.parts(), strict=True):
         told = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
         for name, entry in told.items():

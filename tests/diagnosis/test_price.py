@@ -97,7 +97,11 @@ def test_two_weak_joints_pass_together_where_neither_passes_alone():
     owns = [alone(9.0), alone(9.0)]
 
     assert prices.cost(one, None, [], owns[0]) > 9.0
-    assert prices.cost(one, None, [], owns[0]) + prices.cost(two, None, [one], owns[1]) > 18.0 > prices.cost_together([(one, None), (two, None)], owns)
+    assert (
+        prices.cost(one, None, [], owns[0]) + prices.cost(two, None, [one], owns[1])
+        > 18.0
+        > prices.cost_together([(one, None), (two, None)], owns)
+    )
 
 
 def test_what_is_of_different_kinds_is_not_tested_as_one():

@@ -53,7 +53,9 @@ def test_neither_units_nor_axes_matter():
     typical = [0.03] * 3 + [1e-4] * 3
 
     one = EffectPrior.of(candidate(*typical), c, covariance)
-    other = EffectPrior.of(candidate(*(np.array(typical) * metres)), (both @ c) * metres, both @ covariance @ both.T * np.outer(metres, metres))
+    other = EffectPrior.of(
+        candidate(*(np.array(typical) * metres)), (both @ c) * metres, both @ covariance @ both.T * np.outer(metres, metres)
+    )
 
     assert one.gain == pytest.approx(c @ np.linalg.solve(covariance, c))
     assert other.price == pytest.approx(one.price)

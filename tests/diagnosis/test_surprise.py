@@ -70,10 +70,15 @@ def test_what_is_hardly_seen_stays_near_zero(plan):
 
 
 def test_a_model_that_leaves_more_than_noise_is_judged_by_squares():
-    sure, close = predictive_score.PredictiveScore(1.0, 100, 310.0, 300.0, surprise=50.0), predictive_score.PredictiveScore(1.0, 100, 305.0, 300.0, surprise=60.0)
+    sure, close = (
+        predictive_score.PredictiveScore(1.0, 100, 310.0, 300.0, surprise=50.0),
+        predictive_score.PredictiveScore(1.0, 100, 305.0, 300.0, surprise=60.0),
+    )
     assert predictive_score.better(sure, close)
     assert not predictive_score.better(close, sure)
 
-    wrong, less_wrong = (predictive_score.PredictiveScore(1.0, 100, chi2, 300.0, surprise=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0)))
+    wrong, less_wrong = (
+        predictive_score.PredictiveScore(1.0, 100, chi2, 300.0, surprise=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0))
+    )
     assert predictive_score.better(less_wrong, wrong)
     assert not predictive_score.better(wrong, less_wrong)

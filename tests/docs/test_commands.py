@@ -62,9 +62,21 @@ def test_commands_of_a_page_work_when_pasted(page: Page, desk: Path):
     script = without_installing(page.script)
     if not script.strip():
         return
-    environment = dict(os.environ, PATH=f"{desk / '.venv' / 'bin'}:{os.environ['PATH']}", DISPLAY=":0", RERUN_CLI_PATH=str(desk / ".venv" / "bin" / "rerun"))
-    shell = subprocess.Popen(["bash", "-euo", "pipefail", "-c", script], cwd=desk, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                             text=True, start_new_session=True)
+    environment = dict(
+        os.environ,
+        PATH=f"{desk / '.venv' / 'bin'}:{os.environ['PATH']}",
+        DISPLAY=":0",
+        RERUN_CLI_PATH=str(desk / ".venv" / "bin" / "rerun"),
+    )
+    shell = subprocess.Popen(
+        ["bash", "-euo", "pipefail", "-c", script],
+        cwd=desk,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
     try:
         out, err = shell.communicate(timeout=380)
     finally:

@@ -14,7 +14,10 @@ MAKE = ROOT / "docs" / "_make"
 
 def test_site_builds_without_warnings(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True,
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},  # a banner of the theme, about the future of mkdocs
     )
     assert done.returncode == 0, done.stderr
@@ -23,7 +26,9 @@ def test_site_builds_without_warnings(tmp_path):
 
 
 def test_site_asks_nothing_of_other_hosts(tmp_path):
-    subprocess.run([sys.executable, "-m", "mkdocs", "build", "-q", "--site-dir", str(tmp_path / "site")], cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "-q", "--site-dir", str(tmp_path / "site")], cwd=ROOT, check=True, capture_output=True
+    )
     for page in (tmp_path / "site").rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         for tag in ('<script src="http', '<link rel="stylesheet" href="http', '<img src="http', "fonts.googleapis"):

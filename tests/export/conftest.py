@@ -15,8 +15,14 @@ from mbcacq.model.observations import Observations
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-CHAIN = Chain(np.array([-1, 1, 1, -1, 1, -1.0]), np.radians([0, 0, -90, 0, 0, 180]), np.array([400, 0, 0, 420, 0, 80.0]),
-              np.array([25, 455, 35, 0, 0, 0.0]), np.radians([-90, 0, -90, 90, -90, 180]), np.zeros(6))
+CHAIN = Chain(
+    np.array([-1, 1, 1, -1, 1, -1.0]),
+    np.radians([0, 0, -90, 0, 0, 180]),
+    np.array([400, 0, 0, 420, 0, 80.0]),
+    np.array([25, 455, 35, 0, 0, 0.0]),
+    np.radians([-90, 0, -90, 90, -90, 180]),
+    np.zeros(6),
+)
 
 
 def observed():
@@ -28,9 +34,21 @@ def observed():
     bar = Artefact("bar", "bar", (9, 10), np.array([[-300.0, 0, 0], [300, 0, 0]]), np.full(2, 25.0))
     T_hand = se3.from_abc(np.array([5.0, -3, 265]), np.radians([12.0, 3, 178]))
     stations = tuple(Station(f"s{i}", "mbc") for i in range(3)) + (Station("b1", "bar"),)
-    cell = Cell(robot, se3.from_abc(np.array([0.0, 0, 260]), np.radians([10.0, 0, 180])), (artefact, bar), stations, noise_mm=np.full(3, 0.005))
-    truth = CHAIN.with_errors(np.array([[0, 0, .1, 1e-4, 0], [2e-4, 0, -.2, 1e-4, 1e-4], [-2e-4, .1, .05, -1e-4, 0], [1e-4, .1, 0.02, 5e-5, 0],
-                                        [3e-4, -.1, 0, 1e-4, 0], [0, 0, 0, 0, 0]]))
+    cell = Cell(
+        robot, se3.from_abc(np.array([0.0, 0, 260]), np.radians([10.0, 0, 180])), (artefact, bar), stations, noise_mm=np.full(3, 0.005)
+    )
+    truth = CHAIN.with_errors(
+        np.array(
+            [
+                [0, 0, 0.1, 1e-4, 0],
+                [2e-4, 0, -0.2, 1e-4, 1e-4],
+                [-2e-4, 0.1, 0.05, -1e-4, 0],
+                [1e-4, 0.1, 0.02, 5e-5, 0],
+                [3e-4, -0.1, 0, 1e-4, 0],
+                [0, 0, 0, 0, 0],
+            ]
+        )
+    )
     q0 = np.radians([[0, -70, 100, 10, 40, 0], [35, -50, 80, -20, 50, 60], [-40, -90, 110, 30, 30, -80]])
     q, station, phase, pose, ball, xyz = [], [], [], [], [], []
     places = [truth.flange(one[None])[0] @ T_hand for one in q0]
@@ -47,8 +65,13 @@ def observed():
         pose.extend([k] * len(seen))
         ball.extend(seen)
         xyz.extend(c + rng.normal(0, 0.005, c.shape))
-    return Observations(cell, np.arange(156), np.array(station), np.array(q), np.array(pose), np.array(ball), np.array(xyz),
-                        phase=np.array(phase)), truth, T_hand
+    return (
+        Observations(
+            cell, np.arange(156), np.array(station), np.array(q), np.array(pose), np.array(ball), np.array(xyz), phase=np.array(phase)
+        ),
+        truth,
+        T_hand,
+    )
 
 
 @pytest.fixture(scope="session")

@@ -85,7 +85,9 @@ def test_an_angle_on_its_limit_and_a_result_without_limits_are_taken(solved):
 
 def test_the_uncertainty_of_the_cloud_is_printed(solved, result_file, tmp_path):
     (tmp_path / "scan.ply").write_text(ONE_POINT)
-    outcome = CliRunner().invoke(app, ["apply", str(result_file), "--joints", ",".join(map(str, np.degrees(Q))), str(tmp_path / "scan.ply")])
+    outcome = CliRunner().invoke(
+        app, ["apply", str(result_file), "--joints", ",".join(map(str, np.degrees(Q))), str(tmp_path / "scan.ply")]
+    )
     _, placed = place_scan(solved[0], Q, np.array([[1.0, 2, 3]]))
     assert outcome.exit_code == 0
     assert f"3D {placed.rms_mm:.4f} mm" in outcome.stdout

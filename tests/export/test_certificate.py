@@ -25,6 +25,7 @@ def write(tmp_path):
         path = tmp_path / name
         path.write_text(text, encoding="utf-8")
         return path
+
     return put
 
 
@@ -47,8 +48,10 @@ def test_csv_of_a_continental_spreadsheet(write):
 
 
 def test_yaml(write):
-    text = "certificate: DKD-1\ndate: 2026-03-04\nT: 20.5\nalpha: 11.5\nU: 0.002\nk: 2\nspheres:\n" \
-           "  - {label: S1, x: -4.4902, y: 24.8573, z: -10.4992, d: 12.0003}\n  - {label: S2, x: -37.3617, y: 6.312, z: -5.4404, d: 11.9998}\n"
+    text = (
+        "certificate: DKD-1\ndate: 2026-03-04\nT: 20.5\nalpha: 11.5\nU: 0.002\nk: 2\nspheres:\n"
+        "  - {label: S1, x: -4.4902, y: 24.8573, z: -10.4992, d: 12.0003}\n  - {label: S2, x: -37.3617, y: 6.312, z: -5.4404, d: 11.9998}\n"
+    )
     a = read_certificate(write("c.yaml", text), "mbc")
     np.testing.assert_array_equal(a.centres, CENTRES)
     assert (a.uncertainty_mm, a.reference_temperature_C, a.expansion_ppm_per_K) == (0.001, 20.5, 11.5)
@@ -86,21 +89,24 @@ def test_csv_reads_back_exactly(write):
     assert (a.ball_ids, a.uncertainty_mm) == (b.ball_ids, b.uncertainty_mm)
 
 
-@pytest.mark.parametrize(("name", "text", "message"), [
-    ("c.csv", "", "lists no sphere"),
-    ("c.csv", "label,x,y,z\n1,2,3,4\n", r"c\.csv:1: column 'd' is missing"),
-    ("c.csv", "label,x,y,z,d\n1,2,3,4\n", r"c\.csv:2: 4 cells under 5"),
-    ("c.csv", "label,x,y,z,d\n1,2,up,4,12\n", r"c\.csv:2: column 'y': 'up'"),
-    ("c.csv", "label,x,y,z,d\n1,2,nan,4,12\n", "not a finite number"),
-    ("c.csv", "label,x,y,z,d\n1,2,3,4,12\n1,2,3,9,12\n", "listed twice"),
-    ("c.csv", "label,x,y,z,d\n1,2,3,4,-12\n", "not positive"),
-    ("c.yaml", "a: [", "is not YAML"),
-    ("c.yaml", "a: 1", "no list"),
-    ("c.yaml", "balls:\n - {label: 1, x: 1, y: 2, z: 3}\n", "sphere 1 has no 'd'"),
-    ("c.dmo", "FA(A)=FEAT/SPHERE,OUTER,POL,1,2,3,4\n", r"c\.dmo:1"),
-    ("c.dmo", "\nFA(A)=FEAT/SPHERE,OUTER,CART,1,2,x,4\n", r"c\.dmo:2"),
-    ("c.pdf", "x", "must be .csv"),
-])
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("c.csv", "", "lists no sphere"),
+        ("c.csv", "label,x,y,z\n1,2,3,4\n", r"c\.csv:1: column 'd' is missing"),
+        ("c.csv", "label,x,y,z,d\n1,2,3,4\n", r"c\.csv:2: 4 cells under 5"),
+        ("c.csv", "label,x,y,z,d\n1,2,up,4,12\n", r"c\.csv:2: column 'y': 'up'"),
+        ("c.csv", "label,x,y,z,d\n1,2,nan,4,12\n", "not a finite number"),
+        ("c.csv", "label,x,y,z,d\n1,2,3,4,12\n1,2,3,9,12\n", "listed twice"),
+        ("c.csv", "label,x,y,z,d\n1,2,3,4,-12\n", "not positive"),
+        ("c.yaml", "a: [", "is not YAML"),
+        ("c.yaml", "a: 1", "no list"),
+        ("c.yaml", "balls:\n - {label: 1, x: 1, y: 2, z: 3}\n", "sphere 1 has no 'd'"),
+        ("c.dmo", "FA(A)=FEAT/SPHERE,OUTER,POL,1,2,3,4\n", r"c\.dmo:1"),
+        ("c.dmo", "\nFA(A)=FEAT/SPHERE,OUTER,CART,1,2,x,4\n", r"c\.dmo:2"),
+        ("c.pdf", "x", "must be .csv"),
+    ],
+)
 def test_faults_name_file_and_line(write, name, text, message):
     with pytest.raises(ConfigError, match=message):
         read_certificate(write(name, text), "mbc")

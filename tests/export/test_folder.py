@@ -28,7 +28,13 @@ def test_every_format_tells_the_same_hand_eye(solved, result_file, tmp_path):
     np.testing.assert_allclose(kuka.read_tool_data((out / "tool_data.txt").read_text(), 7), T, atol=1e-5)
     np.testing.assert_allclose(ros.read_hand_eye(out / "mbcacq.calib"), T, atol=1e-9)
     assert load_result(out) == solved[0]
-    assert {p.name for p in out.iterdir()} >= {"parameters.csv", "covariance.csv", "verification.csv", "result.schema.json", "scanner.launch.py"}
+    assert {p.name for p in out.iterdir()} >= {
+        "parameters.csv",
+        "covariance.csv",
+        "verification.csv",
+        "result.schema.json",
+        "scanner.launch.py",
+    }
 
 
 def test_the_hand_eye_is_the_true_one(solved):

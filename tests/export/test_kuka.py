@@ -23,8 +23,7 @@ CONFIG = (
 
 def test_the_snippet_reads_as_on_the_controller():
     assert kuka.tool_data(TURNED, 3, "scanner") == (
-        "TOOL_DATA[3]={X 1.26210,Y -0.56100,Z 264.79980,A 90.000000,B 30.000000,C 0.000000}\r\n"
-        'TOOL_NAME[3,]="scanner"\r\n'
+        'TOOL_DATA[3]={X 1.26210,Y -0.56100,Z 264.79980,A 90.000000,B 30.000000,C 0.000000}\r\nTOOL_NAME[3,]="scanner"\r\n'
     )
 
 
@@ -51,8 +50,10 @@ def test_the_diff_changes_two_lines_and_keeps_the_rest(tmp_path):
     diff = kuka.config_diff(path, TURNED, 3, "scanner")
     changed = [line for line in diff.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
     assert changed == [
-        "-TOOL_DATA[3]={X 1.0E+02,Y -2.5,Z 3.0,A 180.0,B 0.0,C -90.0}", '-TOOL_NAME[3,]="Gr\xfcn"',
-        "+TOOL_DATA[3]={X 1.26210,Y -0.56100,Z 264.79980,A 90.000000,B 30.000000,C 0.000000}", '+TOOL_NAME[3,]="scanner"',
+        "-TOOL_DATA[3]={X 1.0E+02,Y -2.5,Z 3.0,A 180.0,B 0.0,C -90.0}",
+        '-TOOL_NAME[3,]="Gr\xfcn"',
+        "+TOOL_DATA[3]={X 1.26210,Y -0.56100,Z 264.79980,A 90.000000,B 30.000000,C 0.000000}",
+        '+TOOL_NAME[3,]="scanner"',
     ]
     assert path.read_bytes() == CONFIG.encode("latin-1")
 

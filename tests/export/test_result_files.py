@@ -29,13 +29,16 @@ def test_the_file_reads_back(solved, result_file):
     assert load_result(result_file.parent) == solved[0]
 
 
-@pytest.mark.parametrize(("key", "value", "message"), [
-    ("format", "mbcacq-result/2", "format 'mbcacq-result/1'"),
-    ("T_flange_scanner", [[1, 2], [3, 4]], "T_flange_scanner"),
-    ("covariance", [[1.0]], "the covariance is not"),
-    ("robot", {"name": "x"}, r"robot\."),
-    ("noise", {"scanner_mm": [1, 2, "x"], "joint_rad": []}, r"noise\.scanner_mm"),
-])
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("format", "mbcacq-result/2", "format 'mbcacq-result/1'"),
+        ("T_flange_scanner", [[1, 2], [3, 4]], "T_flange_scanner"),
+        ("covariance", [[1.0]], "the covariance is not"),
+        ("robot", {"name": "x"}, r"robot\."),
+        ("noise", {"scanner_mm": [1, 2, "x"], "joint_rad": []}, r"noise\.scanner_mm"),
+    ],
+)
 def test_a_damaged_file_is_named(solved, tmp_path, key, value, message):
     result = copy.deepcopy(solved[0])
     result[key] = value

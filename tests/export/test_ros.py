@@ -38,7 +38,9 @@ def test_the_older_flat_form(tmp_path):
     np.testing.assert_allclose(ros.read_hand_eye(path), T, atol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["", "a: 1", "transform: {translation: {x: 1}}", "transformation: {x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 0}", "["])
+@pytest.mark.parametrize(
+    "text", ["", "a: 1", "transform: {translation: {x: 1}}", "transformation: {x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 0}", "["]
+)
 def test_what_is_no_hand_eye_is_named(tmp_path, text):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
@@ -52,7 +54,11 @@ def test_the_command_and_the_launch_file_say_the_same():
     assert words[words.index("--frame-id") + 1] == "tool0"
     assert float(words[words.index("--z") + 1]) == 0.265
     tree = ast.parse(ros.launch_file(T))
-    lists = [[e.value for e in node.elts] for node in ast.walk(tree) if isinstance(node, ast.List) and all(isinstance(e, ast.Constant) for e in node.elts)]
+    lists = [
+        [e.value for e in node.elts]
+        for node in ast.walk(tree)
+        if isinstance(node, ast.List) and all(isinstance(e, ast.Constant) for e in node.elts)
+    ]
     assert words[4:] in lists
 
 

@@ -48,8 +48,12 @@ def by_hand(rows, sign, q):
     """Flange (4, 4) of H_i = Rz Tz Tx Rx Ry, product by product; mm, rad."""
     T = np.eye(4)
     for i, angle in enumerate(q):
-        for R, t in ((turn(2, sign[i] * angle + rows["theta"][i]), (0, 0, rows["d"][i])), (np.eye(3), (rows["a"][i], 0, 0)),
-                     (turn(0, rows["alpha"][i]), (0, 0, 0)), (turn(1, rows["beta"][i]), (0, 0, 0))):
+        for R, t in (
+            (turn(2, sign[i] * angle + rows["theta"][i]), (0, 0, rows["d"][i])),
+            (np.eye(3), (rows["a"][i], 0, 0)),
+            (turn(0, rows["alpha"][i]), (0, 0, 0)),
+            (turn(1, rows["beta"][i]), (0, 0, 0)),
+        ):
             step = np.eye(4)
             step[:3, :3], step[:3, 3] = R, R @ np.array(t, float)
             T = T @ step
@@ -59,7 +63,9 @@ def by_hand(rows, sign, q):
 def test_the_result_file_is_the_true_arm_by_hand(solved):
     """Only what result.json says of itself is used; it places a point where the true cell has it, to a few hundredths of a millimetre."""
     result, _, truth, T_hand = solved
-    T = by_hand(result["robot"]["calibrated"], result["robot"]["sign"], [0.2, -1.0, 1.5, 0.1, 0.6, 0.3]) @ np.array(result["T_flange_scanner"])
+    T = by_hand(result["robot"]["calibrated"], result["robot"]["sign"], [0.2, -1.0, 1.5, 0.1, 0.6, 0.3]) @ np.array(
+        result["T_flange_scanner"]
+    )
     true = truth.flange(np.array([[0.2, -1.0, 1.5, 0.1, 0.6, 0.3]]))[0] @ T_hand
     np.testing.assert_allclose(T[:3, 3], true[:3, 3], atol=0.1)
     np.testing.assert_allclose(T[:3, :3], true[:3, :3], atol=3e-4)
@@ -93,9 +99,11 @@ def test_ros_files_turn_and_shift_a_point_as_the_hand_eye_does(solved, out):
     data = yaml.safe_load((out / "mbcacq.calib").read_text())["transform"]
     words = shlex.split((out / "static_transform.sh").read_text().splitlines()[-1])
     launched = re.findall(r"'(--?[\w-]+|-?[\d.e+-]+|\w+)'", (out / "scanner.launch.py").read_text().split("arguments=[")[1])
-    for x, y, z, *q in ([*(data["translation"][k] for k in "xyz"), *(data["rotation"][k] for k in "xyzw")],
-                        [float(words[words.index(f"--{k}") + 1]) for k in ("x", "y", "z", "qx", "qy", "qz", "qw")],
-                        [float(launched[launched.index(f"--{k}") + 1]) for k in ("x", "y", "z", "qx", "qy", "qz", "qw")]):
+    for x, y, z, *q in (
+        [*(data["translation"][k] for k in "xyz"), *(data["rotation"][k] for k in "xyzw")],
+        [float(words[words.index(f"--{k}") + 1]) for k in ("x", "y", "z", "qx", "qy", "qz", "qw")],
+        [float(launched[launched.index(f"--{k}") + 1]) for k in ("x", "y", "z", "qx", "qy", "qz", "qw")],
+    ):
         assert np.linalg.norm(q) == pytest.approx(1, abs=1e-9)
         np.testing.assert_allclose(rotated(q, point) + 1e3 * np.array([x, y, z]), there, atol=1e-6)
 
@@ -115,7 +123,7 @@ def test_the_csv_files_hold_the_covariance_of_the_parameters(solved, out):
     variance = {row[0]: float(row[1 + i]) for i, row in enumerate(rows)}
     head, *rows = (line.split(",") for line in (out / "parameters.csv").read_text().replace("\r", "").split("\n") if line)
     std = {row[head.index("name")]: row[head.index("std")] for row in rows}
-    free = [name for name in variance if not name.startswith("hand_eye.")]   # those are given along other axes in parameters.csv
+    free = [name for name in variance if not name.startswith("hand_eye.")]  # those are given along other axes in parameters.csv
     assert len(free) > 15
     for name in free:
         assert float(std[name]) == pytest.approx(np.sqrt(variance[name]), rel=1e-9)

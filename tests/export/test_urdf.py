@@ -9,8 +9,14 @@ from mbcacq.exports import urdf
 from mbcacq.geometry.chain import Chain
 
 # a small arm of the KUKA kind, base to flange, with the senses of a KUKA controller
-CHAIN = Chain(np.array([-1, 1, 1, -1, 1, -1.0]), np.radians([0, 0, -90, 0, 0, 180]), np.array([400, 0, 0, 420, 0, 80.0]),
-              np.array([25, 455, 35, 0, 0, 0.0]), np.radians([-90, 0, -90, 90, -90, 180]), np.zeros(6))
+CHAIN = Chain(
+    np.array([-1, 1, 1, -1, 1, -1.0]),
+    np.radians([0, 0, -90, 0, 0, 180]),
+    np.array([400, 0, 0, 420, 0, 80.0]),
+    np.array([25, 455, 35, 0, 0, 0.0]),
+    np.radians([-90, 0, -90, 90, -90, 180]),
+    np.zeros(6),
+)
 ERRORS = np.random.default_rng(4).normal(size=(6, 5)) * [3e-4, 0.2, 0.2, 2e-4, 2e-4]
 ERRORS[-1] = 0
 
@@ -114,7 +120,12 @@ def test_line_ends_of_windows_stay(file):
 
 def test_comments_limits_and_other_joints_stay(file):
     patched = urdf.patch(file, CHAIN, CHAIN.with_errors(ERRORS)).decode()
-    for kept in ("<!-- drawn by hand -->", "<!-- the big one -->", 'xyz="1 2 0.5" rpy="0 0 0.3"', '<limit lower="-2.96" upper="2.96" effort="0" velocity="6"/>'):
+    for kept in (
+        "<!-- drawn by hand -->",
+        "<!-- the big one -->",
+        'xyz="1 2 0.5" rpy="0 0 0.3"',
+        '<limit lower="-2.96" upper="2.96" effort="0" velocity="6"/>',
+    ):
         assert kept in patched
     before, after = URDF.splitlines(), patched.splitlines()
     assert len(before) == len(after)
@@ -145,12 +156,15 @@ def test_another_robot_is_refused(file):
         urdf.patch(file, other_sense, other_sense)
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ('name="a6" type="revolute"', 'name="a6" type="fixed"', "5 moving joints"),
-    ("0 ${pi/2} 0", "${tilt} 0 0", "expand the file with xacro"),
-    ("</robot>", "", "not well-formed"),
-    ("<robot", '<!DOCTYPE r [<!ENTITY a "b">]><robot', "entities"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="a6" type="revolute"', 'name="a6" type="fixed"', "5 moving joints"),
+        ("0 ${pi/2} 0", "${tilt} 0 0", "expand the file with xacro"),
+        ("</robot>", "", "not well-formed"),
+        ("<robot", '<!DOCTYPE r [<!ENTITY a "b">]><robot', "entities"),
+    ],
+)
 def test_a_file_that_cannot_be_used_is_named(tmp_path, old, new, message):
     path = tmp_path / "arm.urdf"
     path.write_text(URDF.replace(old, new))

@@ -9,8 +9,12 @@ from mbcacq.geometry.gravity import gravity_torque
 
 # KR 10 R1100-2: a1 25, c1 400, c2 560, c3 515, forearm offset 25, c4 90 (mm).
 KR10 = Chain(
-    np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0.0, 0, -90, 0, 0, 180]), np.array([400.0, 0, 0, 515, 0, 90]),
-    np.array([25.0, 560, 25, 0, 0, 0]), np.radians([-90.0, 0, -90, 90, -90, 180]), np.zeros(6),
+    np.array([-1.0, 1, 1, -1, 1, -1]),
+    np.radians([0.0, 0, -90, 0, 0, 180]),
+    np.array([400.0, 0, 0, 515, 0, 90]),
+    np.array([25.0, 560, 25, 0, 0, 0]),
+    np.radians([-90.0, 0, -90, 90, -90, 180]),
+    np.zeros(6),
 )
 # Axis points (mm) and directions with all axes at zero, as the manufacturer's description gives them.
 POINTS = np.array([[0, 0, 208], [25, 90.7, 400], [585, 86.5, 400], [781, 0, 425], [1100, 50.5, 425], [1161.5, 0, 425.0]])
@@ -27,12 +31,15 @@ def flange_by_exponentials(q):
     return T @ zero
 
 
-@pytest.mark.parametrize(("q_deg", "xyz"), [
-    ([0, 0, 0, 0, 0, 0], [1190.0, 0.0, 425.0]),
-    ([0, -90, 90, 0, 0, 0], [630.0, 0.0, 985.0]),
-    ([0, -90, 90, 0, 90, 0], [540.0, 0.0, 895.0]),
-    ([10, -80, 95, 20, 40, 30], [664.943, -137.339, 771.995]),
-])
+@pytest.mark.parametrize(
+    ("q_deg", "xyz"),
+    [
+        ([0, 0, 0, 0, 0, 0], [1190.0, 0.0, 425.0]),
+        ([0, -90, 90, 0, 0, 0], [630.0, 0.0, 985.0]),
+        ([0, -90, 90, 0, 90, 0], [540.0, 0.0, 895.0]),
+        ([10, -80, 95, 20, 40, 30], [664.943, -137.339, 771.995]),
+    ],
+)
 def test_flange_position_as_the_manufacturer_gives_it(q_deg, xyz):
     np.testing.assert_allclose(KR10.flange(np.radians([q_deg]))[0, :3, 3], xyz, atol=6e-4)
 

@@ -52,7 +52,9 @@ def driver(fake: FakeGocator) -> Iterator[Callable[..., Gocator]]:
 def talk(fake: FakeGocator) -> Iterator[Callable[[str | bytes], bytes]]:
     """Sends bytes (or hex) over one control connection and returns the one reply frame."""
     with socket.create_connection(("127.0.0.1", fake.ports.control), timeout=5) as sock:
+
         def exchange(request: str | bytes) -> bytes:
             sock.sendall(bytes.fromhex(request) if isinstance(request, str) else request)
             return read_frame(sock)
+
         yield exchange

@@ -39,8 +39,13 @@ def read_trace() -> list[Line]:
 
 
 def options(sensor: FakeGocator, **more: Any) -> dict[str, Any]:
-    return {"address": "127.0.0.1", "control_port": sensor.ports.control, "health_port": sensor.ports.health,
-            "data_port": sensor.ports.data, **more}
+    return {
+        "address": "127.0.0.1",
+        "control_port": sensor.ports.control,
+        "health_port": sensor.ports.health,
+        "data_port": sensor.ports.data,
+        **more,
+    }
 
 
 def read_frame(sock: socket.socket) -> bytes:

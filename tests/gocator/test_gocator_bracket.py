@@ -12,7 +12,7 @@ from mbcacq_gocator.driver import Gocator
 
 from mbcacq.devices import ConfigError, ProtocolError, Scan
 
-REFLECTIVITY = np.where(np.arange(20) < 12, 0.02, 0.25)    # grey values a microsecond: dark left, bright right
+REFLECTIVITY = np.where(np.arange(20) < 12, 0.02, 0.25)  # grey values a microsecond: dark left, bright right
 
 
 def seen(exposure_us: float) -> ScannerFrame:
@@ -36,8 +36,8 @@ def test_merging_takes_every_pixel_from_the_exposure_that_sees_it_best(sensor):
     assert len(scan.points) == 12 * 20
     assert (scan.pixel == np.arange(240)).all()
     grid = scan.points.reshape(12, 20, 3)
-    np.testing.assert_allclose(grid[:, :12, 2], 206.0, atol=2e-3)    # 120 of 255 at 6 ms; 40 at 2 ms
-    np.testing.assert_allclose(grid[:, 12:, 2], 200.5, atol=2e-3)    # 125 at 0.5 ms
+    np.testing.assert_allclose(grid[:, :12, 2], 206.0, atol=2e-3)  # 120 of 255 at 6 ms; 40 at 2 ms
+    np.testing.assert_allclose(grid[:, 12:, 2], 200.5, atol=2e-3)  # 125 at 0.5 ms
     assert set(scan.intensity.tolist()) == {120, 125}
     assert scan.exposure_us == 6000
 
@@ -45,7 +45,7 @@ def test_merging_takes_every_pixel_from_the_exposure_that_sees_it_best(sensor):
 def test_best_takes_one_exposure_whole(sensor):
     with Gocator("eye", "", options(sensor, exposures_us=[500, 2000, 6000], bracket="best")) as scanner:
         scan = scanner.capture()
-    assert (scan.exposure_us, len(scan.points)) == (500, 240)    # its dark half has grey 10, just usable; the others see 12 columns
+    assert (scan.exposure_us, len(scan.points)) == (500, 240)  # its dark half has grey 10, just usable; the others see 12 columns
 
 
 def test_the_exposure_of_before_is_put_back(sensor):
@@ -62,16 +62,27 @@ def test_a_bracket_that_the_sensor_cannot_do_is_refused_on_connecting(sensor):
     assert sensor.scans == 0
 
 
-@pytest.mark.parametrize("given", [{"exposures_us": [500, 500]}, {"exposures_us": [0]}, {"exposures_us": 500}, {"exposures_us": ["500"]},
-                                   {"exposures_us": [500], "exposure_us": 1}, {"exposures_us": [500], "bracket": "mean"}])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"exposures_us": [500, 500]},
+        {"exposures_us": [0]},
+        {"exposures_us": 500},
+        {"exposures_us": ["500"]},
+        {"exposures_us": [500], "exposure_us": 1},
+        {"exposures_us": [500], "bracket": "mean"},
+    ],
+)
 def test_wrong_brackets_are_named(given):
     with pytest.raises(ConfigError, match="exposure|bracket"):
         Gocator("eye", "", {"address": "1.2.3.4", **given})
 
 
 def test_plan_and_option_cannot_both_say_how_long(sensor):
-    with (Gocator("eye", "", options(sensor, exposures_us=[500])) as scanner,
-          pytest.raises(ConfigError, match="take exposure_us out of the plan")):
+    with (
+        Gocator("eye", "", options(sensor, exposures_us=[500])) as scanner,
+        pytest.raises(ConfigError, match="take exposure_us out of the plan"),
+    ):
         scanner.capture(700)
 
 

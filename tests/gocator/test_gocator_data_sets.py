@@ -17,8 +17,10 @@ SNAPSHOT = bytes.fromhex("06 00 00 00 28 45")
 
 def shoot(sensor: FakeGocator) -> list[bytes]:
     """The data set of one snapshot."""
-    with (socket.create_connection(("127.0.0.1", sensor.ports.data), timeout=5) as data,
-          socket.create_connection(("127.0.0.1", sensor.ports.control), timeout=5) as control):
+    with (
+        socket.create_connection(("127.0.0.1", sensor.ports.data), timeout=5) as data,
+        socket.create_connection(("127.0.0.1", sensor.ports.control), timeout=5) as control,
+    ):
         control.sendall(SNAPSHOT)
         read_frame(control)
         messages = [read_frame(data)]
@@ -38,18 +40,21 @@ def test_point_cloud_of_four_points_is_the_annotated_frame():
     annotated = bytearray.fromhex(
         "56 00 00 00 1c 80 36 00 02 00 00 00 02 00 00 00 20 4e 00 00 20 4e 00 00 d0 07 00 00 78 ec ff ff"
         "e8 03 00 00 90 d0 03 00 00 dc 05 00 00 00 06 00 00 00 00 00 00 00 01 00 00 00 00 00 00 00 ce ff"
-        "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03")
-    annotated[46] = 3    # stream step: surface, not tool output
+        "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03"
+    )
+    annotated[46] = 3  # stream step: surface, not tool output
     assert message.hex(" ") == annotated.hex(" ")
 
 
 def test_measurement_and_health_are_the_annotated_frames():
     assert encode.mark_last(encode.measurement(4, float("nan"))).hex(" ") == (
-        "20 00 00 00 1f 80 10 00 01 00 00 00 00 00 04 00 01 00 00 00 00 00 00 00 00 00 00 80 02 00 00 00")
+        "20 00 00 00 1f 80 10 00 01 00 00 00 00 00 04 00 01 00 00 00 00 00 00 00 00 00 00 80 02 00 00 00"
+    )
     assert encode.measurement(3, 12.345, generation=5).hex(" ") == "16 00 00 00 0a 00 01 00 00 00 00 00 03 00 39 30 00 00 01 00 00 00"
     assert encode.health({(20000, 0): 0, (2002, 1): 41}).hex(" ") == (
         "2e 00 00 00 00 80 02 00 00 00 00 00 00 00 20 4e 00 00 00 00 00 00 00 00 00 00 00 00 00 00 "
-        "d2 07 00 00 01 00 00 00 29 00 00 00 00 00 00 00")
+        "d2 07 00 00 01 00 00 00 29 00 00 00 00 00 00 00"
+    )
 
 
 def test_stamp_is_the_recorded_one_but_for_its_ptp_time(trace):
@@ -79,7 +84,7 @@ def test_uniform_spacing_of_the_job_turns_the_cloud_into_a_height_map(frame):
     assert (raw == -32768).sum() == 12
     column, row = np.meshgrid(np.arange(20), np.arange(12))
     x, y, z = xo / 1e3 + column * xr / 1e6, yo / 1e3 + row * yr / 1e6, zo / 1e3 + raw * (zr / 1e6)
-    plane = 200 + 0.2 * (x + 4) - 0.1 * (y + 3)    # the frame's plane as a function of x and y in mm
+    plane = 200 + 0.2 * (x + 4) - 0.1 * (y + 3)  # the frame's plane as a function of x and y in mm
     assert np.abs(z - plane)[raw != -32768].max() < 0.0011
 
 
@@ -102,7 +107,7 @@ def test_quantisation_is_half_a_step_and_nan_or_out_of_range_is_invalid():
 
 def test_far_frames_get_coarser_steps_that_still_reach():
     scaling = Scaling.over(np.array([-1000.0, 0, 0]), np.array([1000.0, 1, 1]))
-    assert scaling.resolution_nm == (30520, 3000, 2000)    # 1000 mm / 32766 steps, rounded up
+    assert scaling.resolution_nm == (30520, 3000, 2000)  # 1000 mm / 32766 steps, rounded up
     assert 32767 * scaling.scale[0] > 1000
 
 
@@ -117,20 +122,22 @@ def test_exposure_reaches_the_source_and_the_message(frame):
         sensor.files.set_number("Setup/Devices/Device[@role='0']/Exposure", 2500)
         messages = shoot(sensor)
     assert asked == [2500.0]
-    assert struct.unpack_from("<I", messages[1], 41) == (2_500_000,)    # ns
+    assert struct.unpack_from("<I", messages[1], 41) == (2_500_000,)  # ns
 
 
 def test_time_stamps_follow_the_worlds_clock(frame):
     moment = ScannerFrame(frame.xyz, frame.intensity, time_s=12.5)
     with FakeGocator(lambda e: moment, clock=lambda: 12.25) as sensor:
         stamp = shoot(sensor)[0]
-    assert struct.unpack_from("<QQ", stamp, 14) == (0, 12_800_000)    # 12.5 s * 1.024 ticks a us
+    assert struct.unpack_from("<QQ", stamp, 14) == (0, 12_800_000)  # 12.5 s * 1.024 ticks a us
 
 
 def test_all_clients_get_every_data_set(fake):
-    with (socket.create_connection(("127.0.0.1", fake.ports.data), timeout=5) as one,
-          socket.create_connection(("127.0.0.1", fake.ports.data), timeout=5) as two,
-          socket.create_connection(("127.0.0.1", fake.ports.control), timeout=5) as control):
+    with (
+        socket.create_connection(("127.0.0.1", fake.ports.data), timeout=5) as one,
+        socket.create_connection(("127.0.0.1", fake.ports.data), timeout=5) as two,
+        socket.create_connection(("127.0.0.1", fake.ports.control), timeout=5) as control,
+    ):
         for _ in range(200):
             if fake.data.count == 2:
                 break

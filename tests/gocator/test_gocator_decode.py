@@ -14,7 +14,8 @@ from mbcacq.devices import ProtocolError
 POINT_CLOUD = bytes.fromhex(
     "56 00 00 00 1c 80 36 00 02 00 00 00 02 00 00 00 20 4e 00 00 20 4e 00 00 d0 07 00 00 78 ec ff ff"
     "e8 03 00 00 90 d0 03 00 00 dc 05 00 00 00 06 00 00 00 00 00 00 00 01 00 00 00 00 00 00 00 ce ff"
-    "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03")
+    "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03"
+)
 MEASUREMENT_2 = bytes.fromhex("20 00 00 00 1f 80 10 00 01 00 00 00 00 00 04 00 02 00 00 00 01 00 00 00 00 00 00 80 02 00 00 00")
 
 
@@ -29,7 +30,13 @@ def test_point_cloud_of_four_points():
     assert message.type == 28
     assert message.array.tolist() == [[[-50, -50, 0], [-32768, -32768, -32768]], [[-50, 0, 841], [0, 0, 841]]]
     assert {k: message.attributes[k] for k in ("x_resolution", "y_resolution", "z_resolution", "x_offset", "y_offset", "z_offset")} == {
-        "x_resolution": 20000, "y_resolution": 20000, "z_resolution": 2000, "x_offset": -5000, "y_offset": 1000, "z_offset": 250000}
+        "x_resolution": 20000,
+        "y_resolution": 20000,
+        "z_resolution": 2000,
+        "x_offset": -5000,
+        "y_offset": 1000,
+        "z_offset": 250000,
+    }
     assert (message.attributes["exposure"], message.attributes["stream_step"], message.attributes["arrayed_count"]) == (1500, 6, 1)
 
 
@@ -73,7 +80,7 @@ def test_profiles_and_video_of_the_trace(trace):
     cloud, _ = decode(in_trace(trace, "type 5 size 76"))
     assert cloud.array.tolist() == [[[0, 1], [2, 3], [4, 5], [6, 7], [8, 9]]]
     uniform, _ = decode(in_trace(trace, "type 6 size 66"))
-    assert uniform.type == layouts.UNIFORM_PROFILE    # the vendor's own enumeration calls this one 7
+    assert uniform.type == layouts.UNIFORM_PROFILE  # the vendor's own enumeration calls this one 7
     assert uniform.array.tolist() == [[11, 12, 13, 14, 15]]
     assert (uniform.attributes["x_resolution"], uniform.attributes["z_offset"]) == (20000, 250000)
     video, _ = decode(in_trace(trace, "type 2 size 61"))
@@ -98,7 +105,15 @@ def test_health_of_the_trace(trace):
     assert last
     assert isinstance(message, Health)
     assert dict(zip(message.items["id"].tolist(), message.items["value"].tolist(), strict=True)) == {
-        20000: 0, 2000: 0x0601200C, 2017: 0, 2002: 41, 2404: 45, 1003: 0, 20005: 0, 2007: 12}
+        20000: 0,
+        2000: 0x0601200C,
+        2017: 0,
+        2002: 41,
+        2404: 45,
+        1003: 0,
+        20005: 0,
+        2007: 12,
+    }
 
 
 @pytest.mark.parametrize(("attribute_size", "known"), [(54, 13), (46, 13), (38, 12), (62, 15)])

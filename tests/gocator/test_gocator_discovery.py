@@ -15,7 +15,9 @@ from mbcacq_gocator.options import GocatorOptions
 from mbcacq.devices import ConnectError, IdentityError, ProtocolError
 
 REQUEST = bytes.fromhex("20 00 00 00 00 00 00 00 05 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00 00 00 00 00 00 00 00 00")
-HEAD = bytes.fromhex("ea 00 00 00 00 00 00 00 05 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00 41 00 39 30 00 00 0c 20 01 06")
+HEAD = bytes.fromhex(
+    "ea 00 00 00 00 00 00 00 05 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00 41 00 39 30 00 00 0c 20 01 06"
+)
 PORTS = bytes.fromhex("76 0c 78 0c 7a 0c 7c 0c 50 00 07 0a") + b"PartNumber" + b"\x10" + b"313504A-2-R-01-T"
 
 
@@ -39,7 +41,7 @@ def test_reply_to_get_info_is_the_annotated_datagram(discovery):
     assert len(reply) == 234
     assert reply[:42].hex(" ") == HEAD.hex(" ")
     assert reply[50:72].hex(" ") == "00 04 7f 00 00 01 00 00 00 00 00 00 00 00 00 00 00 00 18 00 00 00"
-    assert reply[89:89 + len(PORTS)] == PORTS
+    assert reply[89 : 89 + len(PORTS)] == PORTS
 
 
 def test_driver_reads_the_annotated_datagram():
@@ -47,10 +49,16 @@ def test_driver_reads_the_annotated_datagram():
     properties = PORTS + b"".join(bytes([len(t)]) + t for t in [b"ModelNumber", b"3504", b"Family", b"G3x00"])
     data = bytearray(HEAD + middle + properties)
     data[:8] = struct.pack("<Q", len(data))
-    data[89 + 10] = 3    # count of properties
+    data[89 + 10] = 3  # count of properties
     found = parse_reply(data)
     assert (found.serial, found.firmware, found.address, found.gateway, found.dhcp, found.uptime_s) == (
-        12345, (6, 1, 32, 12), "10.0.0.7", "10.0.0.1", True, 5.0)
+        12345,
+        (6, 1, 32, 12),
+        "10.0.0.7",
+        "10.0.0.1",
+        True,
+        5.0,
+    )
     assert (found.control_port, found.health_port, found.data_port) == (3190, 3194, 3196)
     assert found.properties == {"PartNumber": "313504A-2-R-01-T", "ModelNumber": "3504", "Family": "G3x00"}
     assert found.model == "3504"
@@ -64,11 +72,28 @@ def test_driver_reads_the_annotated_datagram():
 def test_old_clients_get_the_old_reply(discovery):
     old = discovery.answer(REQUEST[:8] + b"\x01" + REQUEST[9:])
     assert struct.unpack("<QQqQQQ4x4s4x4s8x8x", old) == (
-        80, 0x1001, 1, 0x0000504455494D4C, 12345, 0, bytes([127, 0, 0, 1]), bytes([255, 255, 255, 0]))
+        80,
+        0x1001,
+        1,
+        0x0000504455494D4C,
+        12345,
+        0,
+        bytes([127, 0, 0, 1]),
+        bytes([255, 255, 255, 0]),
+    )
 
 
-@pytest.mark.parametrize("request_bytes", [b"", REQUEST[:31], REQUEST + b"x", REQUEST[:16] + b"LMIUDQ" + REQUEST[22:],
-                                           REQUEST[:24] + struct.pack("<Q", 99), REQUEST[:8] + b"\x09" + REQUEST[9:]])
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        b"",
+        REQUEST[:31],
+        REQUEST + b"x",
+        REQUEST[:16] + b"LMIUDQ" + REQUEST[22:],
+        REQUEST[:24] + struct.pack("<Q", 99),
+        REQUEST[:8] + b"\x09" + REQUEST[9:],
+    ],
+)
 def test_datagrams_for_others_are_not_answered(discovery, request_bytes):
     assert discovery.answer(request_bytes) is None
 
@@ -82,9 +107,11 @@ def test_sensor_is_found_with_its_own_ports_by_a_broadcast_reply(frame):
 
 
 def test_firmware_before_5_1_tells_its_address_only():
-    reply = bytes.fromhex("50 00 00 00 00 00 00 00 01 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00"
-                          "39 30 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 0a 00 00 07 00 00 00 00 ff ff fe 00"
-                          "00 00 00 00 0a 00 00 01 00 00 00 00 00 00 00 00")
+    reply = bytes.fromhex(
+        "50 00 00 00 00 00 00 00 01 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00"
+        "39 30 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 0a 00 00 07 00 00 00 00 ff ff fe 00"
+        "00 00 00 00 0a 00 00 01 00 00 00 00 00 00 00 00"
+    )
     found = parse_reply(reply)
     assert (found.serial, found.address, found.prefix_length, found.gateway, found.dhcp) == (12345, "10.0.0.7", 23, "10.0.0.1", True)
     assert (found.firmware, found.control_port, found.health_port, found.data_port) == ((0, 0, 0, 0), 3190, 3194, 3196)

@@ -45,13 +45,15 @@ def test_two_megapixel_frames_arrive_within_half_a_step(mode):
 
 @pytest.mark.parametrize(("generation", "mode", "uniform"), [(4, "trigger", True), (5, "snapshot", False), (6, "snapshot", True)])
 def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mode, uniform):
-    with (FakeGocator(lambda e: frame, generation=generation, uniform=uniform) as sensor,
-          Gocator("eye", "3210", options(sensor, mode=mode)) as scanner):
+    with (
+        FakeGocator(lambda e: frame, generation=generation, uniform=uniform) as sensor,
+        Gocator("eye", "3210", options(sensor, mode=mode)) as scanner,
+    ):
         scan = scanner.capture()
         assert scanner.describe().firmware.startswith(f"{generation}.")
     x, y, z = scan.points.astype(float).T
     assert len(x) == 12 * 20 - 12
-    assert np.abs(z - (200 + 0.2 * (x + 4) - 0.1 * (y + 3))).max() < 0.0025    # the frame's plane; x may be off by half a step of 3 um
+    assert np.abs(z - (200 + 0.2 * (x + 4) - 0.1 * (y + 3))).max() < 0.0025  # the frame's plane; x may be off by half a step of 3 um
     assert (scan.intensity == frame.intensity.reshape(-1)[scan.pixel]).all()
 
 
@@ -133,10 +135,9 @@ def test_old_part_number_alone_identifies(frame):
             Gocator("eye", "2330", options(sensor)).connect()
 
 
-@pytest.mark.parametrize(("path", "value", "words"), [
-    ("Setup/ScanMode", 2, "scans in mode 'profile'"),
-    ("Setup/Trigger/Source", 1, "triggered by 'encoder'"),
-])
+@pytest.mark.parametrize(
+    ("path", "value", "words"), [("Setup/ScanMode", 2, "scans in mode 'profile'"), ("Setup/Trigger/Source", 1, "triggered by 'encoder'")]
+)
 def test_unsuitable_job_is_named(fake, driver, path, value, words):
     fake.files.set_number(path, value)
     with pytest.raises(devices.ConfigError, match=f"job 'bench.job' .*{words}"):
@@ -151,16 +152,19 @@ def test_a_sensor_left_running_is_stopped_first(fake, driver):
     scanner.capture()
 
 
-@pytest.mark.parametrize(("given", "words"), [
-    ({}, "address is missing"),
-    ({"address": "1.2.3.4", "port": 3190}, "unknown option 'port'"),
-    ({"address": "1.2.3.4", "mode": "video"}, "mode must be one of snapshot, trigger"),
-    ({"address": "1.2.3.4", "control_port": 0}, "control_port must be a number from 1 to 65535"),
-    ({"address": "1.2.3.4", "timeout_s": "10"}, "timeout_s must be a number"),
-    ({"address": "1.2.3.4", "retries": True}, "retries must be a number"),
-    ({"address": "1.2.3.4", "job": 7}, "job must be the name"),
-    ({"address": "1.2.3.4", "timeout_s": None}, "timeout_s must not be empty"),
-])
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "address is missing"),
+        ({"address": "1.2.3.4", "port": 3190}, "unknown option 'port'"),
+        ({"address": "1.2.3.4", "mode": "video"}, "mode must be one of snapshot, trigger"),
+        ({"address": "1.2.3.4", "control_port": 0}, "control_port must be a number from 1 to 65535"),
+        ({"address": "1.2.3.4", "timeout_s": "10"}, "timeout_s must be a number"),
+        ({"address": "1.2.3.4", "retries": True}, "retries must be a number"),
+        ({"address": "1.2.3.4", "job": 7}, "job must be the name"),
+        ({"address": "1.2.3.4", "timeout_s": None}, "timeout_s must not be empty"),
+    ],
+)
 def test_wrong_options_are_named_before_anything_is_opened(given, words):
     with pytest.raises(devices.ConfigError, match=words):
         devices.create("scanners", "gocator", "", given)
@@ -209,6 +213,6 @@ def test_several_clients_share_one_sensor(fake, driver):
     one, two = driver(), driver()
     one.connect()
     two.connect()
-    eventually(lambda: fake.data.count == 2, 10.0, "both are accepted")    # what is sent before a connection is accepted is lost to it
+    eventually(lambda: fake.data.count == 2, 10.0, "both are accepted")  # what is sent before a connection is accepted is lost to it
     times = [s.capture().time_s for s in (one, two, one, two)]
-    assert times == sorted(times)    # sets that another client asked for earlier are passed over
+    assert times == sorted(times)  # sets that another client asked for earlier are passed over

@@ -21,24 +21,27 @@ def scanner(driver) -> Gocator:
     return made
 
 
-@pytest.mark.parametrize(("fault", "value", "error", "words"), [
-    ("stamp_only", True, DeviceTimeout, r"1 data set\(s\) came with only a stamp; in the job, open Output > Ethernet"),
-    ("no_data", True, DeviceTimeout, "no scan within 1 s"),
-    ("old_stamp", True, DeviceTimeout, r"only 1 older data set\(s\) came"),
-    ("stall", True, DeviceTimeout, r"stopped after \d+ of \d+ bytes"),
-    ("short_message", True, ProtocolError, "surface point cloud message .* announces an array of"),
-    ("garbage", True, ProtocolError, "something else answers at this port, or the stream is out of step"),
-    ("close_data", True, ConnectError, "closed the connection for the Gocator's scan; it may have restarted"),
-    ("close_in_message", True, ConnectError, r"closed the connection for the Gocator's scan in the middle of it \(\d+ of \d+ bytes\)"),
-    ("silent", {SNAPSHOT}, DeviceTimeout, "reply to 'snapshot' did not come in time"),
-    ("silent", {TIME}, DeviceTimeout, "reply to 'time stamp' did not come in time"),
-    ("close_control", {SNAPSHOT}, ConnectError, "closed the connection for the Gocator's reply to 'snapshot'"),
-    ("wrong_reply", {SNAPSHOT}, ProtocolError, r"answered 'snapshot' \(0x4528\) with a reply to 0x4529"),
-    ("status", {SNAPSHOT: -981}, DeviceFault, r"refused 'snapshot': busy \(-981\)"),
-    ("status", {SNAPSHOT: -1000}, DeviceFault, "not possible in the sensor's present state"),
-    ("status", {SNAPSHOT: -4711}, DeviceFault, r"unknown status \(-4711\)"),
-    ("status", {SNAPSHOT: 0}, DeviceFault, r"failed \(0\)"),
-])
+@pytest.mark.parametrize(
+    ("fault", "value", "error", "words"),
+    [
+        ("stamp_only", True, DeviceTimeout, r"1 data set\(s\) came with only a stamp; in the job, open Output > Ethernet"),
+        ("no_data", True, DeviceTimeout, "no scan within 1 s"),
+        ("old_stamp", True, DeviceTimeout, r"only 1 older data set\(s\) came"),
+        ("stall", True, DeviceTimeout, r"stopped after \d+ of \d+ bytes"),
+        ("short_message", True, ProtocolError, "surface point cloud message .* announces an array of"),
+        ("garbage", True, ProtocolError, "something else answers at this port, or the stream is out of step"),
+        ("close_data", True, ConnectError, "closed the connection for the Gocator's scan; it may have restarted"),
+        ("close_in_message", True, ConnectError, r"closed the connection for the Gocator's scan in the middle of it \(\d+ of \d+ bytes\)"),
+        ("silent", {SNAPSHOT}, DeviceTimeout, "reply to 'snapshot' did not come in time"),
+        ("silent", {TIME}, DeviceTimeout, "reply to 'time stamp' did not come in time"),
+        ("close_control", {SNAPSHOT}, ConnectError, "closed the connection for the Gocator's reply to 'snapshot'"),
+        ("wrong_reply", {SNAPSHOT}, ProtocolError, r"answered 'snapshot' \(0x4528\) with a reply to 0x4529"),
+        ("status", {SNAPSHOT: -981}, DeviceFault, r"refused 'snapshot': busy \(-981\)"),
+        ("status", {SNAPSHOT: -1000}, DeviceFault, "not possible in the sensor's present state"),
+        ("status", {SNAPSHOT: -4711}, DeviceFault, r"unknown status \(-4711\)"),
+        ("status", {SNAPSHOT: 0}, DeviceFault, r"failed \(0\)"),
+    ],
+)
 def test_fault_while_scanning(fake, scanner, fault, value, error, words):
     assert len(scanner.capture().points)
     fake.faults.set(fault, value)
@@ -47,19 +50,27 @@ def test_fault_while_scanning(fake, scanner, fault, value, error, words):
     fake.faults.clear()
     scan = scanner.capture()
     assert len(scan.points) == 12 * 20 - 12
-    assert scan.frame == fake.scans - 1    # and not a late one
+    assert scan.frame == fake.scans - 1  # and not a late one
 
 
-@pytest.mark.parametrize(("fault", "value", "error", "words"), [
-    ("refuse_connections", True, ConnectError, "control port at 127.0.0.1:.* cannot be reached .*refused.*check its power, cable and address"),
-    ("protocol_version", (100, 4), IdentityError, r"speaks Gocator protocol 100.4, this driver 101.x"),
-    ("model", "2510", IdentityError, "asks for Gocator 3210 but the sensor is a 2510"),
-    ("silent", {0}, DeviceTimeout, "reply to 'version probe' did not come in time"),
-    ("silent", {INFO}, DeviceTimeout, "reply to 'system info' did not come in time"),
-    ("status", {STATES: -981}, DeviceFault, r"refused 'states': busy \(-981\)"),
-    ("close_control", {INFO}, ConnectError, "closed the connection"),
-    ("wrong_reply", {INFO}, ProtocolError, "answered 'system info'"),
-])
+@pytest.mark.parametrize(
+    ("fault", "value", "error", "words"),
+    [
+        (
+            "refuse_connections",
+            True,
+            ConnectError,
+            "control port at 127.0.0.1:.* cannot be reached .*refused.*check its power, cable and address",
+        ),
+        ("protocol_version", (100, 4), IdentityError, r"speaks Gocator protocol 100.4, this driver 101.x"),
+        ("model", "2510", IdentityError, "asks for Gocator 3210 but the sensor is a 2510"),
+        ("silent", {0}, DeviceTimeout, "reply to 'version probe' did not come in time"),
+        ("silent", {INFO}, DeviceTimeout, "reply to 'system info' did not come in time"),
+        ("status", {STATES: -981}, DeviceFault, r"refused 'states': busy \(-981\)"),
+        ("close_control", {INFO}, ConnectError, "closed the connection"),
+        ("wrong_reply", {INFO}, ProtocolError, "answered 'system info'"),
+    ],
+)
 def test_fault_while_connecting(fake, driver, fault, value, error, words):
     fake.faults.set(fault, value)
     if fault == "refuse_connections":
@@ -94,7 +105,9 @@ def test_only_the_major_protocol_version_counts(fake, driver, other, version):
             scanner.connect()
 
 
-@pytest.mark.parametrize(("fault", "value"), [("close_data", True), ("close_in_message", True), ("close_control", {SNAPSHOT}), ("close_control", {TIME})])
+@pytest.mark.parametrize(
+    ("fault", "value"), [("close_data", True), ("close_in_message", True), ("close_control", {SNAPSHOT}), ("close_control", {TIME})]
+)
 def test_one_dropped_connection_is_made_up_for(fake, scanner, fault, value):
     fake.faults.set(fault, value, times=1)
     assert len(scanner.capture().points) == 228
@@ -169,6 +182,7 @@ def test_no_health_port_is_named(fake, driver):
 
 def test_security_is_named(fake, driver, monkeypatch):
     from mbcacq_fakes.protocols.gocator import commands
+
     states = commands.HANDLERS[STATES]
     monkeypatch.setitem(commands.HANDLERS, STATES, lambda s, p: states(s, p)[:64] + b"\x01\0\0\0" + states(s, p)[68:])
     with pytest.raises(ConnectError, match="demands a log-in; switch its security off"):

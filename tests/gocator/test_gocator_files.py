@@ -14,9 +14,11 @@ from mbcacq.devices import ConfigError, ProtocolError
 
 TEMPLATE = files("mbcacq_fakes.protocols.gocator").joinpath("live.cfg").read_bytes()
 # As a vendor's client writes: no limits, no options, no effective values, CRLF.
-UPLOAD = (b"<?xml version=\"1.0\" encoding=\"UTF-8\"?>\r\n<Configuration version=\"101\">\r\n  <Setup>\r\n"
-          b"    <UniformSpacingEnabled>1</UniformSpacingEnabled>\r\n    <Devices>\r\n      <Device role=\"0\" index=\"0\">\r\n"
-          b"        <Exposure>2250.000000</Exposure>\r\n      </Device>\r\n    </Devices>\r\n  </Setup>\r\n</Configuration>\r\n")
+UPLOAD = (
+    b'<?xml version="1.0" encoding="UTF-8"?>\r\n<Configuration version="101">\r\n  <Setup>\r\n'
+    b'    <UniformSpacingEnabled>1</UniformSpacingEnabled>\r\n    <Devices>\r\n      <Device role="0" index="0">\r\n'
+    b"        <Exposure>2250.000000</Exposure>\r\n      </Device>\r\n    </Devices>\r\n  </Setup>\r\n</Configuration>\r\n"
+)
 
 
 def shape(data: bytes) -> list[tuple[str, tuple[str, ...]]]:
@@ -56,9 +58,15 @@ def test_loading_a_job_restores_its_settings():
     assert store.number("Setup/Devices/Device/Exposure") == 2250
 
 
-@pytest.mark.parametrize("upload", [
-    b"not xml", b"<Other/>", b'<!DOCTYPE x [<!ENTITY a "b">]><Configuration version="101">&a;</Configuration>',
-    b'<!DOCTYPE Configuration SYSTEM "file:///etc/passwd"><Configuration/>'])
+@pytest.mark.parametrize(
+    "upload",
+    [
+        b"not xml",
+        b"<Other/>",
+        b'<!DOCTYPE x [<!ENTITY a "b">]><Configuration version="101">&a;</Configuration>',
+        b'<!DOCTYPE Configuration SYSTEM "file:///etc/passwd"><Configuration/>',
+    ],
+)
 def test_harmful_uploads_are_refused_and_change_nothing(upload):
     store = Files(("a.job",), {})
     with pytest.raises(CommandRefused) as refused:
@@ -88,7 +96,7 @@ def test_exposure_outside_the_sensors_limits_is_refused_in_words():
 
 
 def test_exposure_of_a_job_that_chooses_its_own_is_not_overridden_in_silence():
-    dynamic = TEMPLATE.replace(b"<ExposureMode options=\"0\">0<", b"<ExposureMode options=\"0\">2<")
+    dynamic = TEMPLATE.replace(b'<ExposureMode options="0">0<', b'<ExposureMode options="0">2<')
     with pytest.raises(ConfigError, match="uses dynamic exposure, so 900 us cannot be set"):
         Configuration(dynamic).set_exposure(900)
 

@@ -50,7 +50,9 @@ def test_any_body(kind, last, body):
     within_memory(lambda: read(message), message, 50)
 
 
-@given(kind=st.sampled_from(sorted(layouts.ARRAYS)), attribute_size=st.integers(0, 90), length=SIZES, width=SIZES, rest=st.binary(max_size=300))
+@given(
+    kind=st.sampled_from(sorted(layouts.ARRAYS)), attribute_size=st.integers(0, 90), length=SIZES, width=SIZES, rest=st.binary(max_size=300)
+)
 @settings(max_examples=400, deadline=None)
 def test_any_announced_size(kind, attribute_size, length, width, rest):
     body = struct.pack("<HII", attribute_size, length, width) + rest

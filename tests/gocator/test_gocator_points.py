@@ -35,7 +35,8 @@ def test_known_millimetres():
     frame = bytes.fromhex(
         "56 00 00 00 1c 80 36 00 02 00 00 00 02 00 00 00 20 4e 00 00 20 4e 00 00 d0 07 00 00 78 ec ff ff"
         "e8 03 00 00 90 d0 03 00 00 dc 05 00 00 00 06 00 00 00 00 00 00 00 01 00 00 00 00 00 00 00 ce ff"
-        "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03")
+        "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03"
+    )
     points, pixel, _ = unpacked(decode(frame)[0])
     assert points.dtype == np.float32
     np.testing.assert_allclose(points, [[-6, 0, 250], [-6, 1, 251.682], [-5, 1, 251.682]], rtol=0, atol=2e-5)
@@ -52,7 +53,7 @@ def test_minus_one_is_a_height_and_minus_32768_is_none():
 @pytest.mark.parametrize("kind", ["cloud", "uniform"])
 def test_every_point_of_a_frame_within_0_3_m_is_exact_to_0_03_um(kind):
     rng = np.random.default_rng(5)
-    raw = rng.integers(-32768, 32768, (257, 311, 3))    # more than one block, and a rest
+    raw = rng.integers(-32768, 32768, (257, 311, 3))  # more than one block, and a rest
     raw[rng.random((257, 311)) < 0.3, 2] = -32768
     scale, offset = np.array(RESOLUTION) / 1e6, np.array(OFFSET) / 1e3
     if kind == "cloud":

@@ -21,7 +21,7 @@ def live(fake: FakeGocator) -> tuple[str, str]:
 
 
 def test_job_and_exposure_are_put_back(fake, driver):
-    fake.files.set_number(EXPOSURE, 1234.5)    # changed on the web page, saved by nobody
+    fake.files.set_number(EXPOSURE, 1234.5)  # changed on the web page, saved by nobody
     found = live(fake)
     with driver(job="other", exposure_us=900.0) as scanner:
         scanner.capture(2750)
@@ -37,7 +37,9 @@ def test_they_stay_where_the_plan_says_so(fake, driver):
     assert fake.files.number(EXPOSURE) == 900
 
 
-@pytest.mark.parametrize(("fault", "value"), [("close_control", {SNAPSHOT}), ("silent", {SNAPSHOT}), ("garbage", True), ("close_data", True)])
+@pytest.mark.parametrize(
+    ("fault", "value"), [("close_control", {SNAPSHOT}), ("silent", {SNAPSHOT}), ("garbage", True), ("close_data", True)]
+)
 def test_they_are_put_back_after_a_fault_too(fake, driver, fault, value):
     found = live(fake)
     with driver(job="other", timeout_s=0.5, reply_limit_s=0.5, retries=0) as scanner:
@@ -114,7 +116,7 @@ def test_a_job_is_uploaded_once_and_loaded(fake, driver, job_file):
         assert fake.files.read("spheres.job") == job_file.read_bytes()
         scanner.capture()
     assert fake.files.loaded_job == "bench.job"
-    fake.faults.set("status", {WRITE_FILE: -980})    # the same bytes are not written again
+    fake.faults.set("status", {WRITE_FILE: -980})  # the same bytes are not written again
     with driver(job_file=str(job_file)):
         assert fake.files.loaded_job == "spheres.job"
 

@@ -11,15 +11,39 @@ from mbcacq_fakes.world.rigid import invert
 
 # KUKA KR 10 R1100-2 with a scanner of 2.5 kg.
 SIGN = np.array([-1.0, 1, 1, -1, 1, -1])
-ROWS = np.array([[0, 400, 25, -90, 0], [0, 0, 560, 0, 0], [-90, 0, 25, -90, 0], [0, 515, 0, 90, 0], [0, 0, 0, -90, 0], [180, 90, 0, 0, 0]],
-                dtype=float)
+ROWS = np.array(
+    [[0, 400, 25, -90, 0], [0, 0, 560, 0, 0], [-90, 0, 25, -90, 0], [0, 515, 0, 90, 0], [0, 0, 0, -90, 0], [180, 90, 0, 0, 0]], dtype=float
+)
 ROWS[:, [0, 3, 4]] = np.radians(ROWS[:, [0, 3, 4]])
-MASSES = Masses(np.array([8.416, 17.837, 6.075, 5.162, 1.613, 0.734]),
-                np.array([[-18.59, 85.41, 16.27], [-368.84, -4.65, 15.49], [-12.49, -18.25, 43.86], [1.32, -178.02, 8.61],
-                          [-0.78, -24.04, 9.32], [0, 0, -16.74]]), 2.5, np.array([10.0, -5.0, 70.0]), np.array([0, 0, -1.0]))
+MASSES = Masses(
+    np.array([8.416, 17.837, 6.075, 5.162, 1.613, 0.734]),
+    np.array(
+        [
+            [-18.59, 85.41, 16.27],
+            [-368.84, -4.65, 15.49],
+            [-12.49, -18.25, 43.86],
+            [1.32, -178.02, 8.61],
+            [-0.78, -24.04, 9.32],
+            [0, 0, -16.74],
+        ]
+    ),
+    2.5,
+    np.array([10.0, -5.0, 70.0]),
+    np.array([0, 0, -1.0]),
+)
 HAND_EYE = np.array([[0, -1, 0, 1.2], [-1, 0, 0, -0.5], [0, 0, -1, 264.8], [0, 0, 0, 1]], dtype=float)
-BALLS = np.array([[-31.8, 7.2, 0.5], [10.3, 23.8, 4.4], [6.0, -12.8, 1.2], [-10.0, -27.9, -2.8], [24.9, -2.6, -7.0], [31.2, 15.6, -10.1],
-                  [-8.7, 6.3, 7.4], [-21.9, -9.6, 6.4]])
+BALLS = np.array(
+    [
+        [-31.8, 7.2, 0.5],
+        [10.3, 23.8, 4.4],
+        [6.0, -12.8, 1.2],
+        [-10.0, -27.9, -2.8],
+        [24.9, -2.6, -7.0],
+        [31.2, 15.6, -10.1],
+        [-8.7, 6.3, 7.4],
+        [-21.9, -9.6, 6.4],
+    ]
+)
 MBC = ArtefactFacts("mbc", tuple(range(1, 9)), BALLS, np.full(8, 12.0), 0.0)
 ARM = TrueArm.from_rows(SIGN, ROWS)
 
@@ -33,15 +57,35 @@ def spread_q(n, seed=0):
 def cell(q=None):
     """One station, placed so that the first of q looks straight at the artefact."""
     place = ARM.flange((spread_q(1) if q is None else np.atleast_2d(q))[:1]) @ HAND_EYE
-    return CellFacts(SIGN, ROWS, MASSES, np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]), HAND_EYE, (MBC,), ("1",), np.array([0]), place,
-                     planned_q=spread_q(100) if q is None or len(np.atleast_2d(q)) < 2 else None, pace_s=10.0)
+    return CellFacts(
+        SIGN,
+        ROWS,
+        MASSES,
+        np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),
+        HAND_EYE,
+        (MBC,),
+        ("1",),
+        np.array([0]),
+        place,
+        planned_q=spread_q(100) if q is None or len(np.atleast_2d(q)) < 2 else None,
+        pace_s=10.0,
+    )
 
 
 def moments(q, direction=None, air=None, robot=None, time_s=None):
     p = len(q)
     time_s = 10.0 * np.arange(p) if time_s is None else np.asarray(time_s, dtype=float)
-    return Moments(q, np.zeros_like(q), np.zeros_like(q) if direction is None else direction, np.arange(p), time_s,
-                   np.full(p, 21.0) if air is None else air, np.full(p, 25.0) if robot is None else robot, np.zeros(p, int), np.zeros(p, int))
+    return Moments(
+        q,
+        np.zeros_like(q),
+        np.zeros_like(q) if direction is None else direction,
+        np.arange(p),
+        time_s,
+        np.full(p, 21.0) if air is None else air,
+        np.full(p, 25.0) if robot is None else robot,
+        np.zeros(p, int),
+        np.zeros(p, int),
+    )
 
 
 def act(name, at, strength=1.0, seed=1, facts=None, **options):

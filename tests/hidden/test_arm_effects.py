@@ -38,16 +38,24 @@ def _mjcf(stiffness):
         x, y, z, w = turn.as_quat()
         return f'pos="{move[0] / 1e3} {move[1] / 1e3} {move[2] / 1e3}" quat="{w} {x} {y} {z}"'
 
-    inner = f'<inertial pos="{" ".join(str(v / 1e3) for v in MASSES.payload_com)}" mass="{MASSES.payload_mass}" diaginertia="1e-3 1e-3 1e-3"/>'
+    inner = (
+        f'<inertial pos="{" ".join(str(v / 1e3) for v in MASSES.payload_com)}" mass="{MASSES.payload_mass}" diaginertia="1e-3 1e-3 1e-3"/>'
+    )
     text = f'<body name="tool">{inner}</body>'
     for i in reversed(range(6)):
         theta, d, a, alpha, _ = ROWS[i]
         com = " ".join(str(v / 1e3) for v in MASSES.com[i])
-        link = f'<body {frame(a, d, alpha, theta)}><inertial pos="{com}" mass="{MASSES.mass[i]}" diaginertia="1e-2 1e-2 1e-2"/>{text}</body>'
+        link = (
+            f'<body {frame(a, d, alpha, theta)}><inertial pos="{com}" mass="{MASSES.mass[i]}" diaginertia="1e-2 1e-2 1e-2"/>{text}</body>'
+        )
         # A carrier without weight turns about z; the link's own frame hangs behind it.
-        text = (f'<body><joint type="hinge" axis="0 0 {SIGN[i]}"/><inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/>{link}</body>')
-    return (f'<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/><option gravity="0 0 -{STANDARD_GRAVITY}"/>'
-            f'<worldbody>{text}</worldbody></mujoco>')
+        text = (
+            f'<body><joint type="hinge" axis="0 0 {SIGN[i]}"/><inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/>{link}</body>'
+        )
+    return (
+        f'<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/><option gravity="0 0 -{STANDARD_GRAVITY}"/>'
+        f"<worldbody>{text}</worldbody></mujoco>"
+    )
 
 
 def test_an_elastic_arm_sags():
@@ -78,7 +86,9 @@ def test_mount_sags_along_gravity_whatever_the_attitude():
     down = np.einsum("pij,pj->pi", ARM.flange(q)[:, :3, :3], moved.frame[:, 6, :3])
     np.testing.assert_allclose(down, np.tile([0, 0, -effect.shift * 2.5 * STANDARD_GRAVITY], (20, 1)), atol=1e-12)
     _, tilted = act("mount_compliance", moments(q), kind="tilt")
-    np.testing.assert_allclose(np.einsum("pi,i->p", tilted.frame[:, 6, 3:], MASSES.payload_com), 0, atol=1e-9)  # about an axis across the lever
+    np.testing.assert_allclose(
+        np.einsum("pi,i->p", tilted.frame[:, 6, 3:], MASSES.payload_com), 0, atol=1e-9
+    )  # about an axis across the lever
     assert not tilted.frame[:, 6, :3].any()
 
 

@@ -15,8 +15,14 @@ from mbcacq_fakes.world.options import parse
 
 from mbcacq.devices import ConfigError
 
-QUIET = {"noise_mm": (0, 0, 0), "speckle_mm": 0.0, "repeatability_urad": 0.0, "hand_eye_error": {"mm": 0, "deg": 0}, "errors": "none",
-         "station_error": {"mm": 0, "deg": 0}}
+QUIET = {
+    "noise_mm": (0, 0, 0),
+    "speckle_mm": 0.0,
+    "repeatability_urad": 0.0,
+    "hand_eye_error": {"mm": 0, "deg": 0},
+    "errors": "none",
+    "station_error": {"mm": 0, "deg": 0},
+}
 
 
 def fit(points, centre, radius):
@@ -29,12 +35,19 @@ def fit(points, centre, radius):
     return centre
 
 
-@pytest.mark.parametrize("hidden", [
-    {"name": "scanner_scale", "scale_ppm": 1500}, {"name": "scanner_distortion", "kind": "curvature", "strength": 2},
-    {"name": "scanner_distortion", "kind": "radial", "strength": 2}, {"name": "scanner_distortion", "kind": "depth", "strength": 6},
-    {"name": "fringe_ripple", "seed": 5}, {"name": "ball_shift", "ball": 2, "shift_mm": [0.1, 0, 0]},
-    {"name": "joint_compliance", "seed": 2},
-], ids=lambda h: h["name"] + h.get("kind", ""))
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"name": "scanner_scale", "scale_ppm": 1500},
+        {"name": "scanner_distortion", "kind": "curvature", "strength": 2},
+        {"name": "scanner_distortion", "kind": "radial", "strength": 2},
+        {"name": "scanner_distortion", "kind": "depth", "strength": 6},
+        {"name": "fringe_ripple", "seed": 5},
+        {"name": "ball_shift", "ball": 2, "shift_mm": [0.1, 0, 0]},
+        {"name": "joint_compliance", "seed": 2},
+    ],
+    ids=lambda h: h["name"] + h.get("kind", ""),
+)
 def test_the_short_way_shows_what_the_ray_caster_shows(hidden):
     """Shift of fitted spheres in rendered frames against the analytic recording, with and without the effect; no noise."""
     from types import SimpleNamespace
@@ -49,8 +62,9 @@ def test_the_short_way_shows_what_the_ray_caster_shows(hidden):
         for h in ([], [hidden]):
             options = parse({**QUIET, "hidden": h, "furniture": False})
             world = make_world(facts, options, 1)
-            arm = SimpleNamespace(read=lambda k=k: SimpleNamespace(
-                time_s=0.0, q=tuple(short[0].q[k]), qd=(0.0,) * 6, direction=(0.0,) * 6, arrivals=k))
+            arm = SimpleNamespace(
+                read=lambda k=k: SimpleNamespace(time_s=0.0, q=tuple(short[0].q[k]), qd=(0.0,) * 6, direction=(0.0,) * 6, arrivals=k)
+            )
             camera = make_camera(world, arm, options, q, np.zeros(3, int))
             xyz = camera().xyz.reshape(-1, 3).astype(float)
             start = short[len(h)].xyz[short[0].pose == k]
@@ -64,8 +78,9 @@ def test_the_short_way_shows_what_the_ray_caster_shows(hidden):
 
 def test_scanner_scale_enlarges_what_lies_aside():
     effect = act("scanner_scale", moments(spread_q(1)), scale_ppm=[0, 0, 1000])[0]
-    np.testing.assert_allclose(effect.warp(np.array([[30.0, 0, 0], [0, 0, 40.0]]), np.zeros(2, int), moments(spread_q(1))),
-                               [[30, 0, 0], [0, 0, 40.04]])
+    np.testing.assert_allclose(
+        effect.warp(np.array([[30.0, 0, 0], [0, 0, 40.0]]), np.zeros(2, int), moments(spread_q(1))), [[30, 0, 0], [0, 0, 40.04]]
+    )
 
 
 def test_scanner_warmup_fades():
@@ -162,9 +177,11 @@ def test_only_the_balls_in_view_are_recorded(looking_q):
 
 
 def test_whoever_conceals_shares_nothing_with_whoever_finds():
-    code = ("import sys, mbcacq_fakes.cell.computed_run, mbcacq_fakes.effects as h; [h.make(n) for n in h.CATALOGUED + h.OUTSIDE];"
-            "bad = [m for m in sys.modules if m.startswith(('mbcacq.geometry', 'mbcacq.effects', 'mbcacq.calibration', 'mbcacq.diagnosis'))];"
-            "sys.exit(' '.join(bad) or 0)")
+    code = (
+        "import sys, mbcacq_fakes.cell.computed_run, mbcacq_fakes.effects as h; [h.make(n) for n in h.CATALOGUED + h.OUTSIDE];"
+        "bad = [m for m in sys.modules if m.startswith(('mbcacq.geometry', 'mbcacq.effects', 'mbcacq.calibration', 'mbcacq.diagnosis'))];"
+        "sys.exit(' '.join(bad) or 0)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -175,13 +192,16 @@ def test_the_cap_faces_the_scanner():
     assert np.linalg.norm(directions.mean(axis=0)[:2]) < 0.05
 
 
-@pytest.mark.parametrize(("effect", "words"), [
-    ({"name": "joint_complience"}, "no effect 'joint_complience'"),
-    ({"name": "joint_scale", "ration": 1}, "no option 'ration'"),
-    ({"name": "joint_scale", "where": "A9"}, "cannot act at 'A9'"),
-    ({"name": "ball_shift", "ball": 77}, "no ball 77"),
-    ({"name": "station_drift", "station": "x"}, "no station 'x'"),
-])
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        ({"name": "joint_complience"}, "no effect 'joint_complience'"),
+        ({"name": "joint_scale", "ration": 1}, "no option 'ration'"),
+        ({"name": "joint_scale", "where": "A9"}, "cannot act at 'A9'"),
+        ({"name": "ball_shift", "ball": 77}, "no ball 77"),
+        ({"name": "station_drift", "station": "x"}, "no station 'x'"),
+    ],
+)
 def test_wrong_choices_are_one_sentence(effect, words):
     def build():
         make_world(cell(), parse({"hidden": [effect]}), 0)

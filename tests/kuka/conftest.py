@@ -41,12 +41,14 @@ def arrive(robot):
 
 def until_error(robot):
     """The error that stops the robot."""
+
     def error():
         try:
             robot.state()
         except Exception as found:
             return found
         return None
+
     return wait(error)
 
 
@@ -57,8 +59,12 @@ def cell():
 
     def start(krc=None, robot=None):
         port = free_port()
-        fake = FakeKrc(**{"client": ("127.0.0.1", port), "realtime": False, "limits_deg": LIMITS_DEG, "start_deg": tuple(HOME_DEG), **(krc or {})})
-        driver = KukaRsi("arm", "test", {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 1.5, "connect_timeout_s": 20.0, **(robot or {})})
+        fake = FakeKrc(
+            **{"client": ("127.0.0.1", port), "realtime": False, "limits_deg": LIMITS_DEG, "start_deg": tuple(HOME_DEG), **(krc or {})}
+        )
+        driver = KukaRsi(
+            "arm", "test", {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 1.5, "connect_timeout_s": 20.0, **(robot or {})}
+        )
         opened.extend([fake.start(), driver])
         driver.connect()
         return fake, driver
@@ -78,8 +84,17 @@ def eki_cell():
         fake = FakeEkiController(**given)
         opened.append(fake.stop)
         fake.start()
-        options = {"address": "127.0.0.1", "port": fake.port, "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEED_DEG_S, "kinematics": DH,
-                   "silence_s": 2.0, "connect_timeout_s": 20.0, "reconnect_s": 4.0, **(robot or {})}
+        options = {
+            "address": "127.0.0.1",
+            "port": fake.port,
+            "limits_deg": EKI_LIMITS_DEG,
+            "speed_deg_s": SPEED_DEG_S,
+            "kinematics": DH,
+            "silence_s": 2.0,
+            "connect_timeout_s": 20.0,
+            "reconnect_s": 4.0,
+            **(robot or {}),
+        }
         driver = KukaEki("arm", "KR 10 R1100-2", options)
         opened.append(driver.close)
         if connect:

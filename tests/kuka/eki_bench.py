@@ -18,7 +18,14 @@ EKI_LIMITS_DEG = [(-5, 5), (-95, -85), (85, 95), (-5, 5), (-5, 5), (-5, 5)]  # a
 SPEED_DEG_S = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
 SYSTEMS = ("kss", "iiqka")
 # KR 10 R1100-2: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg
-DH = ((-1, 0, 400, 25, -90, 0), (1, 0, 0, 560, 0, 0), (1, -90, 0, 25, -90, 0), (-1, 0, 515, 0, 90, 0), (1, 0, 0, 0, -90, 0), (-1, 180, 90, 0, 0, 0))
+DH = (
+    (-1, 0, 400, 25, -90, 0),
+    (1, 0, 0, 560, 0, 0),
+    (1, -90, 0, 25, -90, 0),
+    (-1, 0, 515, 0, 90, 0),
+    (1, 0, 0, 0, -90, 0),
+    (-1, 180, 90, 0, 0, 0),
+)
 
 
 def text(name):
@@ -26,8 +33,11 @@ def text(name):
 
 
 def sources(system="kss"):
-    return {"mbcacq_eki.dat": text("eki_kss/mbcacq_eki.dat"), "mbcacq_eki.src": text("eki_kss/mbcacq_eki.src"),
-            "mbcacq_link.src": text(f"eki_{system}/mbcacq_link.src")}
+    return {
+        "mbcacq_eki.dat": text("eki_kss/mbcacq_eki.dat"),
+        "mbcacq_eki.src": text("eki_kss/mbcacq_eki.src"),
+        "mbcacq_link.src": text(f"eki_{system}/mbcacq_link.src"),
+    }
 
 
 def settings(system="kss", **more):
@@ -55,7 +65,10 @@ class Bench:
         """A command, by hand, as the controller's files describe it."""
         a = " ".join(f'A{i + 1}="{v}"' for i, v in enumerate(axes))
         f = " ".join(f'{n}="{v}"' for n, v in zip("XYZABC", frame, strict=True))
-        self.send(f'<Command Kind="{kind}" Id="{number}" Beat="7" Speed="{speed}" Accel="{accel}"><Axis {a}></Axis><Frame {f}></Frame></Command>'.encode() + extra)
+        self.send(
+            f'<Command Kind="{kind}" Id="{number}" Beat="7" Speed="{speed}" Accel="{accel}"><Axis {a}></Axis><Frame {f}></Frame></Command>'.encode()
+            + extra
+        )
         self.ticks(ticks)
 
     def send(self, data):

@@ -23,7 +23,9 @@ class Relay(threading.Thread):
             each.settimeout(0.2)
         self.port, self._controller = self._front.getsockname()[1], None
         self.lost, self._quit = {"to the client": 0, "to the controller": 0}, threading.Event()
-        self._answers = threading.Thread(target=self._carry, args=(self._back, self._front, lambda: self._controller, "to the controller"), daemon=True)
+        self._answers = threading.Thread(
+            target=self._carry, args=(self._back, self._front, lambda: self._controller, "to the controller"), daemon=True
+        )
 
     def run(self):
         self._answers.start()
@@ -77,7 +79,9 @@ def why_no_netem():
     if (made := subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True)).returncode:
         return f"no network namespaces: {made.stderr.strip()}"
     try:
-        done = subprocess.run(["ip", "netns", "exec", name, "tc", "qdisc", "add", "dev", "lo", "root", "netem", "loss", "1%"], capture_output=True, text=True)
+        done = subprocess.run(
+            ["ip", "netns", "exec", name, "tc", "qdisc", "add", "dev", "lo", "root", "netem", "loss", "1%"], capture_output=True, text=True
+        )
         return f"no netem: {done.stderr.strip()}" if done.returncode else ""
     finally:
         subprocess.run(["ip", "netns", "del", name], check=True)
@@ -97,7 +101,11 @@ def namespaces(loss=LOSS):
         inside = ["ip", "netns", "exec", name]
         ip("addr", "add", "10.213.77.1/30", "dev", ours)
         ip("link", "set", ours, "up")
-        for words in (["ip", "addr", "add", "10.213.77.2/30", "dev", theirs], ["ip", "link", "set", theirs, "up"], ["ip", "link", "set", "lo", "up"]):
+        for words in (
+            ["ip", "addr", "add", "10.213.77.2/30", "dev", theirs],
+            ["ip", "link", "set", theirs, "up"],
+            ["ip", "link", "set", "lo", "up"],
+        ):
             subprocess.run([*inside, *words], check=True)
         if loss:
             for prefix, device in (([], ours), (inside, theirs)):

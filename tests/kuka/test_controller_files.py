@@ -31,7 +31,12 @@ def test_the_ethernet_file_is_what_the_driver_expects_by_default():
 
 def wires(root, obj, ident, out_obj, first):
     """{(object, input): (source, output)} with both counted from 1."""
-    return {(o.get(ident), int(i.get("InIdx")) + first): (i.get(out_obj), int(i.get("OutIdx")) + first) for o in root.iter(obj) for i in o.iter() if i.get("InIdx")}
+    return {
+        (o.get(ident), int(i.get("InIdx")) + first): (i.get(out_obj), int(i.get("OutIdx")) + first)
+        for o in root.iter(obj)
+        for i in o.iter()
+        if i.get("InIdx")
+    }
 
 
 def test_both_contexts_wire_the_same_channels():
@@ -46,7 +51,12 @@ def test_both_contexts_wire_the_same_channels():
 def test_the_program_sets_every_limit_of_the_context():
     source = read("rsi4/mbcacq_rsi.src").decode()
     root = fromstring(read("rsi4/mbcacq.rsix"))
-    public = {(o.get("ObjId"), p.get("Name")) for o in root.iter("{RsiDriver}RsiObject") for p in o.iter("{RsiDriver}Parameter") if p.get("IsPublic")}
+    public = {
+        (o.get("ObjId"), p.get("Name"))
+        for o in root.iter("{RsiDriver}RsiObject")
+        for p in o.iter("{RsiDriver}Parameter")
+        if p.get("IsPublic")
+    }
     assert len(public) == 18
     assert all(f'mbcacq_set("{o}","{p}",' in source for o, p in public)
 
@@ -66,21 +76,33 @@ def test_the_three_files_of_old_rsi_say_the_same():
     ns = "{http://schemas.microsoft.com/dsltools/RSIVisual}"
     elements = {e.get("name"): e for e in model.iter(f"{ns}rSIElement")}
     executed = {o.get("ObjID"): o for o in done.iter("RSIObject")}
-    assert {n: (e.get("objType"), e.get("objTypeID")) for n, e in elements.items()} == {n: (o.get("ObjType"), o.get("ObjTypeID")) for n, o in executed.items()}
+    assert {n: (e.get("objType"), e.get("objTypeID")) for n, e in elements.items()} == {
+        n: (o.get("ObjType"), o.get("ObjTypeID")) for n, o in executed.items()
+    }
     modes = {"ExitMoveCorr": "4"}
     for name, element in elements.items():
         values = {(p.get("name"), p.get("index")): modes.get(p.get("value"), p.get("value")) for p in element.iter(f"{ns}rSIParameter")}
         assert values == {(p.get("Name"), p.get("ParamID")): p.get("ParamValue") for p in executed[name].iter("Parameter")}
-    linked = {(n, p.get("name")): source.get("name") for n, e in elements.items() for p in e.iter(f"{ns}rSIInPort") for source in p.iter(f"{ns}rSIOutPortMoniker")}
+    linked = {
+        (n, p.get("name")): source.get("name")
+        for n, e in elements.items()
+        for p in e.iter(f"{ns}rSIInPort")
+        for source in p.iter(f"{ns}rSIOutPortMoniker")
+    }
     assert linked == {("AXISCORR1", f"CorrA{i}"): f"//ETHERNET1/Out{i + 1}" for i in range(1, 7)} | {("STOP1", "In1"): "//ETHERNET1/Out1"}
 
     drawing = fromstring(read("rsi3/mbcacq.rsi.diagram"))
     ports = {shape.get("Id"): shape[0].get("name") for shape in drawing.iter() if shape.tag.endswith("PortShape")}
     assert len(set(ports)) == len(ports)
-    drawn = {ports[c.find("nodes/rSIInPortShapeMoniker").get("Id")]: ports[c.find("nodes/rSIOutPortShapeMoniker").get("Id")] for c in drawing.iter("rSISignalConnector")}
+    drawn = {
+        ports[c.find("nodes/rSIInPortShapeMoniker").get("Id")]: ports[c.find("nodes/rSIOutPortShapeMoniker").get("Id")]
+        for c in drawing.iter("rSISignalConnector")
+    }
     assert drawn == {f"//{obj}/{port}": source for (obj, port), source in linked.items()}
     shown = {p for shape in drawing.iter("rSIElementShape") for p in (m.get("name") for m in shape.iter() if m.tag.endswith("PortMoniker"))}
-    assert shown == {f"//{n}/{p.get('name')}" for n, e in elements.items() for kind in ("rSIInPort", "rSIOutPort") for p in e.iter(f"{ns}{kind}")}
+    assert shown == {
+        f"//{n}/{p.get('name')}" for n, e in elements.items() for kind in ("rSIInPort", "rSIOutPort") for p in e.iter(f"{ns}{kind}")
+    }
 
 
 def test_iiqka_sets_the_same_limits_by_its_own_functions():

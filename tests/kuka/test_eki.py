@@ -17,12 +17,15 @@ EVENT = b'<Robot><Response EventID="3"> </Response></Robot >'
 EMPTY = b'<Robot A="1" />'
 
 
-@given(st.lists(st.sampled_from([STATUS, EVENT, EMPTY]), max_size=5), st.sampled_from([b"", b"\n", b"\n\0\0\0", b"x > y", b"</Robot>", b"<Rob"]),
-       st.integers(1, 200))
+@given(
+    st.lists(st.sampled_from([STATUS, EVENT, EMPTY]), max_size=5),
+    st.sampled_from([b"", b"\n", b"\n\0\0\0", b"x > y", b"</Robot>", b"<Rob"]),
+    st.integers(1, 200),
+)
 def test_telegrams_are_the_same_however_the_stream_is_cut(telegrams, junk, size):
     stream = junk + b"".join(t + junk for t in telegrams)
     cutter = Cutter("Robot")
-    found = [t for i in range(0, len(stream), size) for t in cutter.feed(stream[i:i + size])]
+    found = [t for i in range(0, len(stream), size) for t in cutter.feed(stream[i : i + size])]
     assert found == telegrams
 
 
@@ -42,7 +45,10 @@ def test_endless_telegrams_and_declarations_are_refused():
 @pytest.mark.parametrize("answer", ["plain", "merged", "split", "junk"])
 def test_a_session(answer):
     started = []
-    with FakeEki(answer=answer, pause_s=0.0, on_start=lambda *a: started.append(a)) as server, EkiClient("127.0.0.1", server.port) as client:
+    with (
+        FakeEki(answer=answer, pause_s=0.0, on_start=lambda *a: started.append(a)) as server,
+        EkiClient("127.0.0.1", server.port) as client,
+    ):
         assert (client.identity.model, client.identity.axes) == ("#KR16R2010_2 C4 FLR", 6)
         with pytest.raises(DeviceFault, match="answered start with 'error': drives are off"):
             client.start()
@@ -60,12 +66,14 @@ def test_a_session(answer):
 def test_the_bytes_of_a_request():
     received = []
     with socket.create_server(("127.0.0.1", 0)) as server:
+
         def serve():
             connection, _ = server.accept()
             with connection:
                 received.append(connection.recv(4096))
                 connection.sendall(b'<Robot><Init VER="1" NumAxes="6" NumExternalAxes="0" Model="#KR6" RobVer=""/></Robot>')
                 connection.recv(1)
+
         thread = threading.Thread(target=serve)
         thread.start()
         client = EkiClient("127.0.0.1", server.getsockname()[1])
@@ -86,16 +94,20 @@ def test_the_fake_takes_the_padded_writes_of_the_sdk():
     assert server.drives
 
 
-@pytest.mark.parametrize(("reply", "kind"), [
-    (b"", DeviceTimeout),
-    (b"<Robot><Init NumAxes='six'/></Robot>", ProtocolError),
-    (b"<Robot><Init></Robot>", ProtocolError),
-    (b"<Robot>&lol;</Robot>", ProtocolError),
-    (None, ConnectError),
-])
+@pytest.mark.parametrize(
+    ("reply", "kind"),
+    [
+        (b"", DeviceTimeout),
+        (b"<Robot><Init NumAxes='six'/></Robot>", ProtocolError),
+        (b"<Robot><Init></Robot>", ProtocolError),
+        (b"<Robot>&lol;</Robot>", ProtocolError),
+        (None, ConnectError),
+    ],
+)
 def test_wrong_answers(reply, kind):
     with socket.create_server(("127.0.0.1", 0)) as server:
         client = EkiClient("127.0.0.1", server.getsockname()[1], timeout_s=0.2)
+
         def serve():
             connection, _ = server.accept()
             with connection:
@@ -103,6 +115,7 @@ def test_wrong_answers(reply, kind):
                 if reply is not None:
                     connection.sendall(reply)
                     connection.recv(1)
+
         thread = threading.Thread(target=serve)
         thread.start()
         with pytest.raises(kind):

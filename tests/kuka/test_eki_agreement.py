@@ -88,13 +88,20 @@ def test_the_codes_of_a_refusal():
 
 def test_both_systems_run_the_same_logic():
     """Line by line, all but the EKI calls themselves and what watches the connection."""
+
     def logic(system):
         lines = [re.sub(r";.*", "", line).strip() for line in text(f"eki_{system}/mbcacq_link.src").splitlines()]
         body = "\n".join(lines)
         cut = [body.index("DEF mb_link_stop"), len(body)]
-        return [line for line in body[cut[0]:cut[1]].splitlines()
-                if line and "EKI" not in line.upper() and not line.startswith(("WHILE ret", "DECL FRAME here", "here="))
-                and line != "DECL INT ret"]
+        return [
+            line
+            for line in body[cut[0] : cut[1]].splitlines()
+            if line
+            and "EKI" not in line.upper()
+            and not line.startswith(("WHILE ret", "DECL FRAME here", "here="))
+            and line != "DECL INT ret"
+        ]
+
     assert logic("kss") == logic("iiqka")
 
 

@@ -20,19 +20,22 @@ def test_faults_of_the_wire_that_are_none(eki_cell, fault):
     np.testing.assert_allclose(fake.state.read().q, FAR, atol=2e-4)
 
 
-@pytest.mark.parametrize(("fault", "kind", "says"), [
-    ({"silence": 1}, DeviceTimeout, "told no state for"),
-    ({"close": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
-    ({"close_inside": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
-    ({"reset": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
-    ({"truncate": 1}, ProtocolError, "useless telegram"),
-    ({"malformed": 1}, ProtocolError, "no XML"),
-    ({"no_number": 1}, ProtocolError, "Axis/@A1 is 'x"),
-    ({"program_stop": 1}, DeviceFault, "program on the controller has stopped"),
-    ({"emergency_stop": 1}, SafetyStop, "emergency stop"),
-    ({"mode": 1}, SafetyStop, "operating mode changed from 4 to 1"),
-    ({"tool": 5}, SafetyStop, "tool changed from 1 to 4"),
-])
+@pytest.mark.parametrize(
+    ("fault", "kind", "says"),
+    [
+        ({"silence": 1}, DeviceTimeout, "told no state for"),
+        ({"close": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
+        ({"close_inside": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
+        ({"reset": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
+        ({"truncate": 1}, ProtocolError, "useless telegram"),
+        ({"malformed": 1}, ProtocolError, "no XML"),
+        ({"no_number": 1}, ProtocolError, "Axis/@A1 is 'x"),
+        ({"program_stop": 1}, DeviceFault, "program on the controller has stopped"),
+        ({"emergency_stop": 1}, SafetyStop, "emergency stop"),
+        ({"mode": 1}, SafetyStop, "operating mode changed from 4 to 1"),
+        ({"tool": 5}, SafetyStop, "tool changed from 1 to 4"),
+    ],
+)
 def test_a_fault_on_the_way_stops_the_arm(eki_cell, fault, kind, says):
     fake, robot = eki_cell()
     on_the_way(robot)
@@ -59,8 +62,9 @@ def test_a_program_started_again_ends_the_run(eki_cell):
     assert stands(fake)
 
 
-@pytest.mark.parametrize(("fault", "says"), [({"ignore": 1}, "does not begin it"), ({"short_deg": 0.5}, "times the tolerance away"),
-                                             ({"deaf": 1}, None)])
+@pytest.mark.parametrize(
+    ("fault", "says"), [({"ignore": 1}, "does not begin it"), ({"short_deg": 0.5}, "times the tolerance away"), ({"deaf": 1}, None)]
+)
 def test_an_arm_that_does_not_do_it(eki_cell, fault, says):
     fake, robot = eki_cell(controller={"realtime": True} if "deaf" in fault else {})
     fake.inject(**fault)

@@ -44,7 +44,8 @@ def test_the_bytes_of_a_state():
     assert first.startswith(
         '<Robot><State Base="0" Beat="7" Cancelled="0" Code="0" Done="0" Drives="1" EmergencyStop="0" GuardStop="0" Last="0" Mode="4" Moving="0" '
         'Override="100" Ready="1" Refused="0" Session="1" Time="5060" Tool="1"><Axis A1="1.500000" A2="-90.000000" A3="90.000000" A4="0.000000" '
-        'A5="0.000000" A6="0.000000"></Axis><Cart A="0.000000" B="-0.000000" C="0.000000" X="0.000000" Y="0.000000" Z="0.000000"></Cart><Current A1="')
+        'A5="0.000000" A6="0.000000"></Axis><Cart A="0.000000" B="-0.000000" C="0.000000" X="0.000000" Y="0.000000" Z="0.000000"></Cart><Current A1="'
+    )
     assert first.endswith("</Current></State></Robot>")
 
 
@@ -69,11 +70,21 @@ def test_moves_wait_in_a_queue_of_eight_and_the_ninth_is_refused(bench):
     assert one.q()[0] == pytest.approx(4.2, abs=0.01)
 
 
-@pytest.mark.parametrize(("what", "code"), [
-    ({"axes": (5.2, *HOME[1:])}, 1), ({"axes": (0.0, -90.0, 96.0, 0.0, 0.0, 0.0)}, 3), ({"axes": (*HOME[:5], -5.2)}, 6),
-    ({"kind": 7}, 10), ({"speed": 31.0}, 11), ({"speed": 0.0}, 11), ({"kind": 2, "speed": 251.0}, 11), ({"accel": 51}, 12), ({"accel": 0}, 12),
-    ({"number": 0}, 15),
-])
+@pytest.mark.parametrize(
+    ("what", "code"),
+    [
+        ({"axes": (5.2, *HOME[1:])}, 1),
+        ({"axes": (0.0, -90.0, 96.0, 0.0, 0.0, 0.0)}, 3),
+        ({"axes": (*HOME[:5], -5.2)}, 6),
+        ({"kind": 7}, 10),
+        ({"speed": 31.0}, 11),
+        ({"speed": 0.0}, 11),
+        ({"kind": 2, "speed": 251.0}, 11),
+        ({"accel": 51}, 12),
+        ({"accel": 0}, 12),
+        ({"number": 0}, 15),
+    ],
+)
 def test_what_the_plan_does_not_allow_is_refused(bench, what, code):
     one = bench()
     one.say(**{"kind": 1, "number": 4, **what}, ticks=9)
@@ -195,16 +206,21 @@ def test_junk_halves_and_several_at_once(bench):
     one.say(kind=1, number=2, axes=(1.0, *HOME[1:]), ticks=0)
     whole = b'<Command Kind="3" Id="2" Beat="7" Speed="1" Accel="1"><Axis A1="0" A2="0" A3="0" A4="0" A5="0" A6="0"/><Frame X="0" Y="0" Z="0" A="0" B="0" C="0"/></Command>'
     for k in range(0, len(whole), 9):
-        one.send(whole[k:k + 9])
+        one.send(whole[k : k + 9])
         one.ticks(3)
     assert one.variables.mb_last == 2
     assert one.variables.mb_cancelled == 2
 
 
-@pytest.mark.parametrize("broken", [
-    b'<Command Kind="1" Id="1" Beat="7" Speed="20"><Frame>{X 1,Y 2,Z 3,A 0,B 0,C 0}</Frame></Command>', b"<Command>&lol;</Command>",
-    b'<!DOCTYPE x [<!ENTITY a "b">]><Command Kind="1"></Command>', b"<Command Kind='1' <",
-])
+@pytest.mark.parametrize(
+    "broken",
+    [
+        b'<Command Kind="1" Id="1" Beat="7" Speed="20"><Frame>{X 1,Y 2,Z 3,A 0,B 0,C 0}</Frame></Command>',
+        b"<Command>&lol;</Command>",
+        b'<!DOCTYPE x [<!ENTITY a "b">]><Command Kind="1"></Command>',
+        b"<Command Kind='1' <",
+    ],
+)
 def test_broken_commands_move_nothing(bench, broken):
     one = bench()
     one.send(broken + b" " * 50)

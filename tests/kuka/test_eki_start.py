@@ -46,9 +46,15 @@ def test_an_emergency_stop_is_named():
             robot.connect()
 
 
-@pytest.mark.parametrize(("wanted", "reported", "same"), [
-    ("kr210_r2700_2", "#KR210R2700_2 C4 FLR", True), ("KUKA KR 16 R2010-2", "#KR16R2010_2 C4 FLR", True), ("KR 16-2", "#KR16_2 C2", True),
-    ("KR 210 R2700-2", "#KR210R3100_2 C4 FLR", False), ("KR 6 R900-2", "#KR6R700_2 C5", False),
-])
+@pytest.mark.parametrize(
+    ("wanted", "reported", "same"),
+    [
+        ("kr210_r2700_2", "#KR210R2700_2 C4 FLR", True),
+        ("KUKA KR 16 R2010-2", "#KR16R2010_2 C4 FLR", True),
+        ("KR 16-2", "#KR16_2 C2", True),
+        ("KR 210 R2700-2", "#KR210R3100_2 C4 FLR", False),
+        ("KR 6 R900-2", "#KR6R700_2 C5", False),
+    ],
+)
 def test_model_names(wanted, reported, same):
     assert same_model(wanted, reported) is same

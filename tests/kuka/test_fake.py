@@ -45,6 +45,7 @@ class Client:
 
     def begin(self, krc):
         """Answer until the controller has taken an answer: an offer is past a few milliseconds after it was sent."""
+
         def taken():
             self.newest()
             self.answer()
@@ -52,6 +53,7 @@ class Client:
                 return wait(lambda: krc.counters()["active"], 0.1)
             except AssertionError:
                 return False
+
         wait(taken)
 
     def exchange(self, body=b"", **given):
@@ -75,7 +77,9 @@ def start():
 
     def start(**settings):
         client = Client()
-        krc = FakeKrc(**{"client": client.address, "realtime": False, "start_deg": tuple(HOME_DEG), "limits_deg": LIMITS_DEG, **settings}).start()
+        krc = FakeKrc(
+            **{"client": client.address, "realtime": False, "start_deg": tuple(HOME_DEG), "limits_deg": LIMITS_DEG, **settings}
+        ).start()
         opened.extend([krc.stop, client.socket.close])
         return krc, client
 
@@ -96,16 +100,22 @@ def test_the_compact_telegram_to_the_byte(start):
     krc, client = start(layout="sdk", precision=4, ipoc=4208163630, start_deg=(0.5, -90.0, 90.0, 0.0, -1.25, 0.0))
     zeros = b'%b="0.0000" %b="0.0000" %b="0.0000" %b="0.0000" %b="0.0000" %b="0.0000"/>'
     assert client.receive()[0] == (
-        b'<Rob Type="KUKA"><RIst ' + zeros % (b"X", b"Y", b"Z", b"A", b"B", b"C")
+        b'<Rob Type="KUKA"><RIst '
+        + zeros % (b"X", b"Y", b"Z", b"A", b"B", b"C")
         + b'<AIPos A1="0.5000" A2="-90.0000" A3="90.0000" A4="0.0000" A5="-1.2500" A6="0.0000"/>'
-        + b"<EIPos " + zeros % (b"E1", b"E2", b"E3", b"E4", b"E5", b"E6")
-        + b'<Delay D="0"/><IPOC>4208163634</IPOC></Rob>')
+        + b"<EIPos "
+        + zeros % (b"E1", b"E2", b"E3", b"E4", b"E5", b"E6")
+        + b'<Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
+    )
 
 
 def test_quirks_of_spacing(start):
     krc, client = start(layout=("AIPos", "Delay"), precision=1, faults={"spaced": 1, "upper_type": 1, "swap": 1})
-    assert re.fullmatch(rb'<Rob TYPE="KUKA">\r\n<Delay D="0" />\r\n<AIPos A1="0.0" A2="-90.0" A3="90.0" A4="0.0" A5="0.0" A6="0.0" />\r\n'
-                        rb"<IPOC>\d+</IPOC>\r\n</Rob>", client.receive()[0])
+    assert re.fullmatch(
+        rb'<Rob TYPE="KUKA">\r\n<Delay D="0" />\r\n<AIPos A1="0.0" A2="-90.0" A3="90.0" A4="0.0" A5="0.0" A6="0.0" />\r\n'
+        rb"<IPOC>\d+</IPOC>\r\n</Rob>",
+        client.receive()[0],
+    )
 
 
 def test_corrections_are_absolute_and_move_aipos_but_not_aspos(start):
@@ -173,10 +183,13 @@ def test_the_correction_is_clamped_silently(start):
     assert krc.counters()["ended"] == 0
 
 
-@pytest.mark.parametrize(("settings", "bodies", "fault"), [
-    ({"monitor_deg": 0.5}, [ak(0.01 * i) for i in range(100)], "permissible overall correction exceeded"),
-    ({}, [ak(0.0), ak(2.0)], "overspeed: command velocity"),
-])
+@pytest.mark.parametrize(
+    ("settings", "bodies", "fault"),
+    [
+        ({"monitor_deg": 0.5}, [ak(0.01 * i) for i in range(100)], "permissible overall correction exceeded"),
+        ({}, [ak(0.0), ak(2.0)], "overspeed: command velocity"),
+    ],
+)
 def test_the_controller_stops_by_itself(start, settings, bodies, fault):
     krc, client = start(**settings, rearm_s=0.2)
     client.begin(krc)
@@ -203,14 +216,23 @@ def test_multi_line_answers_in_any_order_are_taken(start):
     client.begin(krc)
     for _ in range(60):
         _, ipoc, _ = client.receive()
-        client.socket.sendto(b"<Sen Type='ImFree'>\r\n <IPOC>%d</IPOC>\r\n <EStr>x</EStr>\r\n <AK A6='0' A1 = '0.25' />\r\n</Sen>\r\n\0" % ipoc, client.peer)
+        client.socket.sendto(
+            b"<Sen Type='ImFree'>\r\n <IPOC>%d</IPOC>\r\n <EStr>x</EStr>\r\n <AK A6='0' A1 = '0.25' />\r\n</Sen>\r\n\0" % ipoc, client.peer
+        )
     assert axis(client.receive()[0]) == pytest.approx(0.25, abs=1e-5)
 
 
 def test_the_pose_of_a_kr210(start):
     """X 1765, Z 1910 at A = (0, -90, 90, 0, 0, 0); A1 turns clockwise seen from above."""
     a1, c1, c2, c3, high, c4 = 330.0, 645.0, 1150.0, 1220.0, 115.0, 215.0
-    dh = ((-1, 0, c1, a1, -90, 0), (1, 0, 0, c2, 0, 0), (1, -90, 0, high, 90, 0), (1, 0, -c3, 0, -90, 0), (1, 0, 0, 0, 90, 0), (1, 0, -c4, 0, 0, 180))
+    dh = (
+        (-1, 0, c1, a1, -90, 0),
+        (1, 0, 0, c2, 0, 0),
+        (1, -90, 0, high, 90, 0),
+        (1, 0, -c3, 0, -90, 0),
+        (1, 0, 0, 0, 90, 0),
+        (1, 0, -c4, 0, 0, 180),
+    )
     krc, client = start(dh=dh)
     data = client.receive()[0]
     assert [axis(data, n, b"RIst") for n in (b"X", b"Y", b"Z")] == pytest.approx([a1 + c3 + c4, 0.0, c1 + c2 + high], abs=1e-6)
@@ -230,8 +252,10 @@ def test_by_the_clock_a_cycle_is_answered_or_missed(start):
     wait(lambda: client.newest()[2] >= 3)
 
 
-@pytest.mark.parametrize("wrong", [{"layout": "other"}, {"layout": ("AIPos", "Xyz")}, {"counting": "sum"}, {"cycle_ms": 8}, {"precision": 0},
-                                   {"faults": {"silent": 1}}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"layout": "other"}, {"layout": ("AIPos", "Xyz")}, {"counting": "sum"}, {"cycle_ms": 8}, {"precision": 0}, {"faults": {"silent": 1}}],
+)
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValueError, match=r"layout|counting|cycle_ms|faults"):
         FakeKrc(**wrong)

@@ -45,17 +45,27 @@ def run(body, data="DECL INT out=0"):
     return made.globals.out
 
 
-@pytest.mark.parametrize(("expression", "value"), [
-    ("7/2", 3), ("-7/2", -3), ("2+3*4", 14), ("(2+3)*4", 20), ("11-(11/8)*8+1", 4), ("7/2.0", 4), ("2.5", 2), ("3.5", 4),
-])
+@pytest.mark.parametrize(
+    ("expression", "value"),
+    [("7/2", 3), ("-7/2", -3), ("2+3*4", 14), ("(2+3)*4", 20), ("11-(11/8)*8+1", 4), ("7/2.0", 4), ("2.5", 2), ("3.5", 4)],
+)
 def test_arithmetic(expression, value):
     """INT by INT cuts off; a REAL given to an INT is rounded."""
     assert run(f"out={expression}") == value
 
 
-@pytest.mark.parametrize(("condition", "value"), [
-    ("(1<2) AND (2<3)", 1), ("NOT a", 1), ("(out==0) OR a", 1), ("(1>2) EXOR (2>1)", 1), ("NOT (a OR a)", 1), ("a==FALSE", 1), ("(2<>2)", 0),
-])
+@pytest.mark.parametrize(
+    ("condition", "value"),
+    [
+        ("(1<2) AND (2<3)", 1),
+        ("NOT a", 1),
+        ("(out==0) OR a", 1),
+        ("(1>2) EXOR (2>1)", 1),
+        ("NOT (a OR a)", 1),
+        ("a==FALSE", 1),
+        ("(2<>2)", 0),
+    ],
+)
 def test_conditions(condition, value):
     assert run(f"IF {condition} THEN\nout=1\nENDIF", "DECL INT out=0\nDECL BOOL a=FALSE") == value
 
@@ -67,7 +77,9 @@ def test_comparisons_bind_least():
 
 
 def test_structures_are_copied():
-    data = "DECL INT out=0\nDECL AXIS a={A1 1.0,A2 0.0,A3 0.0,A4 0.0,A5 0.0,A6 0.0}\nDECL AXIS b={A1 0.0,A2 0.0,A3 0.0,A4 0.0,A5 0.0,A6 0.0}"
+    data = (
+        "DECL INT out=0\nDECL AXIS a={A1 1.0,A2 0.0,A3 0.0,A4 0.0,A5 0.0,A6 0.0}\nDECL AXIS b={A1 0.0,A2 0.0,A3 0.0,A4 0.0,A5 0.0,A6 0.0}"
+    )
     assert run("b=a\na.A1=5.0\nout=b.A1", data) == 1
 
 
@@ -97,23 +109,31 @@ def test_loops_functions_and_arrays():
     assert (made.globals.list[3], made.globals.out) == (6, 31)
 
 
-@pytest.mark.parametrize(("body", "says"), [
-    ("out=nobody", "p.src:2: nobody is not declared"),
-    ("IF TRUE THEN", "ENDIF is missing"),
-    ("ENDLOOP", "p.src:2: ENDLOOP closes nothing"),
-    ("fly()", "there is no fly"),
-    ("out 3", "p.src:2: not understood"),
-    ("out=(3", "is missing before"),
-    ("out=3 4", "one word too many"),
-])
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("out=nobody", "p.src:2: nobody is not declared"),
+        ("IF TRUE THEN", "ENDIF is missing"),
+        ("ENDLOOP", "p.src:2: ENDLOOP closes nothing"),
+        ("fly()", "there is no fly"),
+        ("out 3", "p.src:2: not understood"),
+        ("out=(3", "is missing before"),
+        ("out=3 4", "one word too many"),
+    ],
+)
 def test_mistakes_are_named(body, says):
     with pytest.raises(KrlError, match=says):
         program(f"DEF main()\n{body}\nEND", "DECL INT out=0")
 
 
 def test_mistakes_that_only_running_shows():
-    for body, says in (("out=TRUE", "no INT"), ("out=list[5]", "not between 1 and 4"), ("IF out THEN\nout=1\nENDIF", "no BOOL"),
-                       ("LOOP\nout=out+1\nENDLOOP", "circle"), ("PTP a", "submit program cannot move")):
+    for body, says in (
+        ("out=TRUE", "no INT"),
+        ("out=list[5]", "not between 1 and 4"),
+        ("IF out THEN\nout=1\nENDIF", "no BOOL"),
+        ("LOOP\nout=out+1\nENDLOOP", "circle"),
+        ("PTP a", "submit program cannot move"),
+    ):
         with pytest.raises(KrlError, match=says):
             run(body, "DECL INT out=0\nDECL INT list[4]\nDECL AXIS a={A1 0.0,A2 0.0,A3 0.0,A4 0.0,A5 0.0,A6 0.0}")
 
@@ -154,6 +174,7 @@ def interrupted():
             tick.now += 0.004
             interpreter.tick(tick.now)
             motion.left = max(0, motion.left - 1)
+
     tick.now = 0.0
     return system, motion, made.globals, tick
 

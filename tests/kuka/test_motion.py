@@ -18,8 +18,10 @@ def corrections(krc):
 
 def within_limits(path, speed, acceleration, jerk):
     bounds = ((1, speed, 2), (2, acceleration, 4), (3, jerk, 8))
-    return all(np.abs(np.diff(path, order, axis=0)).max() / CYCLE_S**order <= limit * 1.001 + noise * ROUNDING / CYCLE_S**order
-               for order, limit, noise in bounds)
+    return all(
+        np.abs(np.diff(path, order, axis=0)).max() / CYCLE_S**order <= limit * 1.001 + noise * ROUNDING / CYCLE_S**order
+        for order, limit, noise in bounds
+    )
 
 
 @pytest.mark.parametrize("realtime", [False, True])
@@ -85,7 +87,7 @@ def test_arrival_waits_for_the_settling_time_of_the_robots_clock(cell):
     cycles = robot.cycles()
     inside = np.abs(cycles.columns["q"] - target).max(axis=1) <= 2e-4
     first = cycles.columns["time_s"][np.argmax(inside)]
-    assert inside[np.argmax(inside):].all()
+    assert inside[np.argmax(inside) :].all()
     assert state.time_s - first >= 0.5 - 1e-9
 
 
@@ -144,7 +146,7 @@ def test_closing_while_moving_brakes_and_ends_the_session(cell):
     wait(lambda: krc.counters()["sessions"] == 2)  # the program ended by Stop, and was started again
     assert krc.state.read().standstill
     path, _ = corrections(krc)
-    moving = path[:np.flatnonzero(np.diff(path[:, 0]) > 0)[-1] + 2]
+    moving = path[: np.flatnonzero(np.diff(path[:, 0]) > 0)[-1] + 2]
     assert within_limits(moving, 20.0, 360.0, 3600.0)
     robot.connect()
     robot.move_to(np.radians(HOME_DEG), motion_limits())

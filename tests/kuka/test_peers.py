@@ -63,8 +63,14 @@ def test_rsipi_moves_our_fake(tmp_path):
     port = free_port()
     (tmp_path / "config.xml").write_text(CONFIG.format(port=port))
     (tmp_path / "client.py").write_text(RSIPI_CLIENT)
-    with FakeKrc(client=("127.0.0.1", port), layout=("RIst", "RSol", "AIPos", "ASPos", "Delay"), correction="AKorr", timeout=100000,
-                 start_deg=(10.0, -90.0, 90.0, 0.0, 0.0, 5.0), limits_deg=LIMITS_DEG) as krc:
+    with FakeKrc(
+        client=("127.0.0.1", port),
+        layout=("RIst", "RSol", "AIPos", "ASPos", "Delay"),
+        correction="AKorr",
+        timeout=100000,
+        start_deg=(10.0, -90.0, 90.0, 0.0, 0.0, 5.0),
+        limits_deg=LIMITS_DEG,
+    ) as krc:
         done = subprocess.run([sys.executable, "client.py", "config.xml"], cwd=tmp_path, capture_output=True, text=True, timeout=90)
         counters = krc.counters()
         assert done.returncode == 0, done.stderr
@@ -83,8 +89,14 @@ def test_our_driver_moves_the_rsipi_server(tmp_path):
             pytest.skip("UDP port 50000, which RSIPI's server always takes, is in use")
     port = free_port()
     (tmp_path / "config.xml").write_text(CONFIG.format(port=port))
-    server = subprocess.Popen([sys.executable, "-c", RSIPI_SERVER, "config.xml"], cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                              stderr=subprocess.DEVNULL, text=True)
+    server = subprocess.Popen(
+        [sys.executable, "-c", RSIPI_SERVER, "config.xml"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     try:
         assert wait(server.stdout.readline)
         options = {"limits_deg": LIMITS_DEG, "port": port, "correction": "AKorr", "stop_element": "", "late_limit": 10000}
@@ -113,9 +125,13 @@ class CountingSimulator(threading.Thread):
             sock.settimeout(0.02)
             while not self.ended.is_set():
                 attributes = " ".join(f'A{i + 1}="{v}"' for i, v in enumerate(axes))
-                sock.sendto((f'<Rob TYPE="KUKA"><RIst X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0" /><AIPos {attributes} />'
-                             f'<EIPos E1="0.0" E2="0.0" E3="0.0" E4="0.0" E5="0.0" E6="0.0" /><Delay D="0" /><IPOC>{ipoc}</IPOC></Rob>').encode(),
-                            ("127.0.0.1", self.port))
+                sock.sendto(
+                    (
+                        f'<Rob TYPE="KUKA"><RIst X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0" /><AIPos {attributes} />'
+                        f'<EIPos E1="0.0" E2="0.0" E3="0.0" E4="0.0" E5="0.0" E6="0.0" /><Delay D="0" /><IPOC>{ipoc}</IPOC></Rob>'
+                    ).encode(),
+                    ("127.0.0.1", self.port),
+                )
                 try:
                     answer = sock.recv(1024)
                 except TimeoutError:
@@ -142,6 +158,8 @@ def test_simulators_that_count_telegrams():
         simulator.ended.set()
         simulator.join()
     ipoc, answer = simulator.answers[0]
-    assert answer == (b'<Sen Type="KROSHU"><Stop>0</Stop><AK A1="0.000000" A2="0.000000" A3="0.000000" A4="0.000000" A5="0.000000" A6="0.000000"/>'
-                      b"<IPOC>0</IPOC></Sen>")
+    assert answer == (
+        b'<Sen Type="KROSHU"><Stop>0</Stop><AK A1="0.000000" A2="0.000000" A3="0.000000" A4="0.000000" A5="0.000000" A6="0.000000"/>'
+        b"<IPOC>0</IPOC></Sen>"
+    )
     assert all(b"<IPOC>%d</IPOC>" % ipoc in answer for ipoc, answer in simulator.answers)

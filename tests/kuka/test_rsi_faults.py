@@ -27,17 +27,20 @@ def stands(krc):
     return np.allclose(krc.state.read().q, before, rtol=0, atol=1e-7) and np.degrees(before[0]) < 149.0
 
 
-@pytest.mark.parametrize(("fault", "kind", "text"), [
-    ({"silence": 1}, DeviceTimeout, "no telegram for"),
-    ({"stop": 1}, DeviceTimeout, "no telegram for"),
-    ({"delay_ms": 5}, DeviceFault, "as late or invalid"),
-    ({"drop_answers": 1}, DeviceFault, "as late or invalid"),
-    ({"ignore": 1}, SafetyStop, "A1 does not follow"),
-    ({"malformed": 1}, ProtocolError, "malformed telegram"),
-    ({"no_aipos": 1}, ProtocolError, "without AIPos"),
-    ({"wrong_ipoc": 1}, ProtocolError, "IPOC went from"),
-    ({"foreign": 1}, ProtocolError, "keep other senders off"),
-])
+@pytest.mark.parametrize(
+    ("fault", "kind", "text"),
+    [
+        ({"silence": 1}, DeviceTimeout, "no telegram for"),
+        ({"stop": 1}, DeviceTimeout, "no telegram for"),
+        ({"delay_ms": 5}, DeviceFault, "as late or invalid"),
+        ({"drop_answers": 1}, DeviceFault, "as late or invalid"),
+        ({"ignore": 1}, SafetyStop, "A1 does not follow"),
+        ({"malformed": 1}, ProtocolError, "malformed telegram"),
+        ({"no_aipos": 1}, ProtocolError, "without AIPos"),
+        ({"wrong_ipoc": 1}, ProtocolError, "IPOC went from"),
+        ({"foreign": 1}, ProtocolError, "keep other senders off"),
+    ],
+)
 def test_a_fault_on_the_way_stops_the_arm(cell, fault, kind, text):
     krc, robot = cell()
     on_the_way(robot)
@@ -202,17 +205,20 @@ def test_not_connected():
     robot.close()
 
 
-@pytest.mark.parametrize(("options", "text"), [
-    ({}, "limits_deg"),
-    ({"limits_deg": [[0, 1]]}, "limits_deg"),
-    ({"limits_deg": [[5, -5]] * 6}, "lower limit"),
-    ({"limits_deg": LIMITS_DEG, "prot": 1}, "unknown option prot"),
-    ({"limits_deg": LIMITS_DEG, "port": 70000}, "port"),
-    ({"limits_deg": LIMITS_DEG, "cycle_ms": 8}, "cycle_ms"),
-    ({"limits_deg": LIMITS_DEG, "silence_s": 0}, "silence_s"),
-    ({"limits_deg": LIMITS_DEG, "correction_limit_deg": [1, 2]}, "correction_limit_deg"),
-    ({"limits_deg": LIMITS_DEG, "sen_type": 'a"b'}, "sen_type"),
-])
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({}, "limits_deg"),
+        ({"limits_deg": [[0, 1]]}, "limits_deg"),
+        ({"limits_deg": [[5, -5]] * 6}, "lower limit"),
+        ({"limits_deg": LIMITS_DEG, "prot": 1}, "unknown option prot"),
+        ({"limits_deg": LIMITS_DEG, "port": 70000}, "port"),
+        ({"limits_deg": LIMITS_DEG, "cycle_ms": 8}, "cycle_ms"),
+        ({"limits_deg": LIMITS_DEG, "silence_s": 0}, "silence_s"),
+        ({"limits_deg": LIMITS_DEG, "correction_limit_deg": [1, 2]}, "correction_limit_deg"),
+        ({"limits_deg": LIMITS_DEG, "sen_type": 'a"b'}, "sen_type"),
+    ],
+)
 def test_wrong_options_are_refused_before_anything_is_opened(options, text):
     with pytest.raises(ConfigError, match=text):
         KukaRsi("arm", "", options)

@@ -17,8 +17,16 @@ FAR = 30.0
 def drive(network, counting, realtime=True):
     """What the controller logged and what the driver recorded of the same move."""
     with network as (controller, client, prefix):
-        with FakeKrc(client=controller, bind="0.0.0.0" if prefix else "127.0.0.1", realtime=realtime, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG, timeout=100_000,
-                     counting=counting, log=True) as krc:
+        with FakeKrc(
+            client=controller,
+            bind="0.0.0.0" if prefix else "127.0.0.1",
+            realtime=realtime,
+            start_deg=tuple(HOME_DEG),
+            limits_deg=LIMITS_DEG,
+            timeout=100_000,
+            counting=counting,
+            log=True,
+        ) as krc:
             program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), "99999"]
             done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=100)
             assert done.returncode == 0, done.stderr
@@ -28,13 +36,12 @@ def drive(network, counting, realtime=True):
 def commanded(log):
     """A1 of the corrections that the controller used, one a cycle, while they changed: (k,) deg."""
     used = log["correction"][log["accepted"], 0]
-    return used[np.flatnonzero(used)[0] - 1:np.flatnonzero(used < used.max())[-1] + 2]
+    return used[np.flatnonzero(used)[0] - 1 : np.flatnonzero(used < used.max())[-1] + 2]
 
 
 @pytest.fixture(scope="module")
 def undisturbed():
     from contextlib import nullcontext
-
 
     here = ("127.0.0.1", free_port())
     return commanded(drive(nullcontext((here, here, [])), "total", realtime=False)[0])
@@ -45,7 +52,7 @@ def check(log, recorded, undisturbed):
     first, last = recorded["ipoc"][0], recorded["ipoc"][-1]
     span = (log["ipoc"] >= first) & (log["ipoc"] <= last)
     asked = np.isin(log["ipoc"], recorded["ipoc"])
-    assert not (log["accepted"] & ~asked)[span].any()          # nothing was used that was never asked for
+    assert not (log["accepted"] & ~asked)[span].any()  # nothing was used that was never asked for
     never_heard = np.count_nonzero(span & ~asked)
     assert never_heard == round((last - first) / 4) + 1 - len(recorded["ipoc"])
     return never_heard, np.count_nonzero(span & ~log["accepted"])

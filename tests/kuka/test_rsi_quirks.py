@@ -9,12 +9,26 @@ from mbcacq.devices import DeviceFault, DeviceTimeout, ProtocolError
 TARGET = np.radians(HOME_DEG + [3.1234, 1.0, 0, 0, 0, -2.7])
 
 
-@pytest.mark.parametrize("quirk", [
-    {"faults": {"upper_type": 1}}, {"faults": {"spaced": 1}}, {"faults": {"spaced": 2}}, {"faults": {"spaced": 3}}, {"faults": {"swap": 1}},
-    {"empty_first": 1}, {"empty_first": 2}, {"precision": 4}, {"precision": 12}, {"layout": "sdk"}, {"layout": "minimal"},
-    {"counting": "consecutive"}, {"hold_on": False},
-    {"faults": {"upper_type": 1, "spaced": 3, "swap": 1}, "empty_first": 2, "precision": 5, "counting": "consecutive"},
-], ids=str)
+@pytest.mark.parametrize(
+    "quirk",
+    [
+        {"faults": {"upper_type": 1}},
+        {"faults": {"spaced": 1}},
+        {"faults": {"spaced": 2}},
+        {"faults": {"spaced": 3}},
+        {"faults": {"swap": 1}},
+        {"empty_first": 1},
+        {"empty_first": 2},
+        {"precision": 4},
+        {"precision": 12},
+        {"layout": "sdk"},
+        {"layout": "minimal"},
+        {"counting": "consecutive"},
+        {"hold_on": False},
+        {"faults": {"upper_type": 1, "spaced": 3, "swap": 1}, "empty_first": 2, "precision": 5, "counting": "consecutive"},
+    ],
+    ids=str,
+)
 def test_none_of_this_is_a_fault(cell, quirk):
     krc, robot = cell(quirk)
     robot.move_to(TARGET, motion_limits())
@@ -41,14 +55,17 @@ def test_a_nearly_empty_stream_is_not_a_session(cell):
         cell({"empty_first": 500})
 
 
-@pytest.mark.parametrize(("counting", "late_limit", "kind"), [
-    ("consecutive", 60, None),         # single losses never add up
-    ("total", 60, (DeviceTimeout, ProtocolError)),  # the controller ends the session first, without a word, and may begin another
-    ("total", 8, DeviceFault),         # we see its Delay rise and stop before it does
-])
+@pytest.mark.parametrize(
+    ("counting", "late_limit", "kind"),
+    [
+        ("consecutive", 60, None),  # single losses never add up
+        ("total", 60, (DeviceTimeout, ProtocolError)),  # the controller ends the session first, without a word, and may begin another
+        ("total", 8, DeviceFault),  # we see its Delay rise and stop before it does
+    ],
+)
 def test_lost_answers_counted_both_ways(cell, counting, late_limit, kind):
     krc, robot = cell({"counting": counting, "timeout": 12, "rearm_s": 0.2, "speed_deg_s": (95.0,) * 6}, {"late_limit": late_limit})
-    krc.inject(drop_answers=0.1)      # some 37 on the way, so that 12 are always among them
+    krc.inject(drop_answers=0.1)  # some 37 on the way, so that 12 are always among them
     robot.move_to(np.radians(HOME_DEG + [100.0, 0, 0, 0, 0, 0]), motion_limits())
     if kind is None:
         np.testing.assert_allclose(np.degrees(arrive(robot).q[0]), 100.0, atol=0.02)

@@ -10,12 +10,14 @@ from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, scan
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 KUKA_SIMULATOR = (
     b'<Rob TYPE="KUKA"><RIst X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0"/><AIPos A1="0.0" A2="-90.0" A3="90.0" A4="0.5" A5="1.5" A6="2.5"/>'
-    b'<EIPos E1="0.0" E2="0.0" E3="0.0" E4="0.0" E5="0.0" E6="0.0"/><Delay D="0"/><IPOC>0</IPOC></Rob>')
+    b'<EIPos E1="0.0" E2="0.0" E3="0.0" E4="0.0" E5="0.0" E6="0.0"/><Delay D="0"/><IPOC>0</IPOC></Rob>'
+)
 RSIPI_SERVER = (
     b'<Rob Type="KUKA"><RIst X="1.0" Y="2.0" Z="3.0" A="0.0" B="0.0" C="0.0" /><RSol X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0" />'
     b'<AIPos A1="1.0" A2="2.0" A3="3.0" A4="4.0" A5="5.0" A6="6.0" /><ASPos A1="1.0" A2="2.0" A3="3.0" A4="4.0" A5="5.0" A6="6.0" />'
     b'<Delay D="0" /><DiL>0</DiL><Digout o1="0.00" o2="0.00" o3="0.00" /><Source1>0.0</Source1><DoutW>0</DoutW>'
-    b'<Tech C11="0.00" C12="0.00" C110="0.00" /><IPOC>123456</IPOC></Rob>')
+    b'<Tech C11="0.00" C12="0.00" C110="0.00" /><IPOC>123456</IPOC></Rob>'
+)
 
 
 def axes(parser, element, row):
@@ -65,8 +67,15 @@ def render(order, gap, blank, quote, closed, root):
     return (f"<Rob {root}={quote}KUKA{quote}>" + gap + gap.join(parts) + gap + "</Rob>").encode()
 
 
-@given(order=st.permutations(list(CHILDREN)), gap=st.sampled_from(["", "\n", "\r\n", "  \t"]), blank=st.sampled_from(["", " "]),
-       quote=st.sampled_from(['"', "'"]), closed=st.booleans(), root=st.sampled_from(["Type", "TYPE"]), plain_first=st.booleans())
+@given(
+    order=st.permutations(list(CHILDREN)),
+    gap=st.sampled_from(["", "\n", "\r\n", "  \t"]),
+    blank=st.sampled_from(["", " "]),
+    quote=st.sampled_from(['"', "'"]),
+    closed=st.booleans(),
+    root=st.sampled_from(["Type", "TYPE"]),
+    plain_first=st.booleans(),
+)
 def test_any_order_and_spacing_means_the_same(order, gap, blank, quote, closed, root, plain_first):
     plain = render(list(CHILDREN), "", "", '"', True, "Type")
     telegram = render(order, gap, blank, quote, closed, root)
@@ -88,23 +97,26 @@ def test_numbers_come_back_with_all_their_digits(values, ipoc, precision):
     assert axes(first, "AIPos", row) == [float(f"{v:.{precision}f}") for v in values]
 
 
-@pytest.mark.parametrize("damage", [
-    lambda t: t[:-3],
-    lambda t: t + b"<Rob/>",
-    lambda t: t.replace(b"<IPOC>0</IPOC>", b""),
-    lambda t: t.replace(b"<IPOC>0", b"<IPOC>x"),
-    lambda t: t.replace(b"<IPOC>0", b"<IPOC>-4"),
-    lambda t: t.replace(b"</Rob>", b"<IPOC>4</IPOC></Rob>"),
-    lambda t: t.replace(b'A1="0.0"', b'A1="0.0'),
-    lambda t: t.replace(b'A1="0.0"', b'A1="&lt;"'),
-    lambda t: b'<!DOCTYPE Rob [<!ENTITY a "1">]>' + t,
-    lambda t: b"",
-    lambda t: b"<Sen" + t[4:],
-    lambda t: t.replace(b"<Delay", b"<Deep><Delay").replace(b"<IPOC", b"</Deep><IPOC"),
-    lambda t: t.replace(b"<Delay", b"<!-- x --><Delay"),
-    lambda t: t.replace(b"<IPOC>", b"".join(b'<X%d a="1"/>' % i for i in range(300)) + b"<IPOC>"),
-    lambda t: t.replace(b'A1="0.0"', b'A1="' + b"1" * 300 + b'"'),
-])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda t: t[:-3],
+        lambda t: t + b"<Rob/>",
+        lambda t: t.replace(b"<IPOC>0</IPOC>", b""),
+        lambda t: t.replace(b"<IPOC>0", b"<IPOC>x"),
+        lambda t: t.replace(b"<IPOC>0", b"<IPOC>-4"),
+        lambda t: t.replace(b"</Rob>", b"<IPOC>4</IPOC></Rob>"),
+        lambda t: t.replace(b'A1="0.0"', b'A1="0.0'),
+        lambda t: t.replace(b'A1="0.0"', b'A1="&lt;"'),
+        lambda t: b'<!DOCTYPE Rob [<!ENTITY a "1">]>' + t,
+        lambda t: b"",
+        lambda t: b"<Sen" + t[4:],
+        lambda t: t.replace(b"<Delay", b"<Deep><Delay").replace(b"<IPOC", b"</Deep><IPOC"),
+        lambda t: t.replace(b"<Delay", b"<!-- x --><Delay"),
+        lambda t: t.replace(b"<IPOC>", b"".join(b'<X%d a="1"/>' % i for i in range(300)) + b"<IPOC>"),
+        lambda t: t.replace(b'A1="0.0"', b'A1="' + b"1" * 300 + b'"'),
+    ],
+)
 def test_what_no_controller_sends_is_refused(damage):
     with pytest.raises(Malformed):
         Parser(damage(KUKA_SIMULATOR))
@@ -128,7 +140,7 @@ def test_garbage_is_refused_and_never_hangs(data):
 
 @given(st.integers(0, len(KUKA_SIMULATOR) - 1), st.integers(0, 255))
 def test_a_flipped_byte_is_refused_or_changes_one_value(position, byte):
-    damaged = KUKA_SIMULATOR[:position] + bytes([byte]) + KUKA_SIMULATOR[position + 1:]
+    damaged = KUKA_SIMULATOR[:position] + bytes([byte]) + KUKA_SIMULATOR[position + 1 :]
     parser = Parser(KUKA_SIMULATOR)
     try:
         row = parser.parse(damaged)[1]
@@ -142,10 +154,12 @@ def test_answer_bytes():
     composer = Composer("ImFree", "AK", "Stop")
     assert composer.compose((0.0, 0.01, -1.5, 0.0, 0.0, 12.3456789), b"00123") == (
         b'<Sen Type="ImFree"><Stop>0</Stop><AK A1="0.000000" A2="0.010000" A3="-1.500000" A4="0.000000" A5="0.000000" A6="12.345679"/>'
-        b"<IPOC>00123</IPOC></Sen>")
+        b"<IPOC>00123</IPOC></Sen>"
+    )
     assert composer.compose((0.0,) * 6, b"4208163634", stop=True).startswith(b'<Sen Type="ImFree"><Stop>1</Stop>')
     assert Composer("KROSHU", "AKorr", "").compose((0.0,) * 6, b"1") == (
-        b'<Sen Type="KROSHU"><AKorr A1="0.000000" A2="0.000000" A3="0.000000" A4="0.000000" A5="0.000000" A6="0.000000"/><IPOC>1</IPOC></Sen>')
+        b'<Sen Type="KROSHU"><AKorr A1="0.000000" A2="0.000000" A3="0.000000" A4="0.000000" A5="0.000000" A6="0.000000"/><IPOC>1</IPOC></Sen>'
+    )
 
 
 def test_names_that_would_break_the_answer_are_refused():

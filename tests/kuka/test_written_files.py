@@ -16,9 +16,26 @@ from mbcacq.devices import ConfigError, load_driver
 
 PLANS = Path(__file__).parents[2] / "plans"
 LIMITS = [(-170.0, 170.0), (-190.0, 45.0), (-120.0, 156.0), (-185.0, 185.0), (-120.0, 120.0), (-350.0, 350.0)]
-FACTS = {"plan": "a plan", "robot": "KR 10", "speed_share": 0.42, "tool_frame": (1.5, -2.25, 260.0, 90.0, -1.0, 179.5), "load_kg": 2.3, "load_centre_mm": (0.0, 1.0, 32.0)}
-EKI = {"address": "10.1.2.3", "port": 54605, "limits_deg": LIMITS, "speed_deg_s": [200.0] * 6, "tool": 7, "base": 2, "acceleration_percent": 35,
-       "path_speed_mm_s": 120.0, "controller_silence_ms": 800, "state_ms": 36}
+FACTS = {
+    "plan": "a plan",
+    "robot": "KR 10",
+    "speed_share": 0.42,
+    "tool_frame": (1.5, -2.25, 260.0, 90.0, -1.0, 179.5),
+    "load_kg": 2.3,
+    "load_centre_mm": (0.0, 1.0, 32.0),
+}
+EKI = {
+    "address": "10.1.2.3",
+    "port": 54605,
+    "limits_deg": LIMITS,
+    "speed_deg_s": [200.0] * 6,
+    "tool": 7,
+    "base": 2,
+    "acceleration_percent": 35,
+    "path_speed_mm_s": 120.0,
+    "controller_silence_ms": 800,
+    "state_ms": 36,
+}
 
 
 def number(text, name):
@@ -29,7 +46,15 @@ def test_the_plans_numbers_stand_in_the_eki_files():
     files = KukaEki.controller_files("arm", "KR 10", EKI, FACTS)
     for system in ("kss", "iiqka"):
         data = files[f"{system}/Program/mbcacq_eki.dat"]
-        assert [number(data, n) for n in ("mb_tool", "mb_base", "mb_max_vel", "mb_max_acc", "mb_max_path", "mb_silence", "mb_period")] == [7, 2, 42, 35, 120, 800, 36]
+        assert [number(data, n) for n in ("mb_tool", "mb_base", "mb_max_vel", "mb_max_acc", "mb_max_path", "mb_silence", "mb_period")] == [
+            7,
+            2,
+            42,
+            35,
+            120,
+            800,
+            36,
+        ]
         for k, (low, high) in enumerate(LIMITS, 1):
             assert low - 0.0011 <= number(data, f"mb_low[{k}]") <= low
             assert high <= number(data, f"mb_high[{k}]") <= high + 0.0011
@@ -44,8 +69,16 @@ def test_the_plans_numbers_stand_in_the_eki_files():
 
 
 def test_the_plans_numbers_stand_in_the_rsi_files():
-    options = {"bind": "172.31.1.9", "port": 50001, "limits_deg": LIMITS, "cycle_ms": 12, "sen_type": "Mine", "correction": "AKorr", "stop_element": "Halt",
-               "correction_limit_deg": [11, 12, 13, 14, 15, 16]}
+    options = {
+        "bind": "172.31.1.9",
+        "port": 50001,
+        "limits_deg": LIMITS,
+        "cycle_ms": 12,
+        "sen_type": "Mine",
+        "correction": "AKorr",
+        "stop_element": "Halt",
+        "correction_limit_deg": [11, 12, 13, 14, 15, 16],
+    }
     files = KukaRsi.controller_files("arm", "KR 10", options, FACTS)
     for name in (n for n in files if n.endswith("mbcacq_ethernet.xml")):
         root = fromstring(files[name])
@@ -63,12 +96,13 @@ def test_the_plans_numbers_stand_in_the_rsi_files():
     assert [values[f"MaxA{i}"] for i in range(1, 7)] == [str(11 + i) for i in range(1, 7)]
     model = files["kss_older/SensorInterface/mbcacq.rsi"]
     assert [re.search(rf'name="{n}A{i}" value="([^"]*)"', model)[1] for i in range(1, 7) for n in ("UpperLim", "LowerLim", "Max")] == [
-        values[f"{n}A{i}"] for i in range(1, 7) for n in ("UpperLim", "LowerLim", "Max")]
+        values[f"{n}A{i}"] for i in range(1, 7) for n in ("UpperLim", "LowerLim", "Max")
+    ]
 
 
-@pytest.mark.parametrize(("driver", "change", "says"), [
-    (KukaEki, {"address": "krc.local"}, "address in numbers"), (KukaEki, {"port": 7000}, "54600 to 54615"),
-])
+@pytest.mark.parametrize(
+    ("driver", "change", "says"), [(KukaEki, {"address": "krc.local"}, "address in numbers"), (KukaEki, {"port": 7000}, "54600 to 54615")]
+)
 def test_what_a_controller_cannot_take_is_refused(driver, change, says):
     with pytest.raises(ConfigError, match=says):
         driver.controller_files("arm", "KR 10", {**EKI, **change}, FACTS)
@@ -82,7 +116,9 @@ def test_rsi_files_need_a_stop_element():
 @pytest.mark.parametrize("plan", ["kuka.yaml", "kuka-eki.yaml"])
 def test_the_command_writes_them_once(tmp_path, plan):
     out = tmp_path / "files"
-    done = CliRunner().invoke(app, ["controller-files", str(PLANS / plan), "--out", str(out)], standalone_mode=False, catch_exceptions=False)
+    done = CliRunner().invoke(
+        app, ["controller-files", str(PLANS / plan), "--out", str(out)], standalone_mode=False, catch_exceptions=False
+    )
     assert done.exit_code == 0
     written = {str(p.relative_to(out)): p.read_bytes() for p in out.rglob("*") if p.is_file()}
     guide = written["README.txt"].decode("ascii")
@@ -94,7 +130,12 @@ def test_the_command_writes_them_once(tmp_path, plan):
     assert "KUKA KR 10 R1100-2" in guide
     with pytest.raises(ConfigError, match=r"exists already.*--replace"):
         CliRunner().invoke(app, ["controller-files", str(PLANS / plan), "--out", str(out)], standalone_mode=False, catch_exceptions=False)
-    again = CliRunner().invoke(app, ["controller-files", str(PLANS / plan), "--out", str(out), "--replace", "--json"], standalone_mode=False, catch_exceptions=False)
+    again = CliRunner().invoke(
+        app,
+        ["controller-files", str(PLANS / plan), "--out", str(out), "--replace", "--json"],
+        standalone_mode=False,
+        catch_exceptions=False,
+    )
     assert "README.txt" in again.output
 
 
@@ -108,5 +149,7 @@ def test_the_two_plans_differ_in_the_robots_connection_only():
 
     rsi, eki = (load(PLANS / name) for name in ("kuka.yaml", "kuka-eki.yaml"))
     same = {"name": "", "robot": rsi.plan.robot.model_copy(update={"driver": "", "options": {}})}
-    assert rsi.plan.model_copy(update=same) == eki.plan.model_copy(update={**same, "robot": eki.plan.robot.model_copy(update={"driver": "", "options": {}})})
+    assert rsi.plan.model_copy(update=same) == eki.plan.model_copy(
+        update={**same, "robot": eki.plan.robot.model_copy(update={"driver": "", "options": {}})}
+    )
     np.testing.assert_array_equal(rsi.cell.robot.chain.rows, eki.cell.robot.chain.rows)

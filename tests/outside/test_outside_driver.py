@@ -20,8 +20,15 @@ ROOT = Path(__file__).parents[2]
 
 def mbcacq(site, *arguments):
     environment = {**os.environ, "PYTHONPATH": str(site)}
-    return subprocess.run([Path(sys.executable).parent / "mbcacq", *map(str, arguments)], cwd=ROOT, env=environment, capture_output=True,
-                          text=True, timeout=120, stdin=subprocess.DEVNULL)
+    return subprocess.run(
+        [Path(sys.executable).parent / "mbcacq", *map(str, arguments)],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        stdin=subprocess.DEVNULL,
+    )
 
 
 def listed(site):
@@ -41,11 +48,14 @@ def test_it_is_listed_with_its_package_beside_ours(site):
     assert re.search(r"robots +kuka_rsi +mbcacq \S+ +yes +not yet", text)
 
 
-@pytest.mark.parametrize(("source", "words"), [
-    ("import no_such_library\n", "cannot be imported: ModuleNotFoundError: No module named 'no_such_library'"),
-    ("raise RuntimeError('licence expired')\n", "cannot be imported: RuntimeError: licence expired"),
-    ("class AcmeProbe:\n    def connect(self): ...\n", "lacks describe, stop, close, read, __enter__, __exit__"),
-])
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("import no_such_library\n", "cannot be imported: ModuleNotFoundError: No module named 'no_such_library'"),
+        ("raise RuntimeError('licence expired')\n", "cannot be imported: RuntimeError: licence expired"),
+        ("class AcmeProbe:\n    def connect(self): ...\n", "lacks describe, stop, close, read, __enter__, __exit__"),
+    ],
+)
 def test_one_that_cannot_be_used_says_why_and_spoils_no_other(tmp_path, source, words):
     site = install(tmp_path)
     (site / "acme_probe" / "__init__.py").write_text(source)
@@ -105,6 +115,7 @@ def bench():
     @contextmanager
     def opened():
         with FakeProbe() as probe, TcpProxy(Channel("line"), probe.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
+
             def use(sensor):
                 got = sensor.read()
                 assert got == {"air_C": probe.told[-1]}, f"it reads {got}, the probe told {probe.told[-1:]}"

@@ -47,7 +47,11 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        for name, source in {"robot.yaml": "robots/kr10_r1100_2.yaml", "mbc.yaml": "artefacts/mbc-8.yaml", "bar.yaml": "artefacts/bar-735.yaml"}.items():
+        for name, source in {
+            "robot.yaml": "robots/kr10_r1100_2.yaml",
+            "mbc.yaml": "artefacts/mbc-8.yaml",
+            "bar.yaml": "artefacts/bar-735.yaml",
+        }.items():
             (path / name).write_text((PLANS / source).read_text())
 
     def plan(self, *changes: tuple[str, str]) -> Path:

@@ -30,7 +30,9 @@ def codes(plan_path, level="error"):
 def taught(folder, *poses, extra=""):
     text = folder.plan().read_text().split("steps:")[0]
     rows = ", ".join(str(list(p)) for p in poses)
-    return folder.write("plan.yaml", f"{text}{extra}steps:\n  - {{name: t, phase: position, do: joints, station: 1, poses_deg: [{rows}]}}\n")
+    return folder.write(
+        "plan.yaml", f"{text}{extra}steps:\n  - {{name: t, phase: position, do: joints, station: 1, poses_deg: [{rows}]}}\n"
+    )
 
 
 GOOD = (0, -66, 122, 0, 24, 90)
@@ -81,7 +83,9 @@ def test_balls_outside_the_view(folder):
 
 def test_expected_ball_that_cannot_be_seen(folder):
     text = folder.plan().read_text().split("steps:")[0]
-    steps = f"steps:\n  - {{name: t, phase: position, do: joints, station: 1, balls: [1, 2], poses_deg: [{list(GOOD[:5])[:4] + [60, 0]}]}}\n"
+    steps = (
+        f"steps:\n  - {{name: t, phase: position, do: joints, station: 1, balls: [1, 2], poses_deg: [{list(GOOD[:5])[:4] + [60, 0]}]}}\n"
+    )
     found = [f for f in findings(folder.write("plan.yaml", text + steps)) if f.code == "out-of-view"]
     assert found
     assert "outside the field of view" in found[0].sentence
@@ -114,7 +118,9 @@ def test_home_inside_something(folder):
 
 
 def test_scanner_against_its_own_forearm(folder):
-    assert any("link" in f.sentence for f in findings(taught(folder, (0, -90, 90, 0, 119, 0), extra="clearance_mm: 60\n")) if f.code == "collision")
+    assert any(
+        "link" in f.sentence for f in findings(taught(folder, (0, -90, 90, 0, 119, 0), extra="clearance_mm: 60\n")) if f.code == "collision"
+    )
 
 
 def test_same_pose_twice(folder):
@@ -134,15 +140,27 @@ def test_an_artefact_put_back_by_hand(folder):
     assert "revisited" not in codes(folder.plan(untouched), "warning")
 
 
-SIDES = ("{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
-         "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [0, 0, 0]}}")
+SIDES = (
+    "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
+    "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [0, 0, 0]}}",
+)
 
 
 def test_a_way_round_an_obstacle_is_found_and_is_free(folder):
     """A screen stands between two views, higher than the straight motion passes: the arm must go round or over it."""
     home = ("home_deg: [0, -90, 90, 0, 90, 0]", "home_deg: [60, -110, 110, 0, 90, 0]")
-    views = ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 45, azimuth_deg: 90}"), ("{tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}", "{tilt_deg: 45, azimuth_deg: 270}")
-    loaded = load(folder.plan(("artefacts: [", "obstacles:\n  - {name: screen, min_mm: [560, -15, 330], max_mm: [640, 15, 420]}\nartefacts: ["), SIDES, home, *views))
+    views = (
+        ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 45, azimuth_deg: 90}"),
+        ("{tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}", "{tilt_deg: 45, azimuth_deg: 270}"),
+    )
+    loaded = load(
+        folder.plan(
+            ("artefacts: [", "obstacles:\n  - {name: screen, min_mm: [560, -15, 330], max_mm: [640, 15, 420]}\nartefacts: ["),
+            SIDES,
+            home,
+            *views,
+        )
+    )
     poses = expand(loaded)
     clearance = Clearance(loaded)
     assert clearance.on_way(poses[0].q, poses[1].q, "1", 10.0) is not None
@@ -157,8 +175,10 @@ def test_a_way_round_an_obstacle_is_found_and_is_free(folder):
 
 def test_no_way_is_an_error_with_its_line(folder):
     cage = "  - {name: screen, min_mm: [330, 330, -200], max_mm: [350, 1100, 1800]}\n"
-    turned = ("{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
-              "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [0, 600, 150], abc_deg: [0, 0, 0]}}")
+    turned = (
+        "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
+        "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [0, 600, 150], abc_deg: [0, 0, 0]}}",
+    )
     found = [f for f in findings(folder.plan(("artefacts: [", f"obstacles:\n{cage}artefacts: ["), turned)) if f.code == "way"]
     assert found
     assert "no free way to pose 0 was found" in found[0].sentence

@@ -60,7 +60,8 @@ def test_one_place_leaves_much_undetermined_and_says_so(folder):
     """All views from one side at one place."""
     text = folder.plan().read_text().split("steps:")[0]
     steps = "steps:\n  - name: v\n    phase: position\n    do: look\n    stations: [1]\n    views:\n" + "".join(
-        f"      - {{tilt_deg: {t}, azimuth_deg: 180, wrist: positive}}\n" for t in (8, 10, 12, 14))
+        f"      - {{tilt_deg: {t}, azimuth_deg: 180, wrist: positive}}\n" for t in (8, 10, 12, 14)
+    )
     loaded = load(folder.write("plan.yaml", text + steps))
     poses = expand(loaded)
     found, outlook, _ = insight(loaded, poses, summary(loaded, poses))
@@ -171,7 +172,7 @@ def test_the_small_matrices_say_what_the_full_calibration_says(published):
     loaded, poses = published
     kept = [p for p in poses if p.phase != "verification"]
     problem = DesignProblem(loaded, kept, [], poses)
-    C = np.linalg.inv(problem.base)[:problem.layout.size, :problem.layout.size]
+    C = np.linalg.inv(problem.base)[: problem.layout.size, : problem.layout.size]
     full = foreseen(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
     arm = [i for i, name in enumerate(full.names) if not name.startswith("ball_")]
     # the certificate's 1 um makes the full problem a little less certain
@@ -218,7 +219,13 @@ def test_a_plan_written_on_one_line_is_rewritten_too(folder):
 
 
 def test_more_poses_than_can_be_taken_are_refused(folder):
-    loaded = load(folder.plan(("[600, 0, 150]", "[1000, 0, -100]"), ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 0}"), ("      - {tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}\n", "")))
+    loaded = load(
+        folder.plan(
+            ("[600, 0, 150]", "[1000, 0, -100]"),
+            ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 0}"),
+            ("      - {tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}\n", ""),
+        )
+    )
     with pytest.raises(ConfigError, match=r"of about 220 random views at 1 stations only \d+ can be taken, fewer than the 300 asked for"):
         design(loaded, 300)
 

@@ -124,13 +124,15 @@ def test_an_unreachable_pose_names_step_station_and_line(folder):
     path = folder.plan(("[600, 0, 150]", "[1600, 0, 150]"))
     with pytest.raises(ConfigError) as error:
         expand(load(path))
-    assert str(error.value) == (f"{path}:24: step 'views' at station '1': no joint position within the limits of KUKA KR 10 R1100-2 reaches this pose; "
-                                "move the station or change the view")
+    assert str(error.value) == (
+        f"{path}:24: step 'views' at station '1': no joint position within the limits of KUKA KR 10 R1100-2 reaches this pose; "
+        "move the station or change the view"
+    )
 
 
 def test_taught_poses_stay_as_taught_also_for_seven_axes(folder):
     robot = (PLANS / "robots" / "kr10_r1100_2.yaml").read_text()
-    last = robot[robot.index("  - {sign: -1, theta_deg: 180"):]
+    last = robot[robot.index("  - {sign: -1, theta_deg: 180") :]
     folder.write("robot.yaml", robot + last)
     text = folder.plan(("0, 90, 0]", "0, 90, 0, 0]")).read_text().split("steps:")[0]
     steps = "steps:\n  - {name: t, phase: position, do: joints, station: 1, balls: [1, 2, 3], poses_deg: [[0, -70, 110, 5, 60, 10, 20], [1, 2, 3, 4, 5, 6, 7]]}\n"

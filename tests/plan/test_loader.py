@@ -13,34 +13,82 @@ from mbcacq.plan import load
 
 FAULTS = {
     "unknown key": ([("  driver: kuka_rsi", "  driver: kuka_rsi\n  sped: 0.3")], "plan.yaml:5: unknown key 'sped'; correct or remove it"),
-    "unknown key deep": ([("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 20, azimut_deg: 30}")], "plan.yaml:24: unknown key 'azimut_deg'; correct or remove it"),
+    "unknown key deep": (
+        [("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 20, azimut_deg: 30}")],
+        "plan.yaml:24: unknown key 'azimut_deg'; correct or remove it",
+    ),
     "missing key": ([("  driver: kuka_rsi\n", "")], "plan.yaml:3: robot lacks 'driver'"),
-    "text for a number": ([("tilt_deg: 20", "tilt_deg: steep")], "plan.yaml:24: steps[0].views[0].tilt_deg: input should be a valid number, not 'steep'"),
-    "quoted number": ([("tilt_deg: 20", "tilt_deg: '20'")], "plan.yaml:24: steps[0].views[0].tilt_deg: input should be a valid number, not '20'"),
-    "yes for a number": ([("tilt_deg: 20", "tilt_deg: yes")], "plan.yaml:24: steps[0].views[0].tilt_deg: input should be a valid number, not True"),
+    "text for a number": (
+        [("tilt_deg: 20", "tilt_deg: steep")],
+        "plan.yaml:24: steps[0].views[0].tilt_deg: input should be a valid number, not 'steep'",
+    ),
+    "quoted number": (
+        [("tilt_deg: 20", "tilt_deg: '20'")],
+        "plan.yaml:24: steps[0].views[0].tilt_deg: input should be a valid number, not '20'",
+    ),
+    "yes for a number": (
+        [("tilt_deg: 20", "tilt_deg: yes")],
+        "plan.yaml:24: steps[0].views[0].tilt_deg: input should be a valid number, not True",
+    ),
     "out of range": ([("tilt_deg: 20", "tilt_deg: 95")], "plan.yaml:24: steps[0].views[0].tilt_deg: input should be less than 90, not 95"),
     "not finite": ([("[1, -0.5, 265]", "[1, .nan, 265]")], "plan.yaml:13: hand_eye.translation_mm[1] is .nan, not a finite number"),
-    "infinite": ([("[600, 0, 150]", "[600, -.inf, 150]")], "plan.yaml:16: stations[0].pose_in_base.translation_mm[1] is -.inf, not a finite number"),
-    "duplicate key": ([("name: small\n", "name: small\nformat: mbcacq-plan/1\n")], "plan.yaml:3: key 'format' stands here a second time (first in line 1); remove one"),
+    "infinite": (
+        [("[600, 0, 150]", "[600, -.inf, 150]")],
+        "plan.yaml:16: stations[0].pose_in_base.translation_mm[1] is -.inf, not a finite number",
+    ),
+    "duplicate key": (
+        [("name: small\n", "name: small\nformat: mbcacq-plan/1\n")],
+        "plan.yaml:3: key 'format' stands here a second time (first in line 1); remove one",
+    ),
     "wrong format": ([("mbcacq-plan/1", "mbcacq-plan/9")], "plan.yaml:1: format: input should be 'mbcacq-plan/1', not 'mbcacq-plan/9'"),
     "bad step kind": ([("do: look", "do: dance")], "plan.yaml:19: steps[0]: do: dance is not one of 'translate', 'look', 'joints'"),
     "step without kind": ([("    do: look\n", "")], "plan.yaml:19: steps[0] lacks 'do'; say which of 'translate', 'look', 'joints'"),
     "too short a vector": ([("[600, 0, 100]", "[600, 0]")], "plan.yaml:17: stations[1].pose_in_base.translation_mm has too few values"),
-    "unknown station": ([("stations: [1]", "stations: [1, 7]")], "plan.yaml:22: step 'views' names a station '7' that the plan does not have"),
-    "unknown artefact": ([("artefact: bar", "artefact: bat")], "plan.yaml:17: station '2' names an artefact 'bat' that the plan does not have (it has mbc, bar)"),
+    "unknown station": (
+        [("stations: [1]", "stations: [1, 7]")],
+        "plan.yaml:22: step 'views' names a station '7' that the plan does not have",
+    ),
+    "unknown artefact": (
+        [("artefact: bar", "artefact: bat")],
+        "plan.yaml:17: station '2' names an artefact 'bat' that the plan does not have (it has mbc, bar)",
+    ),
     "station twice": ([("{id: 2", "{id: 1")], "plan.yaml:17: station '1' exists already; give each station an id of its own"),
     "step twice": ([("name: ends", "name: views")], "plan.yaml:26: step 'views' exists already; give each step a name of its own"),
-    "artefact twice": ([("[mbc.yaml, bar.yaml]", "[mbc.yaml, bar.yaml, mbc.yaml]")], "plan.yaml:14: artefact 'mbc' is named twice; give each artefact an id of its own"),
-    "missing file": ([("model: robot.yaml", "model: robots/none.yaml")], "plan.yaml:5: there is no robot file {folder}/robots/none.yaml; correct the path (it is relative to the plan)"),
+    "artefact twice": (
+        [("[mbc.yaml, bar.yaml]", "[mbc.yaml, bar.yaml, mbc.yaml]")],
+        "plan.yaml:14: artefact 'mbc' is named twice; give each artefact an id of its own",
+    ),
+    "missing file": (
+        [("model: robot.yaml", "model: robots/none.yaml")],
+        "plan.yaml:5: there is no robot file {folder}/robots/none.yaml; correct the path (it is relative to the plan)",
+    ),
     "short home": ([("90, 0, 90, 0]", "90, 0, 90]")], "plan.yaml:6: 5 joint angles are given, but the robot has 6 axes"),
-    "home beyond limits": ([("[0, -90, 90, 0, 90, 0]", "[0, -90, 170, 0, 90, 0]")], "plan.yaml:6: the home position exceeds the limits of A3; choose another"),
-    "mirror": ([("[0, 0, -1]]", "[0, 0, 1]]")], "plan.yaml:12: this is no rotation (rows of length 1, perpendicular, right-handed); correct it"),
-    "two orientations": ([("  translation_mm: [1, ", "  abc_deg: [0, 0, 0]\n  translation_mm: [1, ")], "plan.yaml:11: a frame has either 'rotation' or 'abc_deg', not both; remove one"),
-    "view upside down": ([("near_z_mm: 55, far_z_mm: -55", "near_z_mm: -55, far_z_mm: 55")], "plan.yaml:10: near_z_mm must exceed far_z_mm: z points to the scanner"),
+    "home beyond limits": (
+        [("[0, -90, 90, 0, 90, 0]", "[0, -90, 170, 0, 90, 0]")],
+        "plan.yaml:6: the home position exceeds the limits of A3; choose another",
+    ),
+    "mirror": (
+        [("[0, 0, -1]]", "[0, 0, 1]]")],
+        "plan.yaml:12: this is no rotation (rows of length 1, perpendicular, right-handed); correct it",
+    ),
+    "two orientations": (
+        [("  translation_mm: [1, ", "  abc_deg: [0, 0, 0]\n  translation_mm: [1, ")],
+        "plan.yaml:11: a frame has either 'rotation' or 'abc_deg', not both; remove one",
+    ),
+    "view upside down": (
+        [("near_z_mm: 55, far_z_mm: -55", "near_z_mm: -55, far_z_mm: 55")],
+        "plan.yaml:10: near_z_mm must exceed far_z_mm: z points to the scanner",
+    ),
     "not a mapping": ([("format: mbcacq-plan/1\n", "- a\n- b\n#"), ("name: small", "#")], "plan.yaml:"),
-    "tabs": ([("  driver: kuka_rsi", "\tdriver: kuka_rsi")], "plan.yaml:4: not valid YAML: found character '\\t' that cannot start any token"),
+    "tabs": (
+        [("  driver: kuka_rsi", "\tdriver: kuka_rsi")],
+        "plan.yaml:4: not valid YAML: found character '\\t' that cannot start any token",
+    ),
     "open bracket": ([("[mbc.yaml, bar.yaml]", "[mbc.yaml, bar.yaml")], "plan.yaml:15: not valid YAML: expected ',' or ']', but got ':'"),
-    "object": ([("name: small", "name: !!python/object/apply:os.getcwd []")], "plan.yaml:2: not valid YAML: could not determine a constructor for the tag 'tag:yaml.org,2002:python/object/apply:os.getcwd'"),
+    "object": (
+        [("name: small", "name: !!python/object/apply:os.getcwd []")],
+        "plan.yaml:2: not valid YAML: could not determine a constructor for the tag 'tag:yaml.org,2002:python/object/apply:os.getcwd'",
+    ),
 }
 
 
@@ -54,9 +102,21 @@ def test_fault_of_a_plan_is_named_with_its_line(folder, fault):
 
 
 OTHER_FILES = {
-    "ball in two artefacts": ("bar.yaml", ("id: 9,", "id: 3,"), "bar.yaml:9: ball 3 exists already in artefact 'mbc'; number the balls of a cell once"),
-    "ball twice": ("mbc.yaml", ("id: 2,", "id: 1,"), "mbc.yaml:11: ball 1 exists already in this artefact; number the balls of a cell once"),
-    "negative diameter": ("mbc.yaml", ("diameter_mm: 12.0", "diameter_mm: -12.0"), "mbc.yaml:10: balls[0].diameter_mm: input should be greater than or equal to 0, not -12.0"),
+    "ball in two artefacts": (
+        "bar.yaml",
+        ("id: 9,", "id: 3,"),
+        "bar.yaml:9: ball 3 exists already in artefact 'mbc'; number the balls of a cell once",
+    ),
+    "ball twice": (
+        "mbc.yaml",
+        ("id: 2,", "id: 1,"),
+        "mbc.yaml:11: ball 1 exists already in this artefact; number the balls of a cell once",
+    ),
+    "negative diameter": (
+        "mbc.yaml",
+        ("diameter_mm: 12.0", "diameter_mm: -12.0"),
+        "mbc.yaml:10: balls[0].diameter_mm: input should be greater than or equal to 0, not -12.0",
+    ),
     "unknown key in a link": ("robot.yaml", ("d_mm: 400", "d: 400"), "robot.yaml:8: links[0] lacks 'd_mm'"),
     "limits swapped": ("robot.yaml", ("[-170, 170]", "[170, -170]"), "robot.yaml:8: limits of A1: the lower one must come first"),
     "sign": ("robot.yaml", ("{sign: -1", "{sign: 2"), "robot.yaml:8: links[0].sign: input should be -1 or 1, not 2"),
@@ -72,7 +132,32 @@ def test_fault_of_another_file_is_named_in_that_file(folder, fault):
     assert str(error.value) == f"{folder.path}/{message}"
 
 
-SPOILS = ["", "-", "[", "]", "{", "}", ":", "0", "-1", ".nan", "null", "true", '"', "\n", "  ", "&a ", "*a", "!!float x", "\t", "#", "1:30", "[]", "é", "1" * 30]
+SPOILS = [
+    "",
+    "-",
+    "[",
+    "]",
+    "{",
+    "}",
+    ":",
+    "0",
+    "-1",
+    ".nan",
+    "null",
+    "true",
+    '"',
+    "\n",
+    "  ",
+    "&a ",
+    "*a",
+    "!!float x",
+    "\t",
+    "#",
+    "1:30",
+    "[]",
+    "é",
+    "1" * 30,
+]
 
 
 @given(file=st.sampled_from(["quick.yaml", "robots/kr10_r1100_2.yaml", "artefacts/mbc-8.yaml"]), data=st.data())
@@ -83,7 +168,7 @@ def test_any_spoiled_file_is_read_or_refused_in_one_sentence(tmp_path, file, dat
         text = (PLANS / name).read_text()
         if name == file:
             at, cut = data.draw(st.integers(0, len(text) - 1)), data.draw(st.integers(0, 20))
-            text = text[:at] + data.draw(st.sampled_from(SPOILS)) + text[at + cut:]
+            text = text[:at] + data.draw(st.sampled_from(SPOILS)) + text[at + cut :]
         (tmp_path / name).write_text(text, encoding="utf-8")
     loaded, message = None, ""
     try:
@@ -137,7 +222,9 @@ def test_taught_positions_are_counted_and_their_balls_known(folder):
     taught = "  - {name: t, phase: position, do: joints, station: 1, poses_deg: [[0, -90, 90, 0, 90, 0], [0, -90, 90, 0, 90]]}\n"
     with pytest.raises(ConfigError, match=r"plan\.yaml:19: 5 joint angles are given, but the robot has 6 axes"):
         load(plan(taught))
-    taught = "  - name: t\n    phase: position\n    do: joints\n    station: 1\n    balls: [1, 9]\n    poses_deg: [[0, -90, 90, 0, 90, 0]]\n"
+    taught = (
+        "  - name: t\n    phase: position\n    do: joints\n    station: 1\n    balls: [1, 9]\n    poses_deg: [[0, -90, 90, 0, 90, 0]]\n"
+    )
     with pytest.raises(ConfigError, match=r"plan\.yaml:23: step 't' expects ball 9, which the artefact at station '1' does not have"):
         load(plan(taught))
 
@@ -150,6 +237,10 @@ def test_what_is_read_is_what_stands_there(folder):
     assert loaded.lines[("steps", 0, "views", 1)] == 25
     assert loaded.cell.T_flange_scanner[:3, 3].tolist() == [1, -0.5, 265]
     assert loaded.text.startswith("format: mbcacq-plan/1\n")
-    heavier = load(folder.plan(("  driver: kuka_rsi", "  driver: kuka_rsi\n  payload: {mass_kg: 2.5, com_mm: [1, 2, 3]}\n  base_to_gravity: [0, 2, 0]")))
+    heavier = load(
+        folder.plan(
+            ("  driver: kuka_rsi", "  driver: kuka_rsi\n  payload: {mass_kg: 2.5, com_mm: [1, 2, 3]}\n  base_to_gravity: [0, 2, 0]")
+        )
+    )
     assert heavier.cell.robot.payload_mass == 2.5
     assert heavier.cell.robot.gravity.tolist() == [0, 1, 0]

@@ -26,9 +26,20 @@ def robot(name):
 
 # X and Z (mm) of the flange with the upper arm upright and the forearm level, A = (0, -90, 90, 0, 0, 0): a1 + c3 + c4, c1 + c2 + z-off
 UPRIGHT = {
-    "kr6_r700_sixx": (470, 750), "kr6_r900_sixx": (525, 890), "kr10_r1100_sixx": (620, 995), "kr6_r900_2": (535, 880), "kr10_r900_2": (535, 880),
-    "kr10_r1100_2": (630, 985), "kr16_r1610_2": (968, 1450), "kr16_r2010_2": (1173, 1650), "kr20_r1810_2": (1173, 1450), "kr70_r2100": (1395, 1515),
-    "kr120_r2700_2": (1765, 1910), "kr150_r3100_2": (1965, 2110), "kr210_r2700_2": (1765, 1910), "kr300_r2700_2": (1790, 1910),
+    "kr6_r700_sixx": (470, 750),
+    "kr6_r900_sixx": (525, 890),
+    "kr10_r1100_sixx": (620, 995),
+    "kr6_r900_2": (535, 880),
+    "kr10_r900_2": (535, 880),
+    "kr10_r1100_2": (630, 985),
+    "kr16_r1610_2": (968, 1450),
+    "kr16_r2010_2": (1173, 1650),
+    "kr20_r1810_2": (1173, 1450),
+    "kr70_r2100": (1395, 1515),
+    "kr120_r2700_2": (1765, 1910),
+    "kr150_r3100_2": (1965, 2110),
+    "kr210_r2700_2": (1765, 1910),
+    "kr300_r2700_2": (1790, 1910),
 }
 
 
@@ -38,7 +49,9 @@ def test_upright_arm_reaches_where_the_drawing_says_and_positive_angles_turn_kuk
     T = chain.flange(np.radians([[0, -90, 90, 0, 0, 0.0]]))[0]
     assert T[:3, 3] == pytest.approx([UPRIGHT[name][0], 0, UPRIGHT[name][1]], abs=2e-3)
     assert T[:3, 2] == pytest.approx([1, 0, 0], abs=1e-9)  # the flange's z points away from the arm
-    turned = chain.flange(np.radians([[10, -90, 90, 0, 0, 0], [0, -80, 90, 0, 0, 0], [0, -90, 100, 0, 0, 0], [0, -90, 90, 0, 10, 0.0]]))[:, :3, 3]
+    turned = chain.flange(np.radians([[10, -90, 90, 0, 0, 0], [0, -80, 90, 0, 0, 0], [0, -90, 100, 0, 0, 0], [0, -90, 90, 0, 10, 0.0]]))[
+        :, :3, 3
+    ]
     assert turned[0, 1] < -50  # A1 clockwise, seen from above
     assert (turned[1:, 2] < T[2, 3] - 10).all()  # A2, A3 and A5 downwards
 
@@ -59,7 +72,14 @@ def test_forward_kinematics_of_the_published_model(name):
 
 
 # N m about A2 and A3, all axes 0, no tool, from the links' published centres of gravity in the base frame
-MOMENTS = {"kr6_r900_2": (108, 26), "kr10_r1100_2": (140, 32), "kr16_r1610_2": (674, 126), "kr20_r1810_2": (721, 159), "kr120_r2700_2": (4975, 1071), "kr70_r2100": (2038, 510)}
+MOMENTS = {
+    "kr6_r900_2": (108, 26),
+    "kr10_r1100_2": (140, 32),
+    "kr16_r1610_2": (674, 126),
+    "kr20_r1810_2": (721, 159),
+    "kr120_r2700_2": (4975, 1071),
+    "kr70_r2100": (2038, 510),
+}
 
 
 @pytest.mark.parametrize("name", MOMENTS)

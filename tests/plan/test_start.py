@@ -17,8 +17,10 @@ def plan_with_pillars(folder):
     plan = yaml.safe_load((PLANS / "quick.yaml").read_text())
     plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
     plan["artefacts"] = [str(PLANS / a) for a in plan["artefacts"]]
-    plan["obstacles"] = [{"name": f"pillar {side}", "min_mm": [300, low, 300], "max_mm": [600, high, 1200]}
-                         for side, low, high in (("left", 300, 600), ("right", -600, -300))]
+    plan["obstacles"] = [
+        {"name": f"pillar {side}", "min_mm": [300, low, 300], "max_mm": [600, high, 1200]}
+        for side, low, high in (("left", 300, 600), ("right", -600, -300))
+    ]
     path = folder / "plan.yaml"
     path.write_text(yaml.safe_dump(plan))
     return load(path)

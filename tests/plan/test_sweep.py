@@ -53,7 +53,7 @@ def test_a_resumed_run_comes_to_its_first_pose_from_the_pose_before_it(tmp_path)
     ways = list(resumed[3])
     last = [k for k, q in enumerate(ways) if np.array_equal(q, poses[2].q)]
     assert last
-    np.testing.assert_array_equal(np.array(ways[last[0] + 1:]).reshape(-1, 6), np.array(list(whole[3])).reshape(-1, 6))
+    np.testing.assert_array_equal(np.array(ways[last[0] + 1 :]).reshape(-1, 6), np.array(list(whole[3])).reshape(-1, 6))
     assert not any(len(resumed[k]) for k in (0, 1, 2))
 
 
@@ -132,7 +132,9 @@ def test_what_carries_the_scanner_is_a_body_too(tmp_path):
     flange = loaded.cell.robot.chain.flange(home[None])[0]
     beside = (flange @ np.array([0.0, 0, 90.0, 1]))[:3] + [0, 45, 0]
     post = yaml.safe_load(f"[{{name: post, min_mm: {(beside - 3).tolist()}, max_mm: {(beside + 3).tolist()}}}]")
-    fenced = replace(planned(tmp_path, obstacles=post), plan=planned(tmp_path, obstacles=post).plan.model_copy(update={"scanner": plan.scanner}))
+    fenced = replace(
+        planned(tmp_path, obstacles=post), plan=planned(tmp_path, obstacles=post).plan.model_copy(update={"scanner": plan.scanner})
+    )
     near = Clearance(fenced).at(home, None)
     assert {near.a, near.b} == {"post", "bracket"}
 

@@ -28,7 +28,8 @@ def a_set(tmp_path: Path) -> Path:
     (folder / "poses.csv").write_text(
         "pose,station,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,air_C,remark\n"
         "10,1,0,-90,90,0,45,1.5,20.5,first\n"
-        "11,far,10.25,-80,80,5,-45,0,20.75,\"a, b\"\n")
+        '11,far,10.25,-80,80,5,-45,0,20.75,"a, b"\n'
+    )
     (folder / "centres.csv").write_text("pose,ball,x_mm,y_mm,z_mm,n_points\n10,1,1,2,3,100\n11,7,4,5,6,120\n10,2,-1,-2,-3,90\n")
     return folder
 

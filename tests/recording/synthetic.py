@@ -49,16 +49,31 @@ def start(n_poses: int = 4) -> events.RunStarted:
 
 def cycles(rng: np.random.Generator, time_s: float, count: int = 10) -> Cycles:
     q = rng.normal(size=(count, 6))
-    return Cycles({
-        "time_s": time_s + 0.004 * np.arange(count), "host_time_s": 1e4 + time_s + 0.004 * np.arange(count),
-        "q": q, "q_set": q + 1e-4, "q_command": q + 2e-4, "current_percent": rng.normal(size=(count, 6)),
-        "ipoc": np.arange(count) + 2**40, "delay": np.zeros(count, dtype=np.int32),
-    })
+    return Cycles(
+        {
+            "time_s": time_s + 0.004 * np.arange(count),
+            "host_time_s": 1e4 + time_s + 0.004 * np.arange(count),
+            "q": q,
+            "q_set": q + 1e-4,
+            "q_command": q + 2e-4,
+            "current_percent": rng.normal(size=(count, 6)),
+            "ipoc": np.arange(count) + 2**40,
+            "delay": np.zeros(count, dtype=np.int32),
+        }
+    )
 
 
 def scan(rng: np.random.Generator, points: int = 500) -> Scan:
-    return Scan(rng.normal(size=(points, 3)).astype(np.float32), rng.integers(0, 256, points).astype(np.uint8), (100, 50),
-                rng.permutation(5000)[:points].astype(np.int32), 12.5, 7, 900.0, {"width": 1.25})
+    return Scan(
+        rng.normal(size=(points, 3)).astype(np.float32),
+        rng.integers(0, 256, points).astype(np.uint8),
+        (100, 50),
+        rng.permutation(5000)[:points].astype(np.int32),
+        12.5,
+        7,
+        900.0,
+        {"width": 1.25},
+    )
 
 
 def pose(rng: np.random.Generator, number: int, time_s: float, points: int = 500) -> Iterator[events.Event]:
@@ -76,9 +91,21 @@ def pose(rng: np.random.Generator, number: int, time_s: float, points: int = 500
         yield events.CentresFound(time_s + 0.25, number, exposure, BALLS, rng.normal(size=(3, 3)), np.full(3, 150), rng.random(3))
     seen = BALLS if number % 3 else BALLS[:2]
     k = len(seen)
-    yield events.PoseDone(time_s + 0.3, *about, q + 1e-9 * rng.normal(size=6), direction, time_s + 0.04 + rng.random(), seen,
-                          40 * rng.normal(size=(k, 3)), rng.integers(100, 200, k), rng.random(k), rng.random((k, 3)), 2,
-                          rng.normal(size=6), {"air_C": 20 + rng.random(), "humidity_percent": 45.5})
+    yield events.PoseDone(
+        time_s + 0.3,
+        *about,
+        q + 1e-9 * rng.normal(size=6),
+        direction,
+        time_s + 0.04 + rng.random(),
+        seen,
+        40 * rng.normal(size=(k, 3)),
+        rng.integers(100, 200, k),
+        rng.random(k),
+        rng.random((k, 3)),
+        2,
+        rng.normal(size=6),
+        {"air_C": 20 + rng.random(), "humidity_percent": 45.5},
+    )
 
 
 def run(seed: int = 0, n_poses: int = 4, points: int = 500) -> Iterator[events.Event]:

@@ -42,7 +42,7 @@ def test_kill_9_loses_a_tenth_of_a_second_at_most(tmp_path, after_lines):
         if len(lines) >= after_lines:
             child.send_signal(signal.SIGKILL)
             break
-    lines += [line.split() for line in child.stdout]     # what it still said before it died
+    lines += [line.split() for line in child.stdout]  # what it still said before it died
     child.stdout.close()
     assert child.wait() == -signal.SIGKILL
     found = recover(tmp_path)[0]
@@ -81,7 +81,7 @@ def test_a_file_cut_at_any_byte(tmp_path):
             assert list(tmp_path.glob("*recovered*")) == []
             continue
         assert torn.read_bytes() == whole[:cut]
-        assert found.damaged or found.complete      # a cut in the last bytes takes nothing away
+        assert found.damaged or found.complete  # a cut in the last bytes takes nothing away
         assert found.poses >= sum(size <= cut for size in sizes), cut
         if found.poses:
             obs = load(found.output)
@@ -102,8 +102,8 @@ def test_a_torn_file_is_named_and_its_cure(tmp_path):
         load(tmp_path)
     found = recover(tmp_path)[0]
     assert found.output == tmp_path / "run.recovered.rrd"
-    assert load(tmp_path).n_poses == found.poses              # the folder now reads through the copy
-    assert recover(tmp_path)[0].output == found.output        # and is not recovered again and again
+    assert load(tmp_path).n_poses == found.poses  # the folder now reads through the copy
+    assert recover(tmp_path)[0].output == found.output  # and is not recovered again and again
 
 
 def test_an_earlier_copy_is_not_overwritten(tmp_path):
@@ -169,7 +169,7 @@ def test_a_disk_that_runs_full_is_seen_before_it_is(tmp_path, monkeypatch):
     with pytest.raises(RecordingError, match=r"almost full \(20 MiB free\)"):
         recorder(stream[scan])
     recorder.close()
-    assert recover(tmp_path)[0].damaged is False              # the file was completed before the disk was full
+    assert recover(tmp_path)[0].damaged is False  # the file was completed before the disk was full
     assert load(tmp_path).pose_id.tolist() == [0, 1]
 
 

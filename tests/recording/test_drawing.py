@@ -31,11 +31,11 @@ def test_points_are_coloured_by_their_distance_to_the_certified_sphere():
     points = np.vstack([sphere(rng, centres[0], 6.030, 3000), sphere(rng, centres[1], 9.985, 3000, 0.004), rng.uniform(60, 90, (9000, 3))])
     seen = camera.look(points.astype(np.float32), artefact, np.array([4, 9]), centres)
     np.testing.assert_allclose(seen.radius_um, [30.0, -15.0], atol=0.5)
-    np.testing.assert_allclose(seen.form_um, [0.0, 2 * 1.96 * 4.0], atol=1.0)     # 95 % of a normal distribution
+    np.testing.assert_allclose(seen.form_um, [0.0, 2 * 1.96 * 4.0], atol=1.0)  # 95 % of a normal distribution
     first = seen.colours[: camera.MOST_ON_BALL // 2].astype(int)
-    assert (first == camera.OUTSIDE).all()                                           # 30 um outside: the end of the scale
-    last = seen.colours[-camera.MOST_ON_BALL // 2:].astype(int)
-    assert (last[:, 2] > last[:, 0]).mean() > 0.95                                # inside: towards blue
+    assert (first == camera.OUTSIDE).all()  # 30 um outside: the end of the scale
+    last = seen.colours[-camera.MOST_ON_BALL // 2 :].astype(int)
+    assert (last[:, 2] > last[:, 0]).mean() > 0.95  # inside: towards blue
     assert len(seen.on_balls) <= 2 * camera.MOST_ON_BALL
     assert 0 < len(seen.beside) <= camera.MOST_BESIDE
     assert seen.beside.min() > 59
@@ -89,9 +89,11 @@ def urdf(chain, turned=None):
         xyz, (yaw, pitch, roll) = se3.to_abc(se3.inverse(before) @ T)
         sign = int(chain.sign[i]) * (-1 if i == turned else 1)
         shape = '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
-        out.append(f'<link name="link{i}">{shape}</link><joint name="joint{i}" type="revolute"><parent link="{f"link{i - 1}" if i else "base_link"}"/>'
-                   f'<child link="link{i}"/><origin xyz="{xyz[0] / 1e3} {xyz[1] / 1e3} {xyz[2] / 1e3}" rpy="{roll} {pitch} {yaw}"/>'
-                   f'<axis xyz="0 0 {sign}"/><limit lower="-6" upper="6" effort="1" velocity="1"/></joint>')
+        out.append(
+            f'<link name="link{i}">{shape}</link><joint name="joint{i}" type="revolute"><parent link="{f"link{i - 1}" if i else "base_link"}"/>'
+            f'<child link="link{i}"/><origin xyz="{xyz[0] / 1e3} {xyz[1] / 1e3} {xyz[2] / 1e3}" rpy="{roll} {pitch} {yaw}"/>'
+            f'<axis xyz="0 0 {sign}"/><limit lower="-6" upper="6" effort="1" velocity="1"/></joint>'
+        )
         before = T
     return "".join([*out, "</robot>"])
 
@@ -109,14 +111,17 @@ def test_a_urdf_of_the_same_arm_is_drawn_and_moves(tmp_path):
     joints = [r for r in recording.rows(f"{layout.URDF}/joints/joint2") if "quaternion" in r]
     assert len(joints) > 2
     assert not np.allclose(joints[0]["quaternion"], joints[-1]["quaternion"])
-    assert not list(recording.rows(f"{layout.link(2)}/body"))                     # its links are not drawn twice
+    assert not list(recording.rows(f"{layout.link(2)}/body"))  # its links are not drawn twice
 
 
-@pytest.mark.parametrize(("text", "what"), [
-    (urdf(CELL.robot.chain, turned=2), "do not move as those of six axes"),
-    ("<robot name='a'><link name='base'/></robot>", "has 0 moving joints"),
-    ("no xml", "cannot be read as a URDF"),
-])
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (urdf(CELL.robot.chain, turned=2), "do not move as those of six axes"),
+        ("<robot name='a'><link name='base'/></robot>", "has 0 moving joints"),
+        ("no xml", "cannot be read as a URDF"),
+    ],
+)
 def test_another_urdf_is_told_and_the_links_are_drawn(tmp_path, text, what):
     from dataclasses import replace
 

@@ -22,7 +22,7 @@ FAULTS = [
     ("poses.csv", "q6_deg", "Q6", r"poses\.csv:1: column q6_deg is missing"),
     ("poses.csv", "q6_deg", "q5_deg", r"poses\.csv:1: column q5_deg appears twice"),
     ("poses.csv", ",", ";", r"poses\.csv:1: column pose, station, .* is missing"),
-    ("poses.csv", "first", "\"first", r"poses\.csv:3: not a CSV file"),
+    ("poses.csv", "first", '"first', r"poses\.csv:3: not a CSV file"),
     ("centres.csv", "10,2,", "10,1,", r"centres\.csv:4: column ball: this ball was already given for this pose \(line 2\)"),
     ("centres.csv", "11,7", "12,7", r"centres\.csv:3: column pose: pose 12 is not in poses\.csv"),
     ("centres.csv", "11,7", "11,9", r"centres\.csv:3: column ball: ball 9 is on no artefact"),
@@ -103,7 +103,11 @@ def test_keys_of_other_programs_are_passed_over(a_set):
     path = a_set / "cell.yaml"
     plain = load(a_set)
     text = path.read_text()
-    text = text.replace("d_mm: 515", "colour: red, d_mm: 515").replace("id: 7, ", "id: 7, glued: true, ").replace("id: far", "shelf: 3, id: far")
+    text = (
+        text.replace("d_mm: 515", "colour: red, d_mm: 515")
+        .replace("id: 7, ", "id: 7, glued: true, ")
+        .replace("id: far", "shelf: 3, id: far")
+    )
     path.write_text(text + "made_by: another program\n")
     assert text.count("colour") == text.count("glued") == text.count("shelf") == 1
     strange = load(a_set)

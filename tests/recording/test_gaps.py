@@ -37,8 +37,10 @@ def test_an_undisturbed_run_has_none(tmp_path):
 def test_poses_never_reached_and_the_interruption_are_named(tmp_path):
     assert gaps_of(tmp_path, started(4), done(0)) == ["3 of 4 planned poses were not measured: 1, 2, 3"]
     again = gaps_of(tmp_path, started(4, "2026-11-21T12:00:00+00:00"), done(1), events.RunStopped(2.0, "fail", "the gate was opened"))
-    assert again == ["2 of 4 planned poses were not measured: 2, 3",
-                     "the run was interrupted after pose 0 (it was killed) and went on at 2026-11-21T12:00:00+00:00"]
+    assert again == [
+        "2 of 4 planned poses were not measured: 2, 3",
+        "the run was interrupted after pose 0 (it was killed) and went on at 2026-11-21T12:00:00+00:00",
+    ]
     last = gaps_of(tmp_path, started(4, "2026-11-21T13:00:00+00:00"), done(2), done(3))
     assert last[1:] == ["the run was interrupted after pose 1 (the gate was opened) and went on at 2026-11-21T13:00:00+00:00"]
 

@@ -36,7 +36,7 @@ def test_connections_that_break_off_or_say_nothing(tmp_path):
                 if number % 2:
                     silent.append(client)
                 else:
-                    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")   # a reset, as from a program that died
+                    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")  # a reset, as from a program that died
                     client.close()
         for client in silent:
             client.close()
@@ -48,8 +48,10 @@ def test_connections_that_break_off_or_say_nothing(tmp_path):
     np.testing.assert_array_equal(load(tmp_path).xyz, load(plain).xyz)
 
 
-@pytest.mark.skipif(not any(Path(folder).glob("*.json") for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")),
-                    reason="no Vulkan driver is installed (apt-get install mesa-vulkan-drivers)")
+@pytest.mark.skipif(
+    not any(Path(folder).glob("*.json") for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")),
+    reason="no Vulkan driver is installed (apt-get install mesa-vulkan-drivers)",
+)
 @pytest.mark.skipif(not os.path.exists("/proc/net/tcp"), reason="asks Linux who is connected")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
 def test_a_viewer_that_dies_or_freezes_while_it_looks_on(tmp_path, number):
@@ -59,8 +61,12 @@ def test_a_viewer_that_dies_or_freezes_while_it_looks_on(tmp_path, number):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             own = probe.getsockname()[1]
-        viewer = subprocess.Popen([rerun_program.program(), "--headless", "--bind", "127.0.0.1", "--port", str(own), "--hide-welcome-screen",
-                                   recorder.live_url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        viewer = subprocess.Popen(
+            [rerun_program.program(), "--headless", "--bind", "127.0.0.1", "--port", str(own), "--hide-welcome-screen", recorder.live_url],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         try:
             deadline = time.monotonic() + 100
             while clients_of(port) == 0:
@@ -70,7 +76,7 @@ def test_a_viewer_that_dies_or_freezes_while_it_looks_on(tmp_path, number):
             for event in stream[: len(stream) // 3]:
                 recorder(event)
             os.killpg(viewer.pid, number)
-            for event in stream[len(stream) // 3:]:
+            for event in stream[len(stream) // 3 :]:
                 recorder(event)
         finally:
             os.killpg(viewer.pid, signal.SIGKILL)

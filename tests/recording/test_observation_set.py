@@ -36,8 +36,8 @@ def test_literal_values(a_set):
     assert obs.pose_id.tolist() == [10, 11]
     assert obs.station.tolist() == [0, 1]
     assert obs.q[0, 1] == -np.pi / 2
-    assert obs.pose.tolist() == [0, 0, 1]                    # sorted by pose, whatever the file's order
-    assert obs.ball.tolist() == [0, 1, 2]                    # indices of the ids 1, 2, 7
+    assert obs.pose.tolist() == [0, 0, 1]  # sorted by pose, whatever the file's order
+    assert obs.ball.tolist() == [0, 1, 2]  # indices of the ids 1, 2, 7
     assert obs.xyz.tolist() == [[1, 2, 3], [-1, -2, -3], [4, 5, 6]]
     assert obs.n_points.tolist() == [100, 90, 120]
     assert obs.temperatures["air_C"].tolist() == [20.5, 20.75]
@@ -69,7 +69,9 @@ def test_measured_sets_survive_the_round_trip(shared_data, tmp_path, name):
 
 
 def test_measured_sets_are_read_whole(shared_data):
-    counts = {name: (obs := load(shared_data / name)).n_poses for name in ("iiwa14-sockets", "panda-sockets", "ur5-tracker", "ur10-tracker-a")}
+    counts = {
+        name: (obs := load(shared_data / name)).n_poses for name in ("iiwa14-sockets", "panda-sockets", "ur5-tracker", "ur10-tracker-a")
+    }
     assert counts == {"iiwa14-sockets": 180, "panda-sockets": 387, "ur5-tracker": 1000, "ur10-tracker-a": 11911}
     assert obs.rotation.shape == (11911, 3, 3)
     np.testing.assert_allclose(np.linalg.det(obs.rotation), 1.0, atol=1e-12)
@@ -89,12 +91,23 @@ def test_any_arrays_survive_the_round_trip(a_set, tmp_path, data):
     pose = np.repeat(np.arange(poses), per_pose)
     m = len(pose)
     obs = Observations(
-        cell=cell, pose_id=np.array(data.draw(st.lists(st.integers(-10**9, 10**9), min_size=poses, max_size=poses, unique=True))),
-        station=np.array(data.draw(st.lists(st.integers(0, 1), min_size=poses, max_size=poses))), q=np.clip(draw(poses, 6), -1e9, 1e9),
-        pose=pose, ball=np.concatenate([np.arange(k) for k in per_pose]), xyz=draw(m, 3), phase=np.full(poses, "verification"),
-        time_s=draw(poses), direction=data.draw(hnp.arrays(np.int64, (poses, 6), elements=st.integers(-1, 1))), torque=draw(poses, 6),
-        current=draw(poses, 6), payload_kg=draw(poses), velocity=np.clip(draw(poses, 6), -1e9, 1e9), temperatures={"oil_C": draw(poses)},
-        rms_mm=draw(m), extra={"poses.note": np.array(data.draw(st.lists(st.text("ab ,;\"\n\u00e4", max_size=5), min_size=poses, max_size=poses)))},
+        cell=cell,
+        pose_id=np.array(data.draw(st.lists(st.integers(-(10**9), 10**9), min_size=poses, max_size=poses, unique=True))),
+        station=np.array(data.draw(st.lists(st.integers(0, 1), min_size=poses, max_size=poses))),
+        q=np.clip(draw(poses, 6), -1e9, 1e9),
+        pose=pose,
+        ball=np.concatenate([np.arange(k) for k in per_pose]),
+        xyz=draw(m, 3),
+        phase=np.full(poses, "verification"),
+        time_s=draw(poses),
+        direction=data.draw(hnp.arrays(np.int64, (poses, 6), elements=st.integers(-1, 1))),
+        torque=draw(poses, 6),
+        current=draw(poses, 6),
+        payload_kg=draw(poses),
+        velocity=np.clip(draw(poses, 6), -1e9, 1e9),
+        temperatures={"oil_C": draw(poses)},
+        rms_mm=draw(m),
+        extra={"poses.note": np.array(data.draw(st.lists(st.text('ab ,;"\n\u00e4', max_size=5), min_size=poses, max_size=poses)))},
         cell_yaml=(a_set / "cell.yaml").read_text(),
     )
     shutil.rmtree(tmp_path / "any", ignore_errors=True)
@@ -126,6 +139,6 @@ def test_orientations_come_back(a_set):
     half = "0.7071067811865476"
     (a_set / "centres.csv").write_text("\n".join([text[0] + ",qw,qx,qy,qz", *(f"{row},{half},0,0,{half}" for row in text[1:])]))
     obs = read_observation_set(a_set)
-    np.testing.assert_allclose(obs.rotation[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)   # a quarter turn about z
+    np.testing.assert_allclose(obs.rotation[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)  # a quarter turn about z
     write_observation_set(obs, a_set)
     np.testing.assert_array_equal(load(a_set).rotation, obs.rotation)

@@ -14,14 +14,7 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.recording import (
-    Journal,
-    Recorder,
-    Recording,
-    load,
-    poses_done,
-    write_observation_set,
-)
+from mbcacq.recording import Journal, Recorder, Recording, load, poses_done, write_observation_set
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
@@ -116,9 +109,30 @@ def test_entities_stand_where_the_layout_says(a_run):
     from rerun.chunk import RrdReader
 
     found = {chunk.entity_path.lstrip("/") for chunk in RrdReader(a_run / "run.rrd").stream()}
-    flat = (layout.RUN, layout.PLAN, layout.CELL, layout.STATE, layout.STEP, layout.STATION, layout.LOG, layout.CYCLES, layout.JOINTS,
-            layout.FOLLOWING, layout.CURRENT, layout.SCAN, layout.EXPOSURE, layout.OBSERVATION, layout.BALLS_FOUND, layout.FIT_RMS,
-            layout.SCATTER, layout.SCANNER, layout.link(1), layout.link(6), "world/stations/far", "health/scanner/temperature_C")
+    flat = (
+        layout.RUN,
+        layout.PLAN,
+        layout.CELL,
+        layout.STATE,
+        layout.STEP,
+        layout.STATION,
+        layout.LOG,
+        layout.CYCLES,
+        layout.JOINTS,
+        layout.FOLLOWING,
+        layout.CURRENT,
+        layout.SCAN,
+        layout.EXPOSURE,
+        layout.OBSERVATION,
+        layout.BALLS_FOUND,
+        layout.FIT_RMS,
+        layout.SCATTER,
+        layout.SCANNER,
+        layout.link(1),
+        layout.link(6),
+        "world/stations/far",
+        "health/scanner/temperature_C",
+    )
     assert set(flat) <= found
     states = [row["state"][0] for row in Recording(a_run / "run.rrd").rows(layout.STATE) if "state" in row]
     assert states == [event.state for event in of(events.StateChanged, synthetic.run())]
@@ -162,7 +176,7 @@ def test_a_resumed_run_is_one_run(tmp_path):
             first(event)
             journal(event)
     assert poses_done(tmp_path) == {0, 1}
-    later = dataclasses.replace(synthetic.start(), started="2026-01-02T04:04:05+00:00")   # an hour after, the controller restarted
+    later = dataclasses.replace(synthetic.start(), started="2026-01-02T04:04:05+00:00")  # an hour after, the controller restarted
     rng = np.random.default_rng(9)
     again = [later, *(event for k in (1, 2, 3) for event in synthetic.pose(rng, k, 1.0 + k))]
     with Recorder(tmp_path, part=1) as second:
@@ -171,7 +185,7 @@ def test_a_resumed_run_is_one_run(tmp_path):
             second(event)
     obs = load(tmp_path)
     assert obs.pose_id.tolist() == [0, 1, 2, 3]
-    done = of(events.PoseDone, stream[:cut])[:1] + of(events.PoseDone, again)    # pose 1 was measured twice; the later one counts
+    done = of(events.PoseDone, stream[:cut])[:1] + of(events.PoseDone, again)  # pose 1 was measured twice; the later one counts
     np.testing.assert_array_equal(obs.q, [e.q for e in done])
     assert np.all(np.diff(obs.time_s) > 0)
     assert obs.time_s[1] - obs.time_s[0] == pytest.approx(3600.0, abs=5.0)
@@ -186,7 +200,7 @@ def test_a_controller_that_starts_anew_at_once_does_not_turn_time_back(tmp_path)
             for event in synthetic.pose(rng, number, 1.0 + number):
                 first(dataclasses.replace(event, robot_time_s=1000.0 + 50 * number) if isinstance(event, events.PoseDone) else event)
     with Recorder(tmp_path, part=1) as second:
-        second(dataclasses.replace(synthetic.start(), started="2026-01-02T03:04:25+00:00"))     # 20 s after the start of the first
+        second(dataclasses.replace(synthetic.start(), started="2026-01-02T03:04:25+00:00"))  # 20 s after the start of the first
         for number in (2, 3):
             for event in synthetic.pose(rng, number, 1.0 + number - 2):
                 second(dataclasses.replace(event, robot_time_s=1000.0 + 50 * (number - 2)) if isinstance(event, events.PoseDone) else event)
@@ -236,7 +250,9 @@ def test_live_serves_this_computer_only(tmp_path):
             recorder(event)
         with socket.create_connection(("127.0.0.1", port), timeout=5.0):
             pass
-        listening = {c.laddr.ip for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN and c.laddr.port == port}
+        listening = {
+            c.laddr.ip for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN and c.laddr.port == port
+        }
         assert listening == {"127.0.0.1"}
         assert f"127.0.0.1:{port}" in recorder.live_url
     assert load(tmp_path).n_poses == 4
@@ -271,9 +287,9 @@ def test_the_result_stands_beside_the_run(a_run):
     result = Recording(path)
     assert result.recording_id == Recording(a_run / "run.rrd").recording_id
     rows = list(result.rows(layout.RESIDUAL_BALL))
-    assert [int(row["pose"][0]) for row in rows] == [0, 2]      # station 'far' was not determined
+    assert [int(row["pose"][0]) for row in rows] == [0, 2]  # station 'far' was not determined
     T = obs.cell.robot.chain.flange(obs.q[:1])[0] @ obs.cell.T_flange_scanner
-    expected = obs.xyz[0] - T[:3, :3].T @ (place[:3, 3] + obs.cell.ball_centres[0] - T[:3, 3])     # measured minus where the cell says it is
+    expected = obs.xyz[0] - T[:3, :3].T @ (place[:3, 3] + obs.cell.ball_centres[0] - T[:3, 3])  # measured minus where the cell says it is
     np.testing.assert_allclose(rows[0]["after_mm"].reshape(-1, 3)[0], expected, atol=1e-9)
     assert load(a_run).n_poses == 4
 
@@ -286,7 +302,14 @@ def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, beside)
 
     obs = load(a_run)
     before = np.array([[0.003, 0, 0], [0, 0.004, 0], [0, 0, 0.005]])
-    centres = {"pose": [0, 0, 1], "ball": [1, 2, 1], "point_mm": np.eye(3).tolist(), "before_mm": before.tolist(), "after_mm": (before / 10).tolist(), "of": 3}
+    centres = {
+        "pose": [0, 0, 1],
+        "ball": [1, 2, 1],
+        "point_mm": np.eye(3).tolist(),
+        "before_mm": before.tolist(),
+        "after_mm": (before / 10).tolist(),
+        "of": 3,
+    }
     cause = {"name": "q2", "label": "angle of A2", "unit": "deg", "values": [10.0, 10.0, 30.0]}
     path = write_diagnosis(tmp_path / "errors.rrd", obs, "# Why", {"centres": centres, "causes": [cause]}, a_run if beside else None)
     curves = {}
@@ -294,8 +317,8 @@ def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, beside)
         batch = chunk.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
             curves[chunk.entity_path.rsplit("/", 1)[1]] = np.concatenate(batch.column("Scalars:scalars").to_pylist())
-            assert (layout.TIME in batch.schema.names) == beside                # a run's own clock, where there is one
-    np.testing.assert_allclose(curves["before"], [1e3 * np.sqrt((0.003**2 + 0.004**2) / 2), 5.0])      # um, rms of a pose
+            assert (layout.TIME in batch.schema.names) == beside  # a run's own clock, where there is one
+    np.testing.assert_allclose(curves["before"], [1e3 * np.sqrt((0.003**2 + 0.004**2) / 2), 5.0])  # um, rms of a pose
     np.testing.assert_allclose(curves["after"], curves["before"] / 10)
     np.testing.assert_allclose(curves["q2"], [10.0, 30.0])
     if beside:
@@ -324,7 +347,9 @@ def test_the_command_line_exports_and_recovers(a_run, tmp_path):
     import sys
 
     def mbcacq(*arguments):
-        return subprocess.run([sys.executable, "-c", "from mbcacq.cli import main; main()", *map(str, arguments)], capture_output=True, text=True)
+        return subprocess.run(
+            [sys.executable, "-c", "from mbcacq.cli import main; main()", *map(str, arguments)], capture_output=True, text=True
+        )
 
     out = mbcacq("export", a_run, "--observations", tmp_path / "set", "--scans", "--trajectory", tmp_path / "time")
     assert out.returncode == 0, out.stderr
@@ -335,4 +360,10 @@ def test_the_command_line_exports_and_recovers(a_run, tmp_path):
     assert "already holds a set" in again.stderr
     told = mbcacq("recover", a_run, "--json")
     assert json.loads(told.stdout)["recordings"][0] | {"source": 0, "output": 0} == {
-        "source": 0, "output": 0, "damaged": False, "poses": 4, "cycles": 40, "complete": True}
+        "source": 0,
+        "output": 0,
+        "damaged": False,
+        "poses": 4,
+        "cycles": 40,
+        "complete": True,
+    }

@@ -19,8 +19,10 @@ robot:
     - {theta_deg: 0, d_mm: 0, a_mm: 200, alpha_deg: 0}
   gear_ratio: [100, 50.5]
 """
-SAMPLES = ("time_s,q1_deg,q2_deg,q1_joint_deg,tau1_Nm,tau2_Nm,i1_percent,i2_percent,oil_C,note\n"
-           "0,90,-45,89.99,1,2,10,20,40,a\n0.004,91,-46,90.98,1.5,2.5,11,21,40.5,b\n")
+SAMPLES = (
+    "time_s,q1_deg,q2_deg,q1_joint_deg,tau1_Nm,tau2_Nm,i1_percent,i2_percent,oil_C,note\n"
+    "0,90,-45,89.99,1,2,10,20,40,a\n0.004,91,-46,90.98,1.5,2.5,11,21,40.5,b\n"
+)
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def test_literal_values(a_trajectory):
     assert t.robot.gear_ratio.tolist() == [100, 50.5]
     assert t.q[0].tolist() == [np.pi / 2, -np.pi / 4]
     assert t.q_joint[1, 0] == np.radians(90.98)
-    assert np.isnan(t.q_joint[:, 1]).all()                     # that joint has no encoder on its side
+    assert np.isnan(t.q_joint[:, 1]).all()  # that joint has no encoder on its side
     assert t.torque.tolist() == [[1, 2], [1.5, 2.5]]
     assert t.current_unit == "percent"
     assert t.current.tolist() == [[10, 20], [11, 21]]
@@ -62,14 +64,17 @@ def test_measured_trajectories(shared_data):
     assert t.robot.gear_ratio[0] == 256.8571
 
 
-@pytest.mark.parametrize(("file", "old", "new", "message"), [
-    ("trajectory.csv", "0.004", "0", r"trajectory\.csv:3: column time_s: the time does not rise"),
-    ("trajectory.csv", "q2_deg", "q2", r"trajectory\.csv:1: column q2_deg is missing"),
-    ("trajectory.csv", "90.98", "x", r"trajectory\.csv:3: column q1_joint_deg: 'x' is not a number"),
-    ("cell.yaml", "[100, 50.5]", "[100]", r"cell\.yaml: robot: gear_ratio has 1 numbers, the robot 2 axes"),
-    ("cell.yaml", "  name: two axes", "  model: kr300_r2700_2", r"cell\.yaml: robot: give either its links or the model"),
-    ("cell.yaml", "trajectory-set", "observation-set", r"cell\.yaml:1: format"),
-])
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("trajectory.csv", "0.004", "0", r"trajectory\.csv:3: column time_s: the time does not rise"),
+        ("trajectory.csv", "q2_deg", "q2", r"trajectory\.csv:1: column q2_deg is missing"),
+        ("trajectory.csv", "90.98", "x", r"trajectory\.csv:3: column q1_joint_deg: 'x' is not a number"),
+        ("cell.yaml", "[100, 50.5]", "[100]", r"cell\.yaml: robot: gear_ratio has 1 numbers, the robot 2 axes"),
+        ("cell.yaml", "  name: two axes", "  model: kr300_r2700_2", r"cell\.yaml: robot: give either its links or the model"),
+        ("cell.yaml", "trajectory-set", "observation-set", r"cell\.yaml:1: format"),
+    ],
+)
 def test_a_fault_is_named_with_its_place(a_trajectory, file, old, new, message):
     path = a_trajectory / file
     text = path.read_text()

@@ -34,12 +34,12 @@ def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, v
     assert headless() <= before
     assert [p.name for p in pictures] == ["cell.png", "motion.png", "spheres.png", "calibration.png", "diagnosis.png"]
     seen = {p.read_bytes() for p in pictures}
-    assert len(seen) == 5                                       # each tab looks different
+    assert len(seen) == 5  # each tab looks different
     for data in seen:
         assert data[:8] == b"\x89PNG\r\n\x1a\n"
         width, height = struct.unpack(">II", data[16:24])
         assert width * 600 == height * 800
-        assert len(data) > 20_000                               # more than an empty window
+        assert len(data) > 20_000  # more than an empty window
 
 
 def test_files_of_a_run(a_run, tmp_path):

@@ -12,8 +12,19 @@ import tempfile
 import time
 from pathlib import Path
 
-FLAGS = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync", "--hide-scrollbars", "--disable-dev-shm-usage", "--remote-debugging-pipe"]
+FLAGS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--disable-dev-shm-usage",
+    "--remote-debugging-pipe",
+]
 
 
 def program() -> str | None:
@@ -30,14 +41,19 @@ class Browser:
         ours_in, theirs_out = os.pipe()
         theirs_in, ours_out = os.pipe()
 
-        def hand_over() -> None:        # the browser reads commands from 3 and answers on 4
+        def hand_over() -> None:  # the browser reads commands from 3 and answers on 4
             a, b = os.dup(theirs_in), os.dup(theirs_out)
             os.dup2(a, 3)
             os.dup2(b, 4)
 
-        self._child = subprocess.Popen([program(), *FLAGS, f"--user-data-dir={self._profile}", f"--window-size={width},{height}", "about:blank"],
-                                       stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, close_fds=False,
-                                       preexec_fn=hand_over)
+        self._child = subprocess.Popen(
+            [program(), *FLAGS, f"--user-data-dir={self._profile}", f"--window-size={width},{height}", "about:blank"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            close_fds=False,
+            preexec_fn=hand_over,
+        )
         os.close(theirs_out)
         os.close(theirs_in)
         self._in, self._out, self._buffer, self._number = ours_in, ours_out, b"", 0
@@ -105,7 +121,7 @@ class Browser:
         message = {"id": self._number, "method": method, "params": params} | ({"sessionId": session} if session else {})
         data = json.dumps(message).encode() + b"\0"
         while data:
-            data = data[os.write(self._out, data):]
+            data = data[os.write(self._out, data) :]
         return self._number
 
     def _receive(self, timeout: float = 60.0) -> dict:
@@ -124,7 +140,9 @@ class Browser:
         if method == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
         elif method == "Runtime.exceptionThrown":
-            self.console.append(str(params["exceptionDetails"].get("exception", params["exceptionDetails"]).get("description", params))[:400])
+            self.console.append(
+                str(params["exceptionDetails"].get("exception", params["exceptionDetails"]).get("description", params))[:400]
+            )
         elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning", "assert"):
             self.console.append(" ".join(str(a.get("value", a.get("description"))) for a in params["args"]))
         elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):

@@ -7,15 +7,41 @@ from mbcacq.report.content import Devices
 
 def diagnosis():
     return {
-        "format": "mbcacq-diagnosis/1", "verdict": "explained",
-        "mismatch": [{"at": "A2", "depends_on": "gravity_torque_2", "share": 0.6, "p_value": 1e-115}, {"at": "link2", "depends_on": "time", "share": 0.001, "p_value": 1e-9}],
-        "effects": [{"name": "joint_compliance", "where": ["A2"], "depends_on": "gravity_torque_2", "p_value": 2e-190, "held_out_gain": 1.0,
-                     "parameters": {"A2.compliance_rad_per_Nm": {"value": 2.094e-6, "std": 9.2e-8}, "A2.order": {"value": [1.0, 100.08], "std": [0.003, 0.021]}},
-                     "alternatives": [{"name": "joint_step", "where": ["A2"], "held_out_gain": 0.18}]}],
-        "fit": {"train": {"before_rms_mm": 0.0128, "after_rms_mm": 0.0092, "before_chi2_dof": 1.53, "after_chi2_dof": 1.0},
-                "held_out": {"before_rms_mm": 0.0149, "after_rms_mm": 0.0097, "before_chi2_dof": 2.1, "after_chi2_dof": 1.03, "split": "station"},
-                "repeatability_floor_mm": 0.01},
-        "not_separable": [], "advice": [], "dropped": {}, "notes": ["exposure_latency was not considered: no velocities"],
+        "format": "mbcacq-diagnosis/1",
+        "verdict": "explained",
+        "mismatch": [
+            {"at": "A2", "depends_on": "gravity_torque_2", "share": 0.6, "p_value": 1e-115},
+            {"at": "link2", "depends_on": "time", "share": 0.001, "p_value": 1e-9},
+        ],
+        "effects": [
+            {
+                "name": "joint_compliance",
+                "where": ["A2"],
+                "depends_on": "gravity_torque_2",
+                "p_value": 2e-190,
+                "held_out_gain": 1.0,
+                "parameters": {
+                    "A2.compliance_rad_per_Nm": {"value": 2.094e-6, "std": 9.2e-8},
+                    "A2.order": {"value": [1.0, 100.08], "std": [0.003, 0.021]},
+                },
+                "alternatives": [{"name": "joint_step", "where": ["A2"], "held_out_gain": 0.18}],
+            }
+        ],
+        "fit": {
+            "train": {"before_rms_mm": 0.0128, "after_rms_mm": 0.0092, "before_chi2_dof": 1.53, "after_chi2_dof": 1.0},
+            "held_out": {
+                "before_rms_mm": 0.0149,
+                "after_rms_mm": 0.0097,
+                "before_chi2_dof": 2.1,
+                "after_chi2_dof": 1.03,
+                "split": "station",
+            },
+            "repeatability_floor_mm": 0.01,
+        },
+        "not_separable": [],
+        "advice": [],
+        "dropped": {},
+        "notes": ["exposure_latency was not considered: no velocities"],
     }
 
 
@@ -23,13 +49,33 @@ def pictures(poses=40, seed=0):
     rng = np.random.default_rng(seed)
     torque = np.sort(rng.uniform(0, 150, poses))
     turn = 2.094 * torque
-    centres = {"pose": np.arange(poses).tolist(), "ball": [1] * poses, "point_mm": rng.uniform(-500, 500, (poses, 3)).tolist(),
-               "before_mm": rng.normal(0, 0.02, (poses, 3)).tolist(), "after_mm": rng.normal(0, 0.005, (poses, 3)).tolist(), "of": poses}
-    curve = {"effect": "joint_compliance", "at": "A2", "what": "turn of A2", "unit": "µrad", "depends_on": "gravity_torque_2",
-             "x_label": "gravity torque about A2", "x_unit": "N m", "x": torque.tolist(), "y": turn.tolist(), "std": (0.09 * torque).tolist(),
-             "seen": (turn + rng.normal(0, 10, poses)).tolist()}
+    centres = {
+        "pose": np.arange(poses).tolist(),
+        "ball": [1] * poses,
+        "point_mm": rng.uniform(-500, 500, (poses, 3)).tolist(),
+        "before_mm": rng.normal(0, 0.02, (poses, 3)).tolist(),
+        "after_mm": rng.normal(0, 0.005, (poses, 3)).tolist(),
+        "of": poses,
+    }
+    curve = {
+        "effect": "joint_compliance",
+        "at": "A2",
+        "what": "turn of A2",
+        "unit": "µrad",
+        "depends_on": "gravity_torque_2",
+        "x_label": "gravity torque about A2",
+        "x_unit": "N m",
+        "x": torque.tolist(),
+        "y": turn.tolist(),
+        "std": (0.09 * torque).tolist(),
+        "seen": (turn + rng.normal(0, 10, poses)).tolist(),
+    }
     cause = {"name": "gravity_torque_2", "label": "gravity torque about A2", "unit": "N m", "values": torque.tolist()}
-    spots = [{"at": at, "depends_on": on, "strength": float(rng.uniform(0, 400))} for at in ("A1", "A2", "base", "station12") for on in ("q1", "q2", "time")]
+    spots = [
+        {"at": at, "depends_on": on, "strength": float(rng.uniform(0, 400))}
+        for at in ("A1", "A2", "base", "station12")
+        for on in ("q1", "q2", "time")
+    ]
     return {"format": "mbcacq-diagnosis-pictures/1", "map": spots, "centres": centres, "causes": [cause], "curves": [curve]}
 
 
@@ -37,5 +83,12 @@ def devices(seed=0):
     rng = np.random.default_rng(seed)
     late = np.zeros(5000)
     late[4000:] = 1
-    return Devices(late, 4 + rng.gamma(1.0, 0.05, 4999), 4.0, rng.gamma(20, 0.05, 200), [("moving", 120.0), ("scanning", 300.0)],
-                   ["pose 7 left out: 2 of 8 balls found"], [("scanner: temperature_C", "40", "45", "44")])
+    return Devices(
+        late,
+        4 + rng.gamma(1.0, 0.05, 4999),
+        4.0,
+        rng.gamma(20, 0.05, 200),
+        [("moving", 120.0), ("scanning", 300.0)],
+        ["pose 7 left out: 2 of 8 balls found"],
+        [("scanner: temperature_C", "40", "45", "44")],
+    )

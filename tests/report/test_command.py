@@ -33,12 +33,27 @@ def a_set(tmp_path_factory):
     balls = np.array([[0.0, 0, 0], [40, 0, 5], [0, 40, -5], [35, 35, 12]])
     artefact = Artefact("mbc", "MBC", (1, 2, 3, 4), balls, np.full(4, 12.0))
     places = np.array([[600.0, 0, 100], [500, 300, -100], [700, -200, 300]])
-    cell = Cell(obs.cell.robot, se3.transform(np.diag([1.0, -1, -1]), np.array([0, 0, 260.0])), (artefact,), tuple(Station(f"s{i}", "mbc") for i in range(3)))
+    cell = Cell(
+        obs.cell.robot,
+        se3.transform(np.diag([1.0, -1, -1]), np.array([0, 0, 260.0])),
+        (artefact,),
+        tuple(Station(f"s{i}", "mbc") for i in range(3)),
+    )
     station = np.arange(P) % 3
     T = cell.robot.chain.flange(state) @ cell.T_flange_scanner
     points = se3.apply(se3.inverse(T)[:, None], (balls[None] + places[station][:, None]).reshape(P, -1, 3))
     xyz = (points + rng.normal(0, 0.005, points.shape)).reshape(-1, 3)
-    made = replace(obs, cell=cell, pose_id=np.arange(P), station=station, q=state, pose=np.repeat(np.arange(P), 4), ball=np.tile(np.arange(4), P), xyz=xyz, phase=None)
+    made = replace(
+        obs,
+        cell=cell,
+        pose_id=np.arange(P),
+        station=station,
+        q=state,
+        pose=np.repeat(np.arange(P), 4),
+        ball=np.tile(np.arange(4), P),
+        xyz=xyz,
+        phase=None,
+    )
     folder = tmp_path_factory.mktemp("data") / "set"
     write_observation_set(made, folder)
     return folder
@@ -83,7 +98,11 @@ def test_the_diagnosis_of_a_run_folder_is_told(tmp_path):
     (tmp_path / "diagnosis.json").write_text(json.dumps(diagnosis()))
     (tmp_path / "diagnosis-pictures.json").write_text(json.dumps(pictures()))
     info = everything_about(tmp_path)
-    words = Page(report_from_result(make_result(), path=tmp_path / "r.html", observations=make_observations(), run_info=info).read_text(encoding="utf-8")).words
+    words = Page(
+        report_from_result(make_result(), path=tmp_path / "r.html", observations=make_observations(), run_info=info).read_text(
+            encoding="utf-8"
+        )
+    ).words
     assert "Joint compliance at A2" in words
     assert "A2 compliance 2.094 0.092 µrad/(N m)" in words
     assert "A2 order [2] 100.08 0.021" in words
@@ -106,18 +125,23 @@ def test_a_diagnosis_as_a_page_of_its_own(tmp_path):
 
 
 def test_devices_are_told(tmp_path):
-    words = Page(report_from_result(make_result(), path=tmp_path / "r.html", run_info={"devices": devices()}).read_text(encoding="utf-8")).words
+    words = Page(
+        report_from_result(make_result(), path=tmp_path / "r.html", run_info={"devices": devices()}).read_text(encoding="utf-8")
+    ).words
     assert "pose 7 left out: 2 of 8 balls found" in words
     assert "scanner: temperature_C 40 45 44" in words
 
 
-@pytest.mark.parametrize(("change", "what"), [
-    ({}, "Put the result to use"),
-    ({"verification": None}, "Measure an artefact that judges"),
-    ({"limit": 0.3}, "Ask why"),
-    ({"noise": 3.0}, "Ask why"),
-    ({"limit": 0.457}, "Decide with a better certificate"),
-])
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({}, "Put the result to use"),
+        ({"verification": None}, "Measure an artefact that judges"),
+        ({"limit": 0.3}, "Ask why"),
+        ({"noise": 3.0}, "Ask why"),
+        ({"limit": 0.457}, "Decide with a better certificate"),
+    ],
+)
 def test_the_one_thing_to_do_next(tmp_path, change, what):
     result = make_result(change.get("limit", 0.5))
     if "verification" in change:

@@ -28,10 +28,24 @@ def whole_page(tmp_path_factory):
     """Everything that a report can hold."""
     result = make_result()
     grid = np.stack(np.meshgrid(*[np.arange(-1000, 1001, 250.0)] * 3), axis=-1).reshape(-1, 3)
-    result["accuracy_map"] = {"cell_mm": 250.0, "centres_mm": grid.tolist(), "sigma_mm": (1e-5 * np.linalg.norm(grid, axis=1)).tolist(), "postures": [1] * len(grid)}
+    result["accuracy_map"] = {
+        "cell_mm": 250.0,
+        "centres_mm": grid.tolist(),
+        "sigma_mm": (1e-5 * np.linalg.norm(grid, axis=1)).tolist(),
+        "postures": [1] * len(grid),
+    }
     obs = make_observations()
-    info = {"name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "folder": "runs/today", "diagnosis": diagnosis(), "pictures": pictures(), "devices": devices(),
-            "hashes": [("run.rrd", "1 234", "0" * 64)], "versions": {"numpy": "2.4.6"}, "plan_yaml": "format: mbcacq-plan/1\n" + "x" * 300}
+    info = {
+        "name": "cell 7",
+        "started": "2026-11-21T07:45:48+00:00",
+        "folder": "runs/today",
+        "diagnosis": diagnosis(),
+        "pictures": pictures(),
+        "devices": devices(),
+        "hashes": [("run.rrd", "1 234", "0" * 64)],
+        "versions": {"numpy": "2.4.6"},
+        "plan_yaml": "format: mbcacq-plan/1\n" + "x" * 300,
+    }
     from dataclasses import replace
 
     rng = np.random.default_rng(1)
@@ -66,5 +80,10 @@ def test_it_prints_with_every_figure_at_the_width_of_the_paper(whole_page, tmp_p
         browser.pdf(tmp_path / "report.pdf")
         assert (tmp_path / "report.pdf").read_bytes()[:5] == b"%PDF-"
         browser.run("window.dispatchEvent(new Event('beforeprint'))")
-        assert browser.run("Math.max(...Array.from(document.querySelectorAll('.plot')).map(p => p.querySelector('.main-svg').getBoundingClientRect().width))") <= 671
+        assert (
+            browser.run(
+                "Math.max(...Array.from(document.querySelectorAll('.plot')).map(p => p.querySelector('.main-svg').getBoundingClientRect().width))"
+            )
+            <= 671
+        )
         assert browser.console == []

@@ -17,8 +17,14 @@ from mbcacq.model.observations import Observations
 from mbcacq.report import about_run, report_from_result
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
-CHAIN = Chain(np.array([-1.0, 1, 1, -1, 1, -1]), np.radians([0, 0, -90, 0, 0, 180]), np.array([400, 0, 0, 420, 0, 80.0]),
-              np.array([25, 455, 35, 0, 0, 0.0]), np.radians([-90, 0, -90, 90, -90, 180]), np.zeros(6))
+CHAIN = Chain(
+    np.array([-1.0, 1, 1, -1, 1, -1]),
+    np.radians([0, 0, -90, 0, 0, 180]),
+    np.array([400, 0, 0, 420, 0, 80.0]),
+    np.array([25, 455, 35, 0, 0, 0.0]),
+    np.radians([-90, 0, -90, 90, -90, 180]),
+    np.zeros(6),
+)
 
 
 def rows(chain):
@@ -28,29 +34,67 @@ def rows(chain):
 def make_result(limit=0.5):
     names = ["a_1", "theta_2", "hand_eye.x", "ball_1.x"]
     return {
-        "format": "mbcacq-result/1", "method": "ml", "measurement": "artefact_in_scanner",
-        "robot": {"name": "KUKA KR 6 R900", "sign": CHAIN.sign.tolist(), "nominal": rows(CHAIN), "calibrated": rows(CHAIN), "errors": rows(CHAIN)},
+        "format": "mbcacq-result/1",
+        "method": "ml",
+        "measurement": "artefact_in_scanner",
+        "robot": {
+            "name": "KUKA KR 6 R900",
+            "sign": CHAIN.sign.tolist(),
+            "nominal": rows(CHAIN),
+            "calibrated": rows(CHAIN),
+            "errors": rows(CHAIN),
+        },
         "T_flange_scanner": se3.transform(np.diag([1.0, -1, -1]), np.array([1.2621, -0.561, 264.7998])).tolist(),
         "stations": [{"id": "s1", "artefact": "mbc", "T_base_station": np.eye(4).tolist(), "std": [0.01] * 6}],
         "balls": [{"id": 1, "centre_mm": [0.0, 0, 0]}, {"id": 2, "centre_mm": [30.0, 0, 0]}],
         "preliminary": {"T_flange_scanner": np.eye(4).tolist()},
         "parameters": [
-            {"name": "theta_1", "value": 0.0, "error": 0.0, "unit": "rad", "std": None, "status": "held", "reason": "turns base and stations together"},
+            {
+                "name": "theta_1",
+                "value": 0.0,
+                "error": 0.0,
+                "unit": "rad",
+                "std": None,
+                "status": "held",
+                "reason": "turns base and stations together",
+            },
             {"name": "a_1", "value": 25.143, "error": 0.143, "unit": "mm", "std": 0.0057, "status": "free"},
-            {"name": "theta_2", "value": float(np.radians(-0.017)), "error": float(np.radians(-0.017)), "unit": "rad", "std": float(np.radians(0.0009)), "status": "free"},
+            {
+                "name": "theta_2",
+                "value": float(np.radians(-0.017)),
+                "error": float(np.radians(-0.017)),
+                "unit": "rad",
+                "std": float(np.radians(0.0009)),
+                "status": "free",
+            },
             {"name": "hand_eye.x", "value": 1.2621, "error": 0.5, "unit": "mm", "std": 0.0031, "status": "free"},
             {"name": "ball_1.x", "value": 0.0004, "error": 0.0004, "unit": "mm", "std": 0.0007, "status": "prior"},
         ],
-        "names": names, "covariance": (np.diag([0.0057, 1.6e-5, 0.0031, 0.0007]) ** 2).tolist(),
+        "names": names,
+        "covariance": (np.diag([0.0057, 1.6e-5, 0.0031, 0.0007]) ** 2).tolist(),
         "noise": {"scanner_mm": [0.005, 0.005, 0.009], "joint_rad": [5e-6] * 6},
-        "fit": {"poses": 76, "centres": 608, "rms_mm": 0.0089, "chi2": 1733.0, "dof": 1752, "chi2_dof": 0.989, "rank": 96, "iterations": 5, "expected_accuracy_mm": 0.0123},
+        "fit": {
+            "poses": 76,
+            "centres": 608,
+            "rms_mm": 0.0089,
+            "chi2": 1733.0,
+            "dof": 1752,
+            "chi2_dof": 0.989,
+            "rank": 96,
+            "iterations": 5,
+            "expected_accuracy_mm": 0.0123,
+        },
         "held": {"theta_1": "turns base and stations together"},
         "correlated": [{"parameters": ["a_1", "hand_eye.x"], "correlation": -0.987}],
         "rejected": [{"pose": 41, "ball": 2, "distance_mm": 0.8}],
         "verification": {
-            "before": {}, "after": {"max_mm": max(AFTER)}, "limit_mm": limit,
-            "places": [{"station": f"b{i}", "balls": [9, 10], "certified_mm": 735.2364, "before_mm": b, "after_mm": a, "expected_mm": 0.01}
-                       for i, (b, a) in enumerate(zip(BEFORE, AFTER, strict=True), 1)],
+            "before": {},
+            "after": {"max_mm": max(AFTER)},
+            "limit_mm": limit,
+            "places": [
+                {"station": f"b{i}", "balls": [9, 10], "certified_mm": 735.2364, "before_mm": b, "after_mm": a, "expected_mm": 0.01}
+                for i, (b, a) in enumerate(zip(BEFORE, AFTER, strict=True), 1)
+            ],
         },
     }
 
@@ -59,13 +103,26 @@ def make_observations(seed=0):
     rng = np.random.default_rng(seed)
     P = 12
     robot = RobotModel("KUKA KR 6 R900", CHAIN, np.radians([[-170, 170]] * 6), np.zeros(6), np.zeros((6, 3)))
-    cell = Cell(robot, np.eye(4), (Artefact("mbc", "MBC", (1, 2), np.array([[0.0, 0, 0], [30, 0, 0]]), np.array([12.0, 12])),), (Station("s1", "mbc"),))
+    cell = Cell(
+        robot,
+        np.eye(4),
+        (Artefact("mbc", "MBC", (1, 2), np.array([[0.0, 0, 0], [30, 0, 0]]), np.array([12.0, 12])),),
+        (Station("s1", "mbc"),),
+    )
     q = rng.uniform(-1, 1, (P, 6))
     T = CHAIN.flange(q) @ np.array(make_result()["T_flange_scanner"])
     points = se3.apply(se3.inverse(T)[:, None], cell.ball_centres[None])
     noise = rng.normal(0, [0.005, 0.005, 0.009], points.shape)
-    return Observations(cell, np.arange(P), np.zeros(P, int), q, np.repeat(np.arange(P), 2), np.tile([0, 1], P), (points + noise).reshape(-1, 3),
-                        phase=np.array(["position"] * 10 + ["verification"] * 2))
+    return Observations(
+        cell,
+        np.arange(P),
+        np.zeros(P, int),
+        q,
+        np.repeat(np.arange(P), 2),
+        np.tile([0, 1], P),
+        (points + noise).reshape(-1, 3),
+        phase=np.array(["position"] * 10 + ["verification"] * 2),
+    )
 
 
 class Page(HTMLParser):
@@ -106,9 +163,15 @@ def test_the_table_is_that_of_the_published_experiment(tmp_path):
     assert "735.2364" in words
 
 
-@pytest.mark.parametrize(("limit", "level", "headline"), [
-    (0.5, "pass", "Passed"), (0.4, "fail", "Not passed"), (0.457, "undecided", "Neither proven nor disproven"), (None, "none", "Calibrated and verified"),
-])
+@pytest.mark.parametrize(
+    ("limit", "level", "headline"),
+    [
+        (0.5, "pass", "Passed"),
+        (0.4, "fail", "Not passed"),
+        (0.457, "undecided", "Neither proven nor disproven"),
+        (None, "none", "Calibrated and verified"),
+    ],
+)
 def test_the_verdict_considers_the_certificate(tmp_path, limit, level, headline):
     report = page(tmp_path, make_result(limit), observations=make_observations())
     assert headline in report.words
@@ -150,9 +213,16 @@ def test_poses_held_out_are_told(tmp_path):
 def test_a_run_folder_tells_what_it_was(tmp_path):
     assert about_run(tmp_path / "nowhere") == {}
     (tmp_path / "plan.yaml").write_text("format: mbcacq-plan/1\n")
-    (tmp_path / "journal.jsonl").write_text('{"event": "run_started", "name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}}\n{"torn')
+    (tmp_path / "journal.jsonl").write_text(
+        '{"event": "run_started", "name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}}\n{"torn'
+    )
     info = about_run(tmp_path)
-    assert info == {"name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}, "plan_yaml": "format: mbcacq-plan/1\n"}
+    assert info == {
+        "name": "cell 7",
+        "started": "2026-11-21T07:45:48+00:00",
+        "versions": {"numpy": "2.4.6"},
+        "plan_yaml": "format: mbcacq-plan/1\n",
+    }
     words = page(tmp_path, make_result(), run_info=info).words
     assert "cell 7 · 2026-11-21 07:45 UTC" in words
     assert "format: mbcacq-plan/1" in words
@@ -173,7 +243,13 @@ def test_residuals_are_measured_minus_predicted():
 
     obs = make_observations()
     shifted = replace(obs, xyz=obs.xyz + [0.0, 0.0, 0.1])
-    found = residuals(calibrated_poses(shifted, make_result()), state_from_dict(make_result(), obs.cell), [0.005, 0.005, 0.009], [0.0] * 6, {(3, 2), (5, None)})
+    found = residuals(
+        calibrated_poses(shifted, make_result()),
+        state_from_dict(make_result(), obs.cell),
+        [0.005, 0.005, 0.009],
+        [0.0] * 6,
+        {(3, 2), (5, None)},
+    )
     assert len(found.xyz) == 20  # ten poses, two balls; the verification poses are not the fit's
     np.testing.assert_allclose(found.xyz.mean(axis=0), [0, 0, 0.1], atol=0.006)
     np.testing.assert_allclose(found.weighted, found.xyz / [0.005, 0.005, 0.009])
@@ -204,8 +280,12 @@ def test_text_from_files_stays_text(tmp_path):
     phase = obs.phase.astype(object)
     phase[:3] = evil
     report = page(tmp_path, result, run_info=info, observations=replace(obs, phase=phase))
-    clean = page(tmp_path, make_result(), run_info=dict.fromkeys(["name", "plan_yaml"], "a") | {"versions": {"a": "a"}, "facts": {"a": "a"}},
-                 observations=make_observations())
+    clean = page(
+        tmp_path,
+        make_result(),
+        run_info=dict.fromkeys(["name", "plan_yaml"], "a") | {"versions": {"a": "a"}, "facts": {"a": "a"}},
+        observations=make_observations(),
+    )
     assert "img" not in report.tags
     assert report.tags.count("script") == clean.tags.count("script")
     assert report.loads == []
@@ -217,7 +297,7 @@ def test_figures_carry_no_markup_of_names(tmp_path):
     result["names"][0] = "<b>bold</b>"
     report_from_result(result, path=tmp_path / "r.html")
     html = (tmp_path / "r.html").read_text(encoding="utf-8")
-    figure = html[html.index('id="figure-correlation"'):]
+    figure = html[html.index('id="figure-correlation"') :]
     assert "<b>bold" not in figure
 
 

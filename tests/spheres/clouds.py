@@ -32,8 +32,19 @@ def rotation(axis, angle_deg: float) -> np.ndarray:
     return np.eye(3) + np.sin(a) * K + (1 - np.cos(a)) * K @ K
 
 
-def scan(rng: np.random.Generator, centres: np.ndarray, diameters, *, noise: float = 0.01, spacing: float = 0.25, half: float = 60.0,
-         plate_z: float | None = -25.0, edges: float = 0.03, drop: float = 0.02, plate_tilt: float = 0.0) -> np.ndarray:
+def scan(
+    rng: np.random.Generator,
+    centres: np.ndarray,
+    diameters,
+    *,
+    noise: float = 0.01,
+    spacing: float = 0.25,
+    half: float = 60.0,
+    plate_z: float | None = -25.0,
+    edges: float = 0.03,
+    drop: float = 0.02,
+    plate_tilt: float = 0.0,
+) -> np.ndarray:
     """(N, 3) float32 of what a camera at EYE sees of balls (k, 3) over a plate: noise along the rays, mixed points at the rims."""
     grid = np.arange(-half, half, spacing)
     target = np.stack([*np.meshgrid(grid, grid, indexing="ij"), np.zeros((len(grid), len(grid)))], -1).reshape(-1, 3)
@@ -63,8 +74,17 @@ def scan(rng: np.random.Generator, centres: np.ndarray, diameters, *, noise: flo
     return (EYE + depth[keep, None] * ray[keep]).astype(np.float32)
 
 
-def cap(rng: np.random.Generator, centre, diameter: float, n: int, *, max_angle_deg: float = 75.0, noise: float = 0.01,
-        outliers: float = 0.0, view=(0, 0, 1.0)) -> np.ndarray:
+def cap(
+    rng: np.random.Generator,
+    centre,
+    diameter: float,
+    n: int,
+    *,
+    max_angle_deg: float = 75.0,
+    noise: float = 0.01,
+    outliers: float = 0.0,
+    view=(0, 0, 1.0),
+) -> np.ndarray:
     """(n, 3) float64 on the side of a ball that faces ``view``, evenly in projection; one-sided outliers at the rim, away from the viewer."""
     view = np.asarray(view, float) / np.linalg.norm(view)
     s = np.sqrt(rng.uniform(0, np.sin(np.radians(max_angle_deg)) ** 2, n))

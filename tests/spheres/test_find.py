@@ -51,8 +51,11 @@ def test_order_of_points_does_not_matter(cloud):
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(axis=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda a: np.linalg.norm(a) > 0.1), angle=st.floats(0, 180),
-       shift=st.tuples(*[st.floats(-300, 300)] * 3))
+@given(
+    axis=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda a: np.linalg.norm(a) > 0.1),
+    angle=st.floats(0, 180),
+    shift=st.tuples(*[st.floats(-300, 300)] * 3),
+)
 def test_the_answer_moves_with_the_cloud(cloud, axis, angle, shift):
     R = clouds.rotation(axis, angle)
     moved = find_balls(cloud.astype(float) @ R.T + shift, MBC)
@@ -131,7 +134,7 @@ def test_a_stray_ball_in_view_is_refused_and_the_rest_used(cloud):
     points = clouds.scan(np.random.default_rng(3), np.concatenate([CENTRES, stray]), 12.0, spacing=0.3)
     found = find_balls(points, MBC)
     check(found, CENTRES)
-    (reason, where), = found.refused
+    ((reason, where),) = found.refused
     assert "does not belong" in reason
     np.testing.assert_allclose(where, stray[0], atol=0.01)
 

@@ -14,7 +14,11 @@ MBC = clouds.artefact()
 @pytest.mark.parametrize("kind", ["float", "double"])
 def test_a_text_ply_of_another_program(tmp_path, kind):
     points = clouds.scan(np.random.default_rng(0), MBC.centres, 12.0, spacing=0.5, plate_z=None)
-    head = f"ply\nformat ascii 1.0\ncomment by hand\nelement vertex {len(points)}\n" + "".join(f"property {kind} {c}\n" for c in "xyz") + "end_header\n"
+    head = (
+        f"ply\nformat ascii 1.0\ncomment by hand\nelement vertex {len(points)}\n"
+        + "".join(f"property {kind} {c}\n" for c in "xyz")
+        + "end_header\n"
+    )
     path = tmp_path / "1.ply"
     path.write_text(head + "\n".join(f"{x:.5f} {y:.5f} {z:.5f}" for x, y, z in points) + "\n")
     found = centres_from_ply(path, MBC)

@@ -4,7 +4,9 @@ from mbcacq.diagnosis.motion.combine import agreement
 
 
 def told(value, std):
-    return {"effects": [{"name": "joint_compliance", "where": ["A2"], "parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}}]}
+    return {
+        "effects": [{"name": "joint_compliance", "where": ["A2"], "parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}}]
+    }
 
 
 def test_two_measurements_of_one_compliance():

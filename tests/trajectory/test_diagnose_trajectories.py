@@ -13,8 +13,14 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
 
 CHAIN = Chain(np.array([1.0, 1.0]), np.zeros(2), np.array([300.0, 0]), np.array([0.0, 700]), np.radians([-90.0, 0]), np.zeros(2))
-ARM = RobotModel("two axes", CHAIN, np.radians([[-170.0, 170]] * 2), np.array([10.0, 20]), np.array([[0.0, 0, 0], [-300, 0, 0]]),
-                 gear_ratio=np.array([100.0, 120.0]))
+ARM = RobotModel(
+    "two axes",
+    CHAIN,
+    np.radians([[-170.0, 170]] * 2),
+    np.array([10.0, 20]),
+    np.array([[0.0, 0, 0], [-300, 0, 0]]),
+    gear_ratio=np.array([100.0, 120.0]),
+)
 STEP = 0.004
 
 
@@ -25,7 +31,13 @@ def motion(seed, seconds=12.0):
     rate, phase = rng.uniform(0.4, 3.0, (4, 2)), rng.uniform(0, 6.28, (4, 2))
     size = rng.uniform(0.1, 0.3, (4, 2)) / rate
     angle = rate * t[:, None, None] + phase
-    return t, (size * np.sin(angle)).sum(1), (size * rate * np.cos(angle)).sum(1), -(size * rate**2 * np.sin(angle)).sum(1), (size, rate, phase)
+    return (
+        t,
+        (size * np.sin(angle)).sum(1),
+        (size * rate * np.cos(angle)).sum(1),
+        -(size * rate**2 * np.sin(angle)).sum(1),
+        (size, rate, phase),
+    )
 
 
 def at(shape, t):
@@ -42,8 +54,22 @@ def torque(q, qd, qdd):
     return np.stack([first, second], axis=1)
 
 
-def recording(seed, *, latency=0.0, compliance=0.0, coulomb=0.0, viscous=0.0, wave=0.0, play=0.0, noise=True, late_torque=0.0,
-              ripple=0.0, load_share=0.0, heavier=1.0, flank_s=None):
+def recording(
+    seed,
+    *,
+    latency=0.0,
+    compliance=0.0,
+    coulomb=0.0,
+    viscous=0.0,
+    wave=0.0,
+    play=0.0,
+    noise=True,
+    late_torque=0.0,
+    ripple=0.0,
+    load_share=0.0,
+    heavier=1.0,
+    flank_s=None,
+):
     rng = np.random.default_rng(1000 + seed)
     t, q, qd, qdd, shape = motion(seed)
     tau = heavier * torque(q, qd, qdd)
@@ -54,8 +80,15 @@ def recording(seed, *, latency=0.0, compliance=0.0, coulomb=0.0, viscous=0.0, wa
     drive = CubicSpline(t, drive)(np.clip(t - late_torque, 0, t[-1]))
     noise = 1.0 if noise else 0.0
     return SimpleNamespace(
-        time_s=t, q=q, q_set=None, q_joint=joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001, torque=drive + noise * rng.normal(0, 0.3, q.shape),
-        motor_torque=None, current=None, robot=ARM)
+        time_s=t,
+        q=q,
+        q_set=None,
+        q_joint=joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001,
+        torque=drive + noise * rng.normal(0, 0.3, q.shape),
+        motor_torque=None,
+        current=None,
+        robot=ARM,
+    )
 
 
 def follow(signal, time_constant_s):
@@ -143,7 +176,16 @@ def test_play():
 def test_uneven_clock_and_missing_channels():
     run = recording(3, latency=0.003)
     keep = np.random.default_rng(0).uniform(size=len(run.time_s)) > 0.05
-    thin = SimpleNamespace(time_s=run.time_s[keep], q=run.q[keep], q_set=None, q_joint=run.q_joint[keep], torque=None, motor_torque=None, current=None, robot=ARM)
+    thin = SimpleNamespace(
+        time_s=run.time_s[keep],
+        q=run.q[keep],
+        q_set=None,
+        q_joint=run.q_joint[keep],
+        torque=None,
+        motor_torque=None,
+        current=None,
+        robot=ARM,
+    )
     result = diagnose_trajectories([thin])
     assert ("channel_latency", "q_joint") in named(result)
     assert result["fit"]["held_out"]["split"] == "time block"
@@ -167,7 +209,9 @@ def test_a_recording_in_which_a_joint_stands_says_nothing_of_its_friction():
     rate = np.stack([np.gradient(q[:, 0], STEP), np.zeros(len(q))], axis=1)
     tau = torque(q, rate, np.stack([np.gradient(rate[:, 0], STEP), np.zeros(len(q))], axis=1))
     tau += np.stack([8.0 * np.sign(rate[:, 0]) + 15.0 * rate[:, 0], 6.0 * np.cos(still.time_s)], axis=1)
-    runs.append(SimpleNamespace(**{**vars(still), "q": q, "q_joint": None, "torque": tau + np.random.default_rng(5).normal(0, 0.3, q.shape)}))
+    runs.append(
+        SimpleNamespace(**{**vars(still), "q": q, "q_joint": None, "torque": tau + np.random.default_rng(5).normal(0, 0.3, q.shape)})
+    )
     result = diagnose_trajectories(runs, proof=False)
     for axis in ("A1", "A2"):
         rub = value(result, "friction", f"{axis}.coulomb_Nm")

@@ -19,7 +19,9 @@ def run():
 
 
 def ledger(noise):
-    group = ChannelGroup("q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True)
+    group = ChannelGroup(
+        "q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True
+    )
     return NormalStore(group, (run(),))
 
 

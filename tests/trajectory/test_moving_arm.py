@@ -46,9 +46,14 @@ def test_an_arm_as_described_shows_nothing(kr10):
 
 def test_wind_up_friction_and_a_late_clock_together(kr10):
     """Friction loads the drive, not the gear: its torque must not be taken for wind-up; a delay must not be taken for either."""
-    diagnosis, truth = told(kr10, [{"name": "joint_compliance", "where": "A3", "compliance_rad_per_Nm": 6e-6},
-                                   {"name": "friction", "where": "A3", "kind": "plain"},
-                                   {"name": "channel_latency", "where": "q_joint", "latency_s": 0.002}])
+    diagnosis, truth = told(
+        kr10,
+        [
+            {"name": "joint_compliance", "where": "A3", "compliance_rad_per_Nm": 6e-6},
+            {"name": "friction", "where": "A3", "kind": "plain"},
+            {"name": "channel_latency", "where": "q_joint", "latency_s": 0.002},
+        ],
+    )
     named, extra, _, sigmas = judge(truth, [True] * 3, diagnosis)
     assert named
     assert extra == []

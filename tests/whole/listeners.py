@@ -36,6 +36,6 @@ def bound(pid):
             fields = line.split()
             if fields[3] in waiting and fields[9] in inodes:
                 host, port = fields[1].split(":")
-                words = [int(host[k:k + 8], 16) for k in range(0, len(host), 8)]
+                words = [int(host[k : k + 8], 16) for k in range(0, len(host), 8)]
                 found.add((protocol, ipaddress.ip_address(b"".join(struct.pack("=I", word) for word in words)), int(port, 16)))
     return found

@@ -17,7 +17,9 @@ class Terminal:
 
     def __init__(self, *arguments):
         self._mine, theirs = pty.openpty()
-        self.process = subprocess.Popen([MBCACQ, *map(str, arguments)], cwd=ROOT, stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        self.process = subprocess.Popen(
+            [MBCACQ, *map(str, arguments)], cwd=ROOT, stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
         os.close(theirs)
         self.text = ""
 
@@ -40,20 +42,32 @@ class Terminal:
         return self.process.returncode
 
 
-@pytest.mark.parametrize(("options", "fake"), [
-    ({"bind": "127.0.0.1", "port": 49152}, True), ({"bind": "127.0.0.1", "controller_ip": "127.0.0.1", "eki": "localhost:54600"}, True),
-    ({"bind": "127.0.0.1", "sen_type": "ImFree", "eki": ""}, True), ({"address": "::1"}, True), ({"url": "socket://127.0.0.1:5000"}, True),
-    ({}, False), ({"port": 49152}, False), ({"bind": "192.168.1.5"}, False), ({"bind": "127.0.0.1", "eki": "192.168.1.2:54600"}, False),
-    ({"bind": "127.0.0.1", "controller_ip": "10.0.0.7"}, False), ({"bind": "127.0.0.1", "host": "krc.local"}, False),
-    ({"bind": "0.0.0.0"}, False), ({"serial": "/dev/ttyUSB0"}, False), ({"bind": "127.0.0.1", "also": ["10.0.0.7"]}, False),
-    ({"bind": "127.0.0.1", "nested": {"address": "arm.example"}}, False),
-])
+@pytest.mark.parametrize(
+    ("options", "fake"),
+    [
+        ({"bind": "127.0.0.1", "port": 49152}, True),
+        ({"bind": "127.0.0.1", "controller_ip": "127.0.0.1", "eki": "localhost:54600"}, True),
+        ({"bind": "127.0.0.1", "sen_type": "ImFree", "eki": ""}, True),
+        ({"address": "::1"}, True),
+        ({"url": "socket://127.0.0.1:5000"}, True),
+        ({}, False),
+        ({"port": 49152}, False),
+        ({"bind": "192.168.1.5"}, False),
+        ({"bind": "127.0.0.1", "eki": "192.168.1.2:54600"}, False),
+        ({"bind": "127.0.0.1", "controller_ip": "10.0.0.7"}, False),
+        ({"bind": "127.0.0.1", "host": "krc.local"}, False),
+        ({"bind": "0.0.0.0"}, False),
+        ({"serial": "/dev/ttyUSB0"}, False),
+        ({"bind": "127.0.0.1", "also": ["10.0.0.7"]}, False),
+        ({"bind": "127.0.0.1", "nested": {"address": "arm.example"}}, False),
+    ],
+)
 def test_only_what_can_lead_nowhere_but_to_this_computer_is_a_fake(options, fake):
     assert on_loopback_only(options) is fake
 
 
 def real(plan):
-    plan["robot"]["options"] = {"bind": "192.0.2.1", "port": 49152}    # an address of the documentation block: nobody's
+    plan["robot"]["options"] = {"bind": "192.0.2.1", "port": 49152}  # an address of the documentation block: nobody's
     plan["workspace"] = {"min_mm": [-400, -600, -100], "max_mm": [1300, 600, 1400]}
 
 
@@ -78,11 +92,18 @@ def test_arm_asks_about_loopback_too_where_a_tunnel_may_end(tmp_path):
 def test_the_sentence_names_what_will_move_and_must_be_typed(tmp_path, typed, code):
     terminal = Terminal("run", plan_file(tmp_path, real), "--out", tmp_path / "run", "--arm", "--yes")
     terminal.wait_for("Type 'move 10'")
-    for shown in ("10, in 11 motions", "25 % of the axes", "x 520..1000, y -227..97, z 147..895", "kept within x -400..1300",
-                  "A1 0.0 A2 -90.0 A3 90.0", "pose 0 at station p1", "T1"):
+    for shown in (
+        "10, in 11 motions",
+        "25 % of the axes",
+        "x 520..1000, y -227..97, z 147..895",
+        "kept within x -400..1300",
+        "A1 0.0 A2 -90.0 A3 90.0",
+        "pose 0 at station p1",
+        "T1",
+    ):
         assert shown in terminal.text
     terminal.type(typed)
-    assert terminal.end() == code, terminal.text       # 3: then it tries to listen on an address that is not this computer's
+    assert terminal.end() == code, terminal.text  # 3: then it tries to listen on an address that is not this computer's
     assert (tmp_path / "run").exists() == (code == 3)
 
 

@@ -6,18 +6,47 @@ import json
 import pytest
 from test_run import mbcacq, plan_file
 
-SERIAL = {"driver": "serial", "options": {
-    "port": "/dev/ttyUSB7", "stations": {"p1": 0.0, "p2": 152.5}, "scale": 0.01, "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
-    "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"}, "fault": {"send": "?E\r\n", "reply": r"E=(?P<code>[1-9]\d*)"}}}
-MODBUS = {"driver": "modbus", "options": {
-    "serial": "/dev/ttyUSB8", "stations": {"p1": 0.0, "p2": 152.5}, "position": {"address": 10, "type": "float32"},
-    "actual": {"address": 20, "table": "input", "type": "float32"}, "in_position": {"address": 3, "table": "discrete"},
-    "ready": {"address": 4, "table": "discrete"}}}
+SERIAL = {
+    "driver": "serial",
+    "options": {
+        "port": "/dev/ttyUSB7",
+        "stations": {"p1": 0.0, "p2": 152.5},
+        "scale": 0.01,
+        "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
+        "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"},
+        "fault": {"send": "?E\r\n", "reply": r"E=(?P<code>[1-9]\d*)"},
+    },
+}
+MODBUS = {
+    "driver": "modbus",
+    "options": {
+        "serial": "/dev/ttyUSB8",
+        "stations": {"p1": 0.0, "p2": 152.5},
+        "position": {"address": 10, "type": "float32"},
+        "actual": {"address": 20, "table": "input", "type": "float32"},
+        "in_position": {"address": 3, "table": "discrete"},
+        "ready": {"address": 4, "table": "discrete"},
+    },
+}
 PROBES = [
-    {"driver": "modbus", "options": {"host": "127.0.0.1", "port": 5020, "values": {
-        "robot_C": {"address": 0, "table": "input", "type": "int16", "scale": 0.1, "unit": "C", "valid": [-20, 80]}}}},
-    {"driver": "serial", "options": {"port": "/dev/ttyUSB9", "ask": "READ?\r\n", "line": r"T=(?P<air_C>[-+0-9.]+)",
-                                     "scale": {"air_C": 0.5}, "identity": {"ask": "*IDN?\r\n", "expect": "PROBE 1"}}},
+    {
+        "driver": "modbus",
+        "options": {
+            "host": "127.0.0.1",
+            "port": 5020,
+            "values": {"robot_C": {"address": 0, "table": "input", "type": "int16", "scale": 0.1, "unit": "C", "valid": [-20, 80]}},
+        },
+    },
+    {
+        "driver": "serial",
+        "options": {
+            "port": "/dev/ttyUSB9",
+            "ask": "READ?\r\n",
+            "line": r"T=(?P<air_C>[-+0-9.]+)",
+            "scale": {"air_C": 0.5},
+            "identity": {"ask": "*IDN?\r\n", "expect": "PROBE 1"},
+        },
+    },
 ]
 
 
@@ -40,4 +69,4 @@ def test_temperatures_and_a_motorised_stand_reach_the_observation_set(tmp_path, 
     robot, air = [float(r["robot_C"]) for r in rows], [float(r["air_C"]) for r in rows]
     assert all(18 < t < 25 for t in air)
     assert robot == sorted(robot)
-    assert robot[-1] > robot[0] + 0.5       # the arm warms up
+    assert robot[-1] > robot[0] + 0.5  # the arm warms up

@@ -7,8 +7,12 @@ import textwrap
 import pytest
 from test_run import MBCACQ, ROOT, mbcacq
 
-CAN_MOUNT = sys.platform == "linux" and subprocess.run(
-    ["unshare", "-Urm", "sh", "-c", "mount -t tmpfs none /mnt"], capture_output=True).returncode == 0 if sys.platform == "linux" else False
+CAN_MOUNT = (
+    sys.platform == "linux"
+    and subprocess.run(["unshare", "-Urm", "sh", "-c", "mount -t tmpfs none /mnt"], capture_output=True).returncode == 0
+    if sys.platform == "linux"
+    else False
+)
 
 
 @pytest.mark.skipif(not CAN_MOUNT, reason="needs a file system of its own (user namespaces)")

@@ -41,7 +41,7 @@ def test_every_device_that_does_not_answer_has_a_line_and_a_cure(tmp_path):
         assert found[topic]["level"] == "error"
         assert word in found[topic]["text"]
         assert found[topic]["cure"]
-    assert found["positioner"]["level"] == "warning"     # nobody to ask, here; not a fault of the cell
+    assert found["positioner"]["level"] == "warning"  # nobody to ask, here; not a fault of the cell
     assert found["network"]["text"].startswith("127.0.0.1:49977 on lo")
     text = mbcacq("doctor", tmp_path / "plan.yaml").stdout
     assert "error    sensor 1: " in text
@@ -77,11 +77,14 @@ def test_a_driver_that_is_not_installed_and_a_plan_that_is_none(tmp_path):
     assert mbcacq("doctor", plan).returncode == 2
 
 
-@pytest.mark.parametrize(("sentence", "text", "cure"), [
-    ("it is off; switch it on", "it is off", "switch it on"),
-    ("a; b; do c", "a; b", "do c"),
-    ("it is off", "it is off", "see docs/reference/errors.md"),
-])
+@pytest.mark.parametrize(
+    ("sentence", "text", "cure"),
+    [
+        ("it is off; switch it on", "it is off", "switch it on"),
+        ("a; b; do c", "a; b", "do c"),
+        ("it is off", "it is off", "see docs/reference/errors.md"),
+    ],
+)
 def test_a_sentence_is_split_into_what_and_what_to_do(sentence, text, cure):
     line = from_error("x", ConnectError(sentence))
     assert (line.text, line.cure) == (text, cure)

@@ -13,8 +13,10 @@ from test_run import MBCACQ, ROOT, plan_file
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks Linux which sockets are bound")
 
-BUS = [{"driver": "modbus", "options": {"host": "127.0.0.1", "port": 5020, "values": {"robot_C": {"address": 0}}}},
-       {"driver": "serial", "options": {"port": "socket://127.0.0.1:5021", "line": "T=(?P<air_C>[0-9.]+)"}}]
+BUS = [
+    {"driver": "modbus", "options": {"host": "127.0.0.1", "port": 5020, "values": {"robot_C": {"address": 0}}}},
+    {"driver": "serial", "options": {"port": "socket://127.0.0.1:5021", "line": "T=(?P<air_C>[0-9.]+)"}},
+]
 
 
 def watched(*arguments, until, within_s=240):
@@ -35,10 +37,17 @@ def watched(*arguments, until, within_s=240):
 def test_a_live_dry_run_with_every_kind_of_device(tmp_path):
     journal = tmp_path / "run" / "journal.jsonl"
     plan = plan_file(tmp_path, lambda p: p.update(sensors=BUS))
-    found = watched("run", plan, "--dry-run", "--live", "--out", tmp_path / "run",
-                    until=lambda _: journal.exists() and journal.read_text().count("pose_done") >= 3)
+    found = watched(
+        "run",
+        plan,
+        "--dry-run",
+        "--live",
+        "--out",
+        tmp_path / "run",
+        until=lambda _: journal.exists() and journal.read_text().count("pose_done") >= 3,
+    )
     assert {protocol for protocol, _, _ in found} >= {"tcp", "udp"}
-    assert len(found) >= 6       # viewer, controller and driver, scanner's three, Modbus
+    assert len(found) >= 6  # viewer, controller and driver, scanner's three, Modbus
     assert not [each for each in found if not each[1].is_loopback]
 
 

@@ -21,8 +21,18 @@ def short(plan):
     plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
     plan["scanner"] |= {"reconnect_s": 20.0}
     plan["scanner"]["options"] |= {"timeout_s": 1.5, "retries": 0}
-    plan["sensors"] = [{"driver": "modbus", "options": {"host": "127.0.0.1", "port": 5020, "timeout_s": 0.3, "retries": 0, "values": {
-        "robot_C": {"address": 0, "table": "input", "type": "int16", "scale": 0.1}}}}]
+    plan["sensors"] = [
+        {
+            "driver": "modbus",
+            "options": {
+                "host": "127.0.0.1",
+                "port": 5020,
+                "timeout_s": 0.3,
+                "retries": 0,
+                "values": {"robot_C": {"address": 0, "table": "input", "type": "int16", "scale": 0.1}},
+            },
+        }
+    ]
 
 
 def run_with(tmp_path, hurt, change=lambda plan: None):
@@ -49,7 +59,7 @@ def run_with(tmp_path, hurt, change=lambda plan: None):
             error = None
         except (MbcacqError, KeyboardInterrupt) as caught:
             error = caught
-    assert still == [0.0]       # at the end of the run the arm stands
+    assert still == [0.0]  # at the end of the run the arm stands
     return error, acquisition.folder
 
 
@@ -64,14 +74,18 @@ def in_a_while(seconds, what):
     timer.start()
 
 
-@pytest.mark.parametrize(("hurt", "code"), [
-    (lambda cell: cell.faults.robot(silence=1), ExitCode.LOST),
-    (lambda cell: cell.faults.robot(ignore=1), ExitCode.SAFETY_STOP),
-    (lambda cell: cell.faults.robot(stop=1), ExitCode.LOST),
-    (lambda cell: cell.faults.scanner("status", {0x4528: -1}), ExitCode.DEVICE_FAULT),
-    (lambda cell: cell.faults.mishap("wrong_artefact", station="p1", artefact=None), ExitCode.DEVICE_FAULT),
-    (lambda cell: signal.raise_signal(signal.SIGINT), ExitCode.INTERRUPTED),
-], ids=["silent-controller", "does-not-follow", "stopped-at-the-pendant", "refused-exposure", "empty-place", "ctrl-c"])
+@pytest.mark.parametrize(
+    ("hurt", "code"),
+    [
+        (lambda cell: cell.faults.robot(silence=1), ExitCode.LOST),
+        (lambda cell: cell.faults.robot(ignore=1), ExitCode.SAFETY_STOP),
+        (lambda cell: cell.faults.robot(stop=1), ExitCode.LOST),
+        (lambda cell: cell.faults.scanner("status", {0x4528: -1}), ExitCode.DEVICE_FAULT),
+        (lambda cell: cell.faults.mishap("wrong_artefact", station="p1", artefact=None), ExitCode.DEVICE_FAULT),
+        (lambda cell: signal.raise_signal(signal.SIGINT), ExitCode.INTERRUPTED),
+    ],
+    ids=["silent-controller", "does-not-follow", "stopped-at-the-pendant", "refused-exposure", "empty-place", "ctrl-c"],
+)
 def test_the_arm_stands_the_recording_is_closed_the_exit_code_says_which(tmp_path, hurt, code):
     error, folder = run_with(tmp_path, hurt)
     assert error is not None

@@ -37,8 +37,13 @@ def undisturbed(tmp_path_factory):
 
 
 def killed_after(plan, run, poses, then_s=0.0):
-    process = subprocess.Popen([MBCACQ, "run", plan, "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.DEVNULL,
-                               stdout=subprocess.DEVNULL, start_new_session=True)
+    process = subprocess.Popen(
+        [MBCACQ, "run", plan, "--dry-run", "--out", run],
+        cwd=ROOT,
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     journal = run / "journal.jsonl"
     until(lambda: journal.exists() and journal.read_text().count("pose_done") >= poses)
     time.sleep(then_s)
@@ -54,7 +59,7 @@ def equal(run, whole):
     np.testing.assert_array_equal(b.ball[rows], a.ball)
     np.testing.assert_array_equal(b.xyz[rows], a.xyz)
     np.testing.assert_array_equal(b.direction[order], a.direction)
-    np.testing.assert_allclose(b.q[order], a.q, rtol=0, atol=1e-12)   # the mean over another number of equal cycles
+    np.testing.assert_allclose(b.q[order], a.q, rtol=0, atol=1e-12)  # the mean over another number of equal cycles
 
 
 @pytest.mark.parametrize(("poses", "then_s"), [(0, 0.0), (2, 0.07), (4, 0.13)])
@@ -66,11 +71,11 @@ def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, po
     assert resumed.returncode == 0, resumed.stderr
     equal(run, whole)
     gaps = json.loads(resumed.stdout)["gaps"]
-    if poses:                           # else it had not begun
+    if poses:  # else it had not begun
         assert len(gaps) == 1
         assert "interrupted" in gaps[0]
         assert "killed" in gaps[0]
-    if len(layout.parts(run)) > 1:      # the parts are one recording, and one recording id
+    if len(layout.parts(run)) > 1:  # the parts are one recording, and one recording id
         merged = run / "whole.rrd"
         assert sorted({int(row["pose"][0]) for row in Recording(merged).observed()}) == list(range(7))
         assert len({Recording(path).recording_id for path in (*layout.parts(run), merged)}) == 1
@@ -90,19 +95,22 @@ def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
         for name in ("plan.yaml", "plan.files.json"):
             (run / name).write_text((whole / name).read_text())
         (run / "run.rrd").write_bytes(data[:keep])
-        (run / "journal.jsonl").write_text("".join(journal[:6]) + journal[6][:20])     # ahead of the recording, and torn itself
+        (run / "journal.jsonl").write_text("".join(journal[:6]) + journal[6][:20])  # ahead of the recording, and torn itself
         resumed = mbcacq("run", plan, "--dry-run", "--resume", run)
         assert resumed.returncode == 0, resumed.stderr
         assert "was torn" in resumed.stderr
         equal(run, whole)
-        assert [p for p in run.iterdir() if p.read_bytes()[:keep] == data[:keep]]      # the torn file is still there
+        assert [p for p in run.iterdir() if p.read_bytes()[:keep] == data[:keep]]  # the torn file is still there
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    (lambda p: p["robot"].update(speed=0.5), "the plan was changed: robot.speed was 0.25 and is 0.5"),
-    (lambda p: p["steps"][1]["views"].pop(), "steps[1].views was a list of 3 and is one of 2"),
-    (lambda p: p["scanner"].pop("exposure_us"), "scanner.exposure_us was 8000 and is not there"),
-])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p["robot"].update(speed=0.5), "the plan was changed: robot.speed was 0.25 and is 0.5"),
+        (lambda p: p["steps"][1]["views"].pop(), "steps[1].views was a list of 3 and is one of 2"),
+        (lambda p: p["scanner"].pop("exposure_us"), "scanner.exposure_us was 8000 and is not there"),
+    ],
+)
 def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, change, words):
     _, whole = undisturbed
     plan = plan_file(tmp_path, lambda p: (two_stations(p), change(p)))

@@ -78,7 +78,7 @@ def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
     assert [p["value"] for p in same["parameters"]] == [p["value"] for p in result["parameters"]]
     report = mbcacq("report", tmp_path / "run")
     assert report.returncode == 0
-    assert "calibrating" not in report.stderr       # everything that the page shows stands in result.json
+    assert "calibrating" not in report.stderr  # everything that the page shows stands in result.json
     back = tmp_path / "observations"
     assert mbcacq("export", tmp_path / "run", "--observations", back).returncode == 0
     folder = json.loads(mbcacq("calibrate", back, "--json").stdout)
@@ -88,8 +88,13 @@ def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
 def test_an_interrupted_run_is_resumed_into_the_same_result(tmp_path):
     """Killed without warning in the middle: what was measured is readable, the rest is measured by --resume."""
     run = tmp_path / "run"
-    process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.DEVNULL,
-                               stdout=subprocess.DEVNULL, start_new_session=True)
+    process = subprocess.Popen(
+        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
+        cwd=ROOT,
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     journal = run / "journal.jsonl"
     until(lambda: journal.exists() and journal.read_text().count("\n") >= 5)
     os.killpg(process.pid, signal.SIGKILL)
@@ -109,8 +114,13 @@ def test_an_interrupted_run_is_resumed_into_the_same_result(tmp_path):
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 5), (signal.SIGHUP, 5)])
 def test_an_interrupted_run_ends_in_order_with_a_complete_recording(tmp_path, number, code):
     run = tmp_path / "run"
-    process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run], cwd=ROOT, stderr=subprocess.PIPE,
-                               stdout=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
     journal = run / "journal.jsonl"
     until(lambda: journal.exists() and journal.read_text().count("\n") >= 4)
     process.send_signal(number)
@@ -191,12 +201,16 @@ def test_truncated_recording(tmp_path, keep):
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory as files here")
 def test_nothing_of_a_run_that_is_killed_with_all_its_children_stays_in_shared_memory(tmp_path):
     before = set(os.listdir("/dev/shm"))
-    process = subprocess.Popen([MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", tmp_path / "run"], cwd=ROOT,
-                               stderr=subprocess.DEVNULL, start_new_session=True)
+    process = subprocess.Popen(
+        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", tmp_path / "run"],
+        cwd=ROOT,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     journal = tmp_path / "run" / "journal.jsonl"
     until(lambda: journal.exists() and "pose_done" in journal.read_text())
     maps = Path(f"/proc/{process.pid}/maps").read_text()
-    assert "/dev/shm/" in maps     # it does use some
+    assert "/dev/shm/" in maps  # it does use some
     ours = {line.split("/dev/shm/")[1].split()[0] for line in maps.splitlines() if "/dev/shm/" in line}
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()

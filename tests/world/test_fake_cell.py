@@ -29,23 +29,44 @@ VIEW = {"near_z_mm": 55, "far_z_mm": -55, "near_half_mm": (35.5, 49), "far_half_
 def loaded(**plan):
     places = facts().station_pose
     document = {
-        "format": "mbcacq-plan/1", "name": "small",
+        "format": "mbcacq-plan/1",
+        "name": "small",
         "robot": {"driver": "kuka_rsi", "model": "-", "home_deg": np.degrees(poses_q()[0]).tolist()},
-        "scanner": {"driver": "gocator", "model": "3210", "options": {"address": "127.0.0.1"}, "field_of_view": VIEW, "exposure_us": 8000.0},
-        "hand_eye": {"rotation": HAND_EYE[:3, :3].tolist(), "translation_mm": HAND_EYE[:3, 3].tolist()}, "artefacts": ["-"],
-        "stations": [{"id": k + 1, "artefact": "mbc" if k < 2 else "bar", "pose_in_base": {"rotation": T[:3, :3].tolist(),
-                      "translation_mm": T[:3, 3].tolist()}} for k, T in enumerate(places)],
+        "scanner": {
+            "driver": "gocator",
+            "model": "3210",
+            "options": {"address": "127.0.0.1"},
+            "field_of_view": VIEW,
+            "exposure_us": 8000.0,
+        },
+        "hand_eye": {"rotation": HAND_EYE[:3, :3].tolist(), "translation_mm": HAND_EYE[:3, 3].tolist()},
+        "artefacts": ["-"],
+        "stations": [
+            {
+                "id": k + 1,
+                "artefact": "mbc" if k < 2 else "bar",
+                "pose_in_base": {"rotation": T[:3, :3].tolist(), "translation_mm": T[:3, 3].tolist()},
+            }
+            for k, T in enumerate(places)
+        ],
         "steps": [{"name": "s", "phase": "position", "do": "joints", "station": 1, "poses_deg": [[0.0] * 6]}],
     }
     plan = Plan.model_validate({**document, **plan})
-    links = [{"sign": s, "theta_deg": t, "d_mm": d, "a_mm": a, "alpha_deg": al, "limits_deg": (-350, 350), "speed_deg_s": 300} for s, t, d, a, al in LINKS]
+    links = [
+        {"sign": s, "theta_deg": t, "d_mm": d, "a_mm": a, "alpha_deg": al, "limits_deg": (-350, 350), "speed_deg_s": 300}
+        for s, t, d, a, al in LINKS
+    ]
     robot = RobotSpec.model_validate({"name": "KR 10", "links": links}).model()
-    artefacts = (cells.Artefact("mbc", "", tuple(range(1, 9)), BALLS, np.full(8, 12.0)),
-                 cells.Artefact("bar", "", (9, 10), np.array([[-30.0, 0, 0], [30.0, 0, 0]]), np.full(2, 25.0)))
+    artefacts = (
+        cells.Artefact("mbc", "", tuple(range(1, 9)), BALLS, np.full(8, 12.0)),
+        cells.Artefact("bar", "", (9, 10), np.array([[-30.0, 0, 0], [30.0, 0, 0]]), np.full(2, 25.0)),
+    )
     stations = tuple(cells.Station(str(s.id), s.artefact, s.pose_in_base.transform()) for s in plan.stations)
     cell = cells.Cell(robot, plan.hand_eye.transform(), artefacts, stations)
-    poses = [PlannedPose(k, 0, "s", "position", str(s + 1), "mbc" if s < 2 else "bar", q, (), 1, 1)
-             for k, (q, s) in enumerate(zip(poses_q(), POSE_STATION, strict=True))]
+    poses = [
+        PlannedPose(k, 0, "s", "position", str(s + 1), "mbc" if s < 2 else "bar", q, (), 1, 1)
+        for k, (q, s) in enumerate(zip(poses_q(), POSE_STATION, strict=True))
+    ]
     return LoadedPlan(Path("small.yaml"), plan, cell, "", {}), poses
 
 
@@ -102,11 +123,22 @@ def test_a_modbus_positioner_and_sensor_are_played_at_the_wire():
     position, flag = {"address": 0, "type": "float32"}, {"address": 0, "table": "discrete"}
     air = {"address": 7, "type": "int16", "scale": 0.1}
     plan, poses = loaded(
-        positioner={"driver": "modbus", "options": {"host": "10.0.0.9", "stations": {1: 0.0, 2: 50.0, 3: 90.0}, "position": position, "in_position": flag,
-                                                    "flag_delay_s": 0.03}},
-        sensors=[{"driver": "modbus", "options": {"host": "10.0.0.8", "values": {"air_C": air}}},
-                 {"driver": "serial", "options": {"port": "/dev/ttyUSB0", "line": r"T=\s*(?P<robot_C>[-0-9.]+) C"}}],
-        fake={"climate": {"air_C": 25.5, "air_drift_K": 0.0, "warmup_K": 0.0}})
+        positioner={
+            "driver": "modbus",
+            "options": {
+                "host": "10.0.0.9",
+                "stations": {1: 0.0, 2: 50.0, 3: 90.0},
+                "position": position,
+                "in_position": flag,
+                "flag_delay_s": 0.03,
+            },
+        },
+        sensors=[
+            {"driver": "modbus", "options": {"host": "10.0.0.8", "values": {"air_C": air}}},
+            {"driver": "serial", "options": {"port": "/dev/ttyUSB0", "line": r"T=\s*(?P<robot_C>[-0-9.]+) C"}},
+        ],
+        fake={"climate": {"air_C": 25.5, "air_drift_K": 0.0, "warmup_K": 0.0}},
+    )
     with FakeCell(plan, poses) as cell:
         o, use = cell.overrides(), plan.plan
         positioner = create("positioners", "modbus", "", {**use.positioner.options, **o["positioner"]})
@@ -150,8 +182,10 @@ def children(process_id):
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc to see processes")
 def test_a_killed_parent_leaves_no_orphans():
-    code = ("import sys; sys.path.insert(0, sys.argv[1]); from test_fake_cell import *; plan, poses = loaded(); c = FakeCell(plan, poses).start();"
-            "print('up', flush=True); time.sleep(60)")
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from test_fake_cell import *; plan, poses = loaded(); c = FakeCell(plan, poses).start();"
+        "print('up', flush=True); time.sleep(60)"
+    )
     parent = subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent)], stdout=subprocess.PIPE, text=True)
     with parent:
         assert parent.stdout.readline() == "up\n"
@@ -194,8 +228,11 @@ def test_what_the_fake_cell_cannot_play_is_said_at_once():
     plan, poses = loaded(fake={"hiden": []})
     with pytest.raises(ConfigError, match="fake.hiden"):
         FakeCell(plan, poses)
-    for driver, given, said in (("kuka_eki", {"moving": []}, "moving is of an arm driven by kuka_rsi"), ("kuka_rsi", {"rearm": 1}, "unknown option rearm"),
-                                ("kuka_eki", {"layout": "motion"}, "unknown option layout")):
+    for driver, given, said in (
+        ("kuka_eki", {"moving": []}, "moving is of an arm driven by kuka_rsi"),
+        ("kuka_rsi", {"rearm": 1}, "unknown option rearm"),
+        ("kuka_eki", {"layout": "motion"}, "unknown option layout"),
+    ):
         robot = {"driver": driver, "model": "-", "home_deg": np.degrees(poses_q()[0]).tolist()}
         plan, poses = loaded(robot=robot, fake={"robot": given})
         with pytest.raises(ConfigError, match=said):

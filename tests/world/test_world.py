@@ -15,8 +15,15 @@ from mbcacq.errors import ConfigError
 def moments(world, q, arrival, station=0):
     p = len(q)
     zero = np.zeros((p, 6))
-    return world.moments(np.asarray(q), zero, zero, np.asarray(arrival), 10.0 * np.asarray(arrival), np.full(p, station),
-                         world.facts.station_artefact[np.full(p, station)])
+    return world.moments(
+        np.asarray(q),
+        zero,
+        zero,
+        np.asarray(arrival),
+        10.0 * np.asarray(arrival),
+        np.full(p, station),
+        world.facts.station_artefact[np.full(p, station)],
+    )
 
 
 def balls(world, q, arrival, station=0):
@@ -61,7 +68,7 @@ def test_true_places_lie_near_the_plan_but_not_on_it(cell_facts, deviations):
         off = invert(cell_facts.station_pose) @ world.stations
         shifts.append(off[:, :3, 3])
         turns.append(np.arccos((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2))
-    assert 1.0 < np.std(shifts) < 1.6            # 1.5 mm, cut at 2 sigma
+    assert 1.0 < np.std(shifts) < 1.6  # 1.5 mm, cut at 2 sigma
     assert np.max(np.abs(shifts)) <= 3.0 + 1e-9
     assert 0.2 < np.degrees(np.mean(turns)) < 1.0
 
@@ -143,8 +150,13 @@ def test_mishaps(cell_facts):
 
 def test_a_bump_comes_when_it_comes_and_moves_the_artefact_rigidly(cell_facts):
     """The tripod is bumped by 0.4 mm at the third arrival; centres before and after differ by just that."""
-    eye, arm = make_eye(cell_facts, noise_mm=(0, 0, 0), speckle_mm=0.0, repeatability_urad=0.0,
-                        mishaps=[{"kind": "bumped_tripod", "station": 1, "shift_mm": (0.4, 0, 0), "from_arrival": 3}])
+    eye, arm = make_eye(
+        cell_facts,
+        noise_mm=(0, 0, 0),
+        speckle_mm=0.0,
+        repeatability_urad=0.0,
+        mishaps=[{"kind": "bumped_tripod", "station": 1, "shift_mm": (0.4, 0, 0), "from_arrival": 3}],
+    )
     seen = []
     for _ in range(5):
         at = eye.moment(arm.read())
@@ -156,12 +168,15 @@ def test_a_bump_comes_when_it_comes_and_moves_the_artefact_rigidly(cell_facts):
     np.testing.assert_allclose(step, [0, 0, 0.4, 0], atol=0.002)
 
 
-@pytest.mark.parametrize(("fake", "words"), [
-    ({"erors": "paper"}, "erors"),
-    ({"pitch_mm": -1}, "pitch_mm"),
-    ({"errors": [[0, 0, 0, 0, 0]]}, "1 rows, but the arm has 6"),
-    ({"mishaps": [{"kind": "hidden_ball", "ball": 77}]}, "no ball '77'"),
-])
+@pytest.mark.parametrize(
+    ("fake", "words"),
+    [
+        ({"erors": "paper"}, "erors"),
+        ({"pitch_mm": -1}, "pitch_mm"),
+        ({"errors": [[0, 0, 0, 0, 0]]}, "1 rows, but the arm has 6"),
+        ({"mishaps": [{"kind": "hidden_ball", "ball": 77}]}, "no ball '77'"),
+    ],
+)
 def test_wrong_options_are_one_sentence(cell_facts, fake, words):
     def build():
         options = parse(fake)

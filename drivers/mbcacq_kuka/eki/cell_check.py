@@ -18,32 +18,41 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
     """Everything that is known after connecting. Raises IdentityError, DeviceFault (stopped)."""
     where = f"robot '{name}': the controller at {options.address}"
     if hello.interface != INTERFACE:
-        raise IdentityError(f"{where} runs programs for '{hello.interface}', this driver needs '{INTERFACE}'; "
-                            "copy the files that `mbcacq controller-files` writes")
+        raise IdentityError(
+            f"{where} runs programs for '{hello.interface}', this driver needs '{INTERFACE}'; "
+            "copy the files that `mbcacq controller-files` writes"
+        )
     if hello.axes != 6:
         raise IdentityError(f"{where} drives {hello.axes} axes, this driver is for 6")
     if model and not same_model(model, hello.model):
         raise IdentityError(f"{where} drives a '{hello.model}', the plan is for '{model}'; correct the plan's robot model or the address")
     for what, got, wanted in (("tool", state.tool, options.tool), ("base", state.base, options.base)):
         if got != wanted:
-            raise IdentityError(f"{where} works with {what} {got}, the plan expects {what} {wanted}; "
-                                "write the controller files again or correct the plan's options")
+            raise IdentityError(
+                f"{where} works with {what} {got}, the plan expects {what} {wanted}; "
+                "write the controller files again or correct the plan's options"
+            )
     for what, got, wanted in (("tool", hello.tool_frame, options.tool_frame), ("base", hello.base_frame, options.base_frame)):
         if wanted is not None and (away := frame_distance(got, wanted)) is not None:
             raise IdentityError(f"{where} has {away} between its {what} data and the plan's {what}_frame; correct one of them")
     if options.load_kg is not None and abs(hello.load_kg - options.load_kg) > 0.05 + 0.05 * options.load_kg:
-        raise IdentityError(f"{where} counts with a load of {hello.load_kg:g} kg, the plan says {options.load_kg:g} kg; "
-                            "correct the load data of its tool")
+        raise IdentityError(
+            f"{where} counts with a load of {hello.load_kg:g} kg, the plan says {options.load_kg:g} kg; correct the load data of its tool"
+        )
     if state.mode not in options.modes:
         mode = {v: k for k, v in MODES.items()}.get(state.mode, f"unknown ({state.mode})")
         raise IdentityError(f"{where} is in mode {mode}, the plan expects {' or '.join(options.mode)}; turn the mode selector")
     if options.override is not None and state.override != options.override:
-        raise IdentityError(f"{where} has an override of {state.override} %, the plan expects {options.override} %; "
-                            "set it on the smartPAD or set option override")
+        raise IdentityError(
+            f"{where} has an override of {state.override} %, the plan expects {options.override} %; "
+            "set it on the smartPAD or set option override"
+        )
     for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
         if not low - 1.0 <= value <= high + 1.0:
-            raise IdentityError(f"{where} shows A{axis} at {value:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
-                                "jog the arm inside or correct the robot model")
+            raise IdentityError(
+                f"{where} shows A{axis} at {value:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
+                "jog the arm inside or correct the robot model"
+            )
     check_flange(where, options, hello, state)
     check_stops(where, state)
 
@@ -55,8 +64,10 @@ def check_flange(where: str, options: EkiOptions, hello: Hello, state: State) ->
     told = _invert(_frame(hello.robroot)) @ _frame(hello.base_frame) @ _frame(state.cart) @ _invert(_frame(hello.tool_frame))
     away = float(np.linalg.norm(told[:3, 3] - flange(options.kinematics, state.axis)[:3, 3]))
     if not away <= options.flange_tolerance_mm:
-        raise IdentityError(f"{where} places its flange {away:.1f} mm from where the plan's robot model does at the same joint angles; "
-                            "the robot model, the machine data (MADA) or $ROBROOT is another one")
+        raise IdentityError(
+            f"{where} places its flange {away:.1f} mm from where the plan's robot model does at the same joint angles; "
+            "the robot model, the machine data (MADA) or $ROBROOT is another one"
+        )
 
 
 def check_stops(where: str, state: State) -> None:

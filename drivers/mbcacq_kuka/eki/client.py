@@ -24,8 +24,9 @@ class Request(IntEnum):
 
 
 class EkiEvent(IntEnum):
-    (STARTED, STOPPED, CANCELLED, RESET_OK, ERROR, CONNECTED, SWITCH_OK, INVALID, NONE, DRIVES_ON, DRIVES_OFF, CYCLE_SET,
-     STATUS) = range(13)
+    (STARTED, STOPPED, CANCELLED, RESET_OK, ERROR, CONNECTED, SWITCH_OK, INVALID, NONE, DRIVES_ON, DRIVES_OFF, CYCLE_SET, STATUS) = range(
+        13
+    )
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,23 @@ class EkiStatus:
     robot_stopped: bool
 
 
-_STATUS = dict(zip((f.name for f in fields(EkiStatus)), (
-    "ControlMode", "CycleTime", "DrivesPowered", "EmergencyStop", "GuardStop", "InMotion", "MotionPossible", "OperationMode",
-    "RobotStopped"), strict=True))
+_STATUS = dict(
+    zip(
+        (f.name for f in fields(EkiStatus)),
+        (
+            "ControlMode",
+            "CycleTime",
+            "DrivesPowered",
+            "EmergencyStop",
+            "GuardStop",
+            "InMotion",
+            "MotionPossible",
+            "OperationMode",
+            "RobotStopped",
+        ),
+        strict=True,
+    )
+)
 
 
 class EkiClient:
@@ -74,8 +89,9 @@ class EkiClient:
         try:
             self._socket = socket.create_connection((self._host, self._port), self._timeout_s)
         except OSError as error:
-            raise ConnectError(f"the EKI server {self._host}:{self._port} cannot be reached ({error}); "
-                               "is the submit program running and the port open?") from error
+            raise ConnectError(
+                f"the EKI server {self._host}:{self._port} cannot be reached ({error}); is the submit program running and the port open?"
+            ) from error
         self._cutter = Cutter("Robot")
         try:
             self._send(Request.CONNECT)
@@ -133,8 +149,10 @@ class EkiClient:
             return
         name = next((e.name.lower() for e in EkiEvent if str(int(e)) == event), event)
         text = (answer.text or "").strip()
-        raise DeviceFault(f"the controller answered {request.name.lower()} with '{name}'{': ' + text if text else ''}; "
-                          "look at the smartPAD (operation mode EXT, drives, messages)")
+        raise DeviceFault(
+            f"the controller answered {request.name.lower()} with '{name}'{': ' + text if text else ''}; "
+            "look at the smartPAD (operation mode EXT, drives, messages)"
+        )
 
     def _event(self) -> Element | None:
         while self._waiting:
@@ -184,8 +202,13 @@ class EkiClient:
 
     def _take(self, robot: Element) -> None:
         if (init := robot.find("Init")) is not None:
-            self.identity = RobotIdentity(init.get("VER", ""), int(init.get("NumAxes", "0")), int(init.get("NumExternalAxes", "0")),
-                                          init.get("Model", ""), init.get("RobVer", ""))
+            self.identity = RobotIdentity(
+                init.get("VER", ""),
+                int(init.get("NumAxes", "0")),
+                int(init.get("NumExternalAxes", "0")),
+                init.get("Model", ""),
+                init.get("RobVer", ""),
+            )
         if (status := robot.find("Status")) is not None:
             values = {field.name: int(status.get(_STATUS[field.name], "0")) for field in fields(EkiStatus)}
             self.status = EkiStatus(**{f.name: bool(values[f.name]) if f.type == "bool" else values[f.name] for f in fields(EkiStatus)})

@@ -9,17 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from mbcacq.devices import (
-    ConfigError,
-    ConnectError,
-    Cycles,
-    Description,
-    DeviceFault,
-    Field,
-    MotionLimits,
-    RobotState,
-    SafetyStop,
-)
+from mbcacq.devices import ConfigError, ConnectError, Cycles, Description, DeviceFault, Field, MotionLimits, RobotState, SafetyStop
 from mbcacq_kuka.controller_files import eki_files
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.cell_check import check_cell, frame_distance
@@ -57,24 +47,32 @@ class KukaEki:
     def describe(self) -> Description:
         rate, axes = 1000.0 / self._options.state_ms, (6,)
         hello = None if self._session is None else self._session.hello
-        return Description("robot", self._model, (
-            Field("time_s", "s", (), rate, "robot clock ($ROB_TIMER)"),
-            Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
-            Field("q", "rad", axes, rate, "measured axis angles ($AXIS_ACT_MEAS)"),
-            Field("q_command", "rad", axes, rate, "target of the move under way"),
-            Field("current_percent", "%", axes, rate, "motor currents ($CURR_ACT)"),
-            Field("tool_in_base_mm_deg", "mm, deg", axes, rate, "X, Y, Z, A, B, C of the tool in the base ($POS_ACT)"),
-            Field("override_percent", "%", (), rate, "program override ($OV_PRO)"),
-            Field("sign_of_life_ms", "ms", (), rate, "age of our last sign of life, on the robot's clock"),
-            Field("connection", "1", (), rate, "how many connections this one is; a step is a gap in the stream"),
-        ), serial="" if hello is None else hello.model, firmware="" if hello is None else hello.machine_data, verified_on_hardware=False)
+        return Description(
+            "robot",
+            self._model,
+            (
+                Field("time_s", "s", (), rate, "robot clock ($ROB_TIMER)"),
+                Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
+                Field("q", "rad", axes, rate, "measured axis angles ($AXIS_ACT_MEAS)"),
+                Field("q_command", "rad", axes, rate, "target of the move under way"),
+                Field("current_percent", "%", axes, rate, "motor currents ($CURR_ACT)"),
+                Field("tool_in_base_mm_deg", "mm, deg", axes, rate, "X, Y, Z, A, B, C of the tool in the base ($POS_ACT)"),
+                Field("override_percent", "%", (), rate, "program override ($OV_PRO)"),
+                Field("sign_of_life_ms", "ms", (), rate, "age of our last sign of life, on the robot's clock"),
+                Field("connection", "1", (), rate, "how many connections this one is; a step is a gap in the stream"),
+            ),
+            serial="" if hello is None else hello.model,
+            firmware="" if hello is None else hello.machine_data,
+            verified_on_hardware=False,
+        )
 
     def connect(self) -> None:
         """Connect, wait for the controller's program, compare its cell with the plan. Raises ConnectError, IdentityError, DeviceFault."""
         self.close()
         self._record = Record()
-        session = self._session = EkiSession(self._name, self._options, self._record,
-                                          lambda hello, state: check_cell(self._name, self._model, self._options, hello, state))
+        session = self._session = EkiSession(
+            self._name, self._options, self._record, lambda hello, state: check_cell(self._name, self._model, self._options, hello, state)
+        )
         try:
             session.open()
         except BaseException:
@@ -97,8 +95,10 @@ class KukaEki:
         outside = ~(np.isfinite(target) & (target >= low - 1e-9) & (target <= high + 1e-9))
         if outside.any():
             axis = int(np.argmax(outside))
-            raise SafetyStop(f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the joint limits "
-                             f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved")
+            raise SafetyStop(
+                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the joint limits "
+                f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved"
+            )
         speed = np.degrees(np.broadcast_to(np.asarray(limits.speed, dtype=float), (6,)))
         if not (np.isfinite(speed).all() and (speed > 0).all()):
             raise ConfigError(f"robot '{self._name}': speed limits must be positive")
@@ -118,8 +118,10 @@ class KukaEki:
         if pose.shape != (6,) or not np.isfinite(pose).all():
             raise ConfigError(f"robot '{self._name}': a LIN target is X, Y, Z, A, B, C")
         if not 0.0 < speed_mm_s <= self._options.path_speed_mm_s:
-            raise SafetyStop(f"robot '{self._name}': {speed_mm_s:g} mm/s is not within 0..{self._options.path_speed_mm_s:g} mm/s "
-                             "(option path_speed_mm_s); nothing was moved")
+            raise SafetyStop(
+                f"robot '{self._name}': {speed_mm_s:g} mm/s is not within 0..{self._options.path_speed_mm_s:g} mm/s "
+                "(option path_speed_mm_s); nothing was moved"
+            )
 
         def away(state: State) -> float:
             turned = frame_distance((0.0, 0.0, 0.0, *state.cart[3:]), (0.0, 0.0, 0.0, *pose[3:]))
@@ -159,15 +161,19 @@ class KukaEki:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _begin(self, session: EkiSession, kind: int, away: Callable[[State], float], settle_s: float, target: np.ndarray | None,
-               **values: Any) -> None:
+    def _begin(
+        self, session: EkiSession, kind: int, away: Callable[[State], float], settle_s: float, target: np.ndarray | None, **values: Any
+    ) -> None:
         if session.busy and not session.arrived:
             self.stop()
         session.await_link()
         with self._lock:
             number = self._number = self._number + 1
-        session.begin(Move(number, away, settle_s), None if target is None else tuple(target.tolist()),
-                      telegrams.command(kind, number, session.beat, acceleration=self._options.acceleration_percent, **values))
+        session.begin(
+            Move(number, away, settle_s),
+            None if target is None else tuple(target.tolist()),
+            telegrams.command(kind, number, session.beat, acceleration=self._options.acceleration_percent, **values),
+        )
 
     def _check(self) -> EkiSession:
         """Raise what has stopped the arm."""
@@ -175,8 +181,11 @@ class KukaEki:
         if session is None:
             raise ConnectError(f"robot '{self._name}' is not connected; call connect first")
         if session.error is None and self._record.lost:
-            session.fail(DeviceFault(f"robot '{self._name}': {self._record.lost} states were lost because they were not fetched in time; "
-                                     "the arm is stopped"))
+            session.fail(
+                DeviceFault(
+                    f"robot '{self._name}': {self._record.lost} states were lost because they were not fetched in time; the arm is stopped"
+                )
+            )
         if session.error is not None:
             self.stop()
             raise session.error.with_traceback(None)

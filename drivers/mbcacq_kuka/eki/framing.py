@@ -34,17 +34,17 @@ class Cutter:
     def _next(self) -> bytes | None:
         start = self._open.search(self._buffer)
         if start is None:
-            self._buffer = self._buffer[-self._keep:]  # perhaps the beginning of a tag
+            self._buffer = self._buffer[-self._keep :]  # perhaps the beginning of a tag
             return None
         if start.start():
-            self._buffer, self._searched = self._buffer[start.start():], 0
+            self._buffer, self._searched = self._buffer[start.start() :], 0
         end = self._empty.match(self._buffer) or self._close.search(self._buffer, self._searched)
         if end is None:
             if len(self._buffer) > MAX_TELEGRAM:
                 raise FramingError(f"a telegram is longer than {MAX_TELEGRAM} bytes")
             self._searched = max(0, len(self._buffer) - 128)
             return None
-        telegram, self._buffer, self._searched = self._buffer[:end.end()], self._buffer[end.end():], 0
+        telegram, self._buffer, self._searched = self._buffer[: end.end()], self._buffer[end.end() :], 0
         if len(telegram) > MAX_TELEGRAM:
             raise FramingError(f"a telegram is longer than {MAX_TELEGRAM} bytes")
         if b"<!" in telegram or b"<?" in telegram:

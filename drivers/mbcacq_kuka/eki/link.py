@@ -28,8 +28,10 @@ class Link:
         try:
             self._socket = socket.create_connection((address, port), timeout_s)
         except (OSError, UnicodeError) as error:
-            raise ConnectError(f"the controller's EKI channel {self.where} cannot be reached ({error}); is its link program running in the "
-                               "submit interpreter, is the address right, does another client hold the channel?") from error
+            raise ConnectError(
+                f"the controller's EKI channel {self.where} cannot be reached ({error}); is its link program running in the "
+                "submit interpreter, is the address right, does another client hold the channel?"
+            ) from error
         self._socket.settimeout(_SEND_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._cutter, self._lock = Cutter("Robot"), threading.Lock()

@@ -83,16 +83,28 @@ def read_options(name: str, given: Mapping[str, Any]) -> EkiOptions:
             raise ConfigError(f"robot '{name}': option mode must be any, T1, T2, AUT or EXT, it is {mode!r}")
     options = EkiOptions(**values)
     for key, low, high, whole in (
-            ("port", 1, 65535, True), ("acceleration_percent", 1, 100, True), ("path_speed_mm_s", 1, 3000, False), ("tool", 0, 128, True),
-            ("base", 0, 128, True), ("override", 1, 100, True), ("load_kg", 0, 5000, False), ("flange_tolerance_mm", 1e-6, 1e6, False),
-            ("connect_timeout_s", 1e-3, 1e6, False), ("silence_s", 1e-2, 1e3, False), ("reconnect_s", 0, 1e4, False),
-            ("beat_ms", 1, 1e4, False), ("controller_silence_ms", 100, 10000, True), ("state_ms", 12, 1000, True)):
+        ("port", 1, 65535, True),
+        ("acceleration_percent", 1, 100, True),
+        ("path_speed_mm_s", 1, 3000, False),
+        ("tool", 0, 128, True),
+        ("base", 0, 128, True),
+        ("override", 1, 100, True),
+        ("load_kg", 0, 5000, False),
+        ("flange_tolerance_mm", 1e-6, 1e6, False),
+        ("connect_timeout_s", 1e-3, 1e6, False),
+        ("silence_s", 1e-2, 1e3, False),
+        ("reconnect_s", 0, 1e4, False),
+        ("beat_ms", 1, 1e4, False),
+        ("controller_silence_ms", 100, 10000, True),
+        ("state_ms", 12, 1000, True),
+    ):
         value = getattr(options, key)
         if value is None and key in ("override", "load_kg"):
             continue
         if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
-            raise ConfigError(f"robot '{name}': option {key} must be a {'whole ' if whole else ''}number from {low:g} to {high:g}, "
-                              f"it is {value!r}")
+            raise ConfigError(
+                f"robot '{name}': option {key} must be a {'whole ' if whole else ''}number from {low:g} to {high:g}, it is {value!r}"
+            )
     if min(options.speed_deg_s) <= 0:
         raise ConfigError(f"robot '{name}': option speed_deg_s must be positive")
     if any(low >= high for low, high in options.limits_deg):

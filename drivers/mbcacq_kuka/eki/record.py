@@ -23,8 +23,20 @@ class Record:
         self.lost += len(self._rows) == MAX_ROWS
         command = (np.nan,) * 6 if target_deg is None else target_deg
         age = max(0, state.time - state.beat) if state.beat else np.nan
-        self._rows.append([arrival_s, state.time * 1e-3, state.override, state.moving, age, connection,
-                           *state.axis, *command, *state.current, *state.cart])
+        self._rows.append(
+            [
+                arrival_s,
+                state.time * 1e-3,
+                state.override,
+                state.moving,
+                age,
+                connection,
+                *state.axis,
+                *command,
+                *state.current,
+                *state.cart,
+            ]
+        )
 
     def drain(self) -> Cycles:
         """q_set is not told over EKI (NaN); q_command is the target of the move under way."""
@@ -34,8 +46,18 @@ class Record:
         if not taken:
             return Cycles({})
         rows = np.array(taken, dtype=float)
-        return Cycles({
-            "host_time_s": rows[:, 0], "time_s": rows[:, 1], "override_percent": rows[:, 2], "moving": rows[:, 3].astype(bool),
-            "sign_of_life_ms": rows[:, 4], "connection": rows[:, 5], "q": np.radians(rows[:, 6:12]),
-            "q_set": np.full((len(rows), 6), np.nan), "q_command": np.radians(rows[:, 12:18]), "current_percent": rows[:, 18:24],
-            "tool_in_base_mm_deg": rows[:, 24:30]})
+        return Cycles(
+            {
+                "host_time_s": rows[:, 0],
+                "time_s": rows[:, 1],
+                "override_percent": rows[:, 2],
+                "moving": rows[:, 3].astype(bool),
+                "sign_of_life_ms": rows[:, 4],
+                "connection": rows[:, 5],
+                "q": np.radians(rows[:, 6:12]),
+                "q_set": np.full((len(rows), 6), np.nan),
+                "q_command": np.radians(rows[:, 12:18]),
+                "current_percent": rows[:, 18:24],
+                "tool_in_base_mm_deg": rows[:, 24:30],
+            }
+        )

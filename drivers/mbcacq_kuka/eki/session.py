@@ -41,8 +41,11 @@ class EkiSession:
         self._link = self._dial(self._patience - time.monotonic())
         self._thread.start()
         where = f"robot '{self._name}': the controller at {self._options.address}"
-        self._await(lambda: self.state is not None, min(deadline, time.monotonic() + _FIRST_S),
-                    f"{where} accepts the connection but tells no state; is our link program in its submit interpreter?")
+        self._await(
+            lambda: self.state is not None,
+            min(deadline, time.monotonic() + _FIRST_S),
+            f"{where} accepts the connection but tells no state; is our link program in its submit interpreter?",
+        )
         self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
         self._check(self.hello, self.state)
         braking = time.monotonic() + _FIRST_S  # perhaps from a connection that was lost just now
@@ -71,8 +74,11 @@ class EkiSession:
 
     def await_link(self) -> None:
         """While the connection is being taken up again, wait. Raises what ended the session."""
-        self._await(lambda: self._link is not None, time.monotonic() + self._options.reconnect_s + self._options.silence_s + 10.0,
-                    f"robot '{self._name}': the connection is not there")
+        self._await(
+            lambda: self._link is not None,
+            time.monotonic() + self._options.reconnect_s + self._options.silence_s + 10.0,
+            f"robot '{self._name}': the connection is not there",
+        )
 
     def begin(self, move: Move, target: tuple[float, ...] | None, telegram: bytes) -> None:
         with self._news:
@@ -109,7 +115,7 @@ class EkiSession:
             link.close()
         if self._thread.is_alive():
             self._thread.join()
-        if (link := self._link) is not None:    # one that was just being taken up again
+        if (link := self._link) is not None:  # one that was just being taken up again
             link.close()
 
     # the thread

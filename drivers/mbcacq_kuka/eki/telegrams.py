@@ -16,8 +16,11 @@ AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
 REFUSALS = {
     **{k: f"A{k} would leave the limits written into its program" for k in range(1, 7)},
-    10: "it does not know this kind of move", 11: "the speed is beyond what its program allows",
-    12: "the acceleration is beyond what its program allows", 13: "eight moves wait already", 14: "its program does not run",
+    10: "it does not know this kind of move",
+    11: "the speed is beyond what its program allows",
+    12: "the acceleration is beyond what its program allows",
+    13: "eight moves wait already",
+    14: "its program does not run",
     15: "the number of the move was used before",
 }
 
@@ -73,13 +76,22 @@ class State:
 _INTEGERS = {f.name: f.name.title().replace("_", "") for f in fields(State) if f.type == "int"}
 
 
-def command(kind: int, number: int = 0, beat: int = 0, speed: float = 0.0, acceleration: int = 0, axes: Sequence[float] = (0.0,) * 6,
-            frame: Sequence[float] = (0.0,) * 6) -> bytes:
+def command(
+    kind: int,
+    number: int = 0,
+    beat: int = 0,
+    speed: float = 0.0,
+    acceleration: int = 0,
+    axes: Sequence[float] = (0.0,) * 6,
+    frame: Sequence[float] = (0.0,) * 6,
+) -> bytes:
     """Always with every element: EKI keeps a queue for each, and they must not fall out of step. speed % (PTP) or mm/s (LIN)."""
     a = " ".join(f'{n}="{v:.6f}"' for n, v in zip(AXES, axes, strict=True))
     f = " ".join(f'{n}="{v:.6f}"' for n, v in zip(POSE, frame, strict=True))
-    return (f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}">'
-            f"<Axis {a}></Axis><Frame {f}></Frame></Command>").encode("ascii")
+    return (
+        f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}">'
+        f"<Axis {a}></Axis><Frame {f}></Frame></Command>"
+    ).encode("ascii")
 
 
 def parse(data: bytes) -> tuple[Hello | None, State | None]:
@@ -96,14 +108,25 @@ def parse(data: bytes) -> tuple[Hello | None, State | None]:
 
 def _hello(element: Element) -> Hello:
     frames = [_numbers(_child(element, name), POSE) for name in ("BaseFrame", "ToolFrame", "RobRoot", "LoadCentre")]
-    return Hello(_integer(element, "Axes"), element.get("Interface", ""), element.get("MachineData", ""), element.get("Model", ""),
-                 _integer(element, "Session"), _numbers(element, ("LoadKg",))[0], *frames)
+    return Hello(
+        _integer(element, "Axes"),
+        element.get("Interface", ""),
+        element.get("MachineData", ""),
+        element.get("Model", ""),
+        _integer(element, "Session"),
+        _numbers(element, ("LoadKg",))[0],
+        *frames,
+    )
 
 
 def _state(element: Element) -> State:
     integers = {name: _integer(element, attribute) for name, attribute in _INTEGERS.items()}
-    return State(**integers, axis=_numbers(_child(element, "Axis"), AXES), cart=_numbers(_child(element, "Cart"), POSE),
-                 current=_numbers(_child(element, "Current"), AXES))
+    return State(
+        **integers,
+        axis=_numbers(_child(element, "Axis"), AXES),
+        cart=_numbers(_child(element, "Cart"), POSE),
+        current=_numbers(_child(element, "Current"), AXES),
+    )
 
 
 def _child(element: Element, name: str) -> Element:

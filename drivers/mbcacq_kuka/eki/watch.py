@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mbcacq.devices import DeviceFault, DeviceTimeout, MbcacqError, SafetyStop
 from mbcacq_kuka.eki.telegrams import REFUSALS, State
 
-_TAKE_S, _BEGIN_S, _REACH_S = 2.0, 3.0, 1.0   # robot time to take a move, to begin it, to come to the target once it is done
+_TAKE_S, _BEGIN_S, _REACH_S = 2.0, 3.0, 1.0  # robot time to take a move, to begin it, to come to the target once it is done
 _NAMES = {"tool": "tool", "base": "base", "mode": "operating mode"}
 
 
@@ -60,25 +60,35 @@ class Watch:
         self._since = now if self._since is None else self._since
         if state.refused == move.number:
             reason = REFUSALS.get(state.code, f"code {state.code}")
-            return SafetyStop(f"{robot}: the controller refused the move: {reason}; nothing was moved (the files on the controller must be "
-                              "those that `mbcacq controller-files` writes for this plan)")
+            return SafetyStop(
+                f"{robot}: the controller refused the move: {reason}; nothing was moved (the files on the controller must be "
+                "those that `mbcacq controller-files` writes for this plan)"
+            )
         if state.cancelled >= move.number:
-            return DeviceFault(f"{robot}: the controller stopped the move by itself, for want of signs of life; look at the network and "
-                               "the load of this computer")
+            return DeviceFault(
+                f"{robot}: the controller stopped the move by itself, for want of signs of life; look at the network and "
+                "the load of this computer"
+            )
         if state.last < move.number:
             return self._overdue(now, _TAKE_S, f"{robot}: the controller did not take the move; the arm is stopped")
         if state.done < move.number or state.moving:
             self._inside_since = None
             if state.moving:
                 self._since = now
-            return self._overdue(now, _BEGIN_S, f"{robot}: the controller took the move, but the arm does not begin it; "
-                                                "look at the smartPAD (drives, start key in T1, messages)")
+            return self._overdue(
+                now,
+                _BEGIN_S,
+                f"{robot}: the controller took the move, but the arm does not begin it; "
+                "look at the smartPAD (drives, start key in T1, messages)",
+            )
         away = move.away(state)
         if away > 1.0:
             self._inside_since = None
             if now - self._since > _REACH_S:
-                return SafetyStop(f"{robot}: the arm stands {away:.1f} times the tolerance away from its target, although the controller "
-                                  "says the move is done; it is not moved any further")
+                return SafetyStop(
+                    f"{robot}: the arm stands {away:.1f} times the tolerance away from its target, although the controller "
+                    "says the move is done; it is not moved any further"
+                )
             return None
         self._inside_since = now if self._inside_since is None else self._inside_since
         self.arrived = now - self._inside_since >= move.settle_s

@@ -32,8 +32,10 @@ class Arrival:
         if any(abs(m - t) > command.tolerance for m, t in zip(measured, command.target, strict=True)):
             self._inside_since = None
             if still == _COARSE_CYCLES and (digits := _rounded_to(measured, command.target)) is not None:
-                return (f"the telegrams show joint angles with {digits} decimals only, too coarse to see an arrival within "
-                        f"{command.tolerance:g} deg; set Precision to 6 at the ETHERNET object of the RSI context")
+                return (
+                    f"the telegrams show joint angles with {digits} decimals only, too coarse to see an arrival within "
+                    f"{command.tolerance:g} deg; set Precision to 6 at the ETHERNET object of the RSI context"
+                )
         elif self._inside_since is None:
             self._inside_since = time_s
         elif time_s - self._inside_since >= command.settle_s:

@@ -36,8 +36,13 @@ from mbcacq_kuka.rsi.record import CycleReader
 from mbcacq_kuka.rsi.shared import ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
 
 _FAULTS: dict[str, type[MbcacqError]] = {
-    "connect": ConnectError, "protocol": ProtocolError, "silence": DeviceTimeout, "late": DeviceFault, "follow": SafetyStop,
-    "refused": SafetyStop, "coarse": DeviceFault,
+    "connect": ConnectError,
+    "protocol": ProtocolError,
+    "silence": DeviceTimeout,
+    "late": DeviceFault,
+    "follow": SafetyStop,
+    "refused": SafetyStop,
+    "coarse": DeviceFault,
 }
 _AFTER = {
     "silence": "look at the smartPAD for the controller's message, then start its RSI program again",
@@ -71,16 +76,21 @@ class KukaRsi:
 
     def describe(self) -> Description:
         axes, rate = (6,), 1000.0 / self._options.cycle_ms
-        return Description("robot", self._model, (
-            Field("time_s", "s", (), rate, "robot clock (IPOC)"),
-            Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
-            Field("q", "rad", axes, rate, "measured axis angles (AIPos)"),
-            Field("q_set", "rad", axes, rate, "set axis angles without correction (ASPos); NaN if not sent"),
-            Field("q_command", "rad", axes, rate, "axis angles asked for in the answer"),
-            Field("current_percent", "%", axes, rate, "motor currents (MACur), as sent"),
-            Field("delay", "1", (), rate, "answers the controller counted late"),
-            Field("ipoc", "ms", (), rate, "the controller's cycle counter"),
-        ), verified_on_hardware=False)
+        return Description(
+            "robot",
+            self._model,
+            (
+                Field("time_s", "s", (), rate, "robot clock (IPOC)"),
+                Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
+                Field("q", "rad", axes, rate, "measured axis angles (AIPos)"),
+                Field("q_set", "rad", axes, rate, "set axis angles without correction (ASPos); NaN if not sent"),
+                Field("q_command", "rad", axes, rate, "axis angles asked for in the answer"),
+                Field("current_percent", "%", axes, rate, "motor currents (MACur), as sent"),
+                Field("delay", "1", (), rate, "answers the controller counted late"),
+                Field("ipoc", "ms", (), rate, "the controller's cycle counter"),
+            ),
+            verified_on_hardware=False,
+        )
 
     def connect(self) -> None:
         """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable)."""
@@ -89,8 +99,9 @@ class KukaRsi:
         try:
             self._shared = Shared.create()
         except OSError as error:
-            raise ConnectError(f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); "
-                               "free some in /dev/shm") from error
+            raise ConnectError(
+                f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); free some in /dev/shm"
+            ) from error
         self._reader = CycleReader(self._shared)
         atexit.register(self.close)
         try:
@@ -116,8 +127,9 @@ class KukaRsi:
             dynamics[0] = np.minimum(dynamics[0], self._options.speed_deg_s)
         with self._lock:
             if self._shared is not None:
-                self._move_seq = self._shared.send(RsiCommand(MOVE, target.tolist(), *(v.tolist() for v in dynamics),
-                                                           float(np.degrees(limits.tolerance)), limits.settle_s))
+                self._move_seq = self._shared.send(
+                    RsiCommand(MOVE, target.tolist(), *(v.tolist() for v in dynamics), float(np.degrees(limits.tolerance)), limits.settle_s)
+                )
 
     def state(self) -> RobotState:
         self._check()
@@ -172,8 +184,10 @@ class KukaRsi:
         line = self._process.stdout.readline()
         answer = json.loads(line) if line else {"error": "the RSI process did not start"}
         if "error" in answer:
-            raise ConnectError(f"robot '{self._name}': cannot listen on {self._options.bind}:{self._options.port} ({answer['error']}); "
-                               "is another program using the port (KUKA's TestServer, a second mbcacq), is the address this computer's?")
+            raise ConnectError(
+                f"robot '{self._name}': cannot listen on {self._options.bind}:{self._options.port} ({answer['error']}); "
+                "is another program using the port (KUKA's TestServer, a second mbcacq), is the address this computer's?"
+            )
         self._shared.forget()
         self.port, self.real_time = answer["ready"], answer["real_time"]
 
@@ -185,7 +199,8 @@ class KukaRsi:
                 raise ConnectError(
                     f"robot '{self._name}': no RSI telegram arrived on {self._options.bind}:{self.port} within "
                     f"{self._options.connect_timeout_s:g} s; start the RSI program on the controller, and check that its Ethernet "
-                    "configuration names this computer's address and port and that no firewall blocks UDP")
+                    "configuration names this computer's address and port and that no firewall blocks UDP"
+                )
             time.sleep(0.002)
         self._reader.begin()
 
@@ -206,8 +221,9 @@ class KukaRsi:
             return DeviceFault(f"robot '{self._name}': the RSI process ended unexpectedly (exit code {code}); the controller stops the arm")
         if self._reader.lost:
             self.stop()
-            return DeviceFault(f"robot '{self._name}': {self._reader.lost} cycles were lost because they were not fetched in time; "
-                               "the arm was stopped")
+            return DeviceFault(
+                f"robot '{self._name}': {self._reader.lost} cycles were lost because they were not fetched in time; the arm was stopped"
+            )
         return None
 
     def _check_target(self, target: np.ndarray) -> None:
@@ -221,5 +237,7 @@ class KukaRsi:
         outside = ~(np.isfinite(target) & (target >= low - 1e-9) & (target <= high + 1e-9))
         if outside.any():
             axis = int(np.argmax(outside))
-            raise SafetyStop(f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the {where} "
-                             f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved")
+            raise SafetyStop(
+                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the {where} "
+                f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved"
+            )

@@ -18,12 +18,12 @@ from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, finite
 from mbcacq_kuka.rsi.watch import Follow
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-_LEARN = 5           # telegrams answered with zero before the session counts as connected
-_PATIENCE = 5        # telegrams that are no use before we say so
-_EMPTY = 50          # the same for those that are only empty: they queue up while we start
-_STILL_DEG = 1e-3    # less motion in a cycle is standing still
-_REST_CYCLES = 5     # standing still so long is being at rest
-_END_CYCLES = 12     # and so long, before the session is ended
+_LEARN = 5  # telegrams answered with zero before the session counts as connected
+_PATIENCE = 5  # telegrams that are no use before we say so
+_EMPTY = 50  # the same for those that are only empty: they queue up while we start
+_STILL_DEG = 1e-3  # less motion in a cycle is standing still
+_REST_CYCLES = 5  # standing still so long is being at rest
+_END_CYCLES = 12  # and so long, before the session is ended
 _STOP_CYCLES = 125
 _CLOSE_S = 5.0
 
@@ -56,8 +56,11 @@ class RsiSession:
         if self._parser is None:
             return self._meet(data, source, now)
         if source != self._controller:
-            self._fail("protocol", f"a telegram came from {_text(source)} although the controller is {_text(self._controller)}; "
-                                   "keep other senders off this port")
+            self._fail(
+                "protocol",
+                f"a telegram came from {_text(source)} although the controller is {_text(self._controller)}; "
+                "keep other senders off this port",
+            )
             return None
         self.last_heard = now
         try:
@@ -117,8 +120,11 @@ class RsiSession:
         if planned is not None and self._settings["check_set_point"]:
             apart = max(abs(row[i] - a) for i, a in zip(planned, start, strict=True))
             if apart > 0.1:
-                self._fail("connect", f"AIPos and ASPos differ by {apart:.2f} deg, so the controller still applies an earlier correction; "
-                                      "restart its RSI program (or set check_set_point: false if it does not report ASPos properly)")
+                self._fail(
+                    "connect",
+                    f"AIPos and ASPos differ by {apart:.2f} deg, so the controller still applies an earlier correction; "
+                    "restart its RSI program (or set check_set_point: false if it does not report ASPos properly)",
+                )
                 self._muted = True
                 return None
         self._delay_slot = delay[0] if delay else None
@@ -145,8 +151,10 @@ class RsiSession:
             elif min(steps) == cycle_ms and all(s % cycle_ms == 0 for s in steps):
                 self._step, self._tick_s = cycle_ms, 1e-3
             else:
-                self._fail("protocol", f"IPOC advances by {min(steps)} a telegram, expected {cycle_ms}; "
-                                       "set cycle_ms to 4 for #IPO_FAST, to 12 for #IPO")
+                self._fail(
+                    "protocol",
+                    f"IPOC advances by {min(steps)} a telegram, expected {cycle_ms}; set cycle_ms to 4 for #IPO_FAST, to 12 for #IPO",
+                )
                 self._muted = True
                 return None
             self._begin(ipoc)
@@ -181,8 +189,11 @@ class RsiSession:
         position = motion.position if late else motion.step()  # the last answer was not used: repeat it
         axis = self._follow.check(position, measured)
         if axis is not None:
-            self._fail("follow", f"A{axis + 1} does not follow: commanded {position[axis]:.3f} deg, measured {measured[axis]:.3f} deg; "
-                                 "look for a correction limit of the controller (AXISCORR, AXISCORRMON) or a stopped program")
+            self._fail(
+                "follow",
+                f"A{axis + 1} does not follow: commanded {position[axis]:.3f} deg, measured {measured[axis]:.3f} deg; "
+                "look for a correction limit of the controller (AXISCORR, AXISCORRMON) or a stopped program",
+            )
         still = all(abs(a - b) < _STILL_DEG for a, b in zip(measured, self._previous, strict=True))
         self._previous = measured
         self._still = self._still + 1 if still and not motion.moving else 0
@@ -204,8 +215,11 @@ class RsiSession:
         rise, self._delay = delay - self._delay, delay
         self._delay_base = min(self._delay_base, delay)
         if delay - self._delay_base > self._late_limit:
-            self._fail("late", f"the controller discarded {delay - self._delay_base:.0f} answers as late or invalid (Delay; late_limit is "
-                               f"{self._late_limit}); check the network, the load of this computer and sen_type")
+            self._fail(
+                "late",
+                f"the controller discarded {delay - self._delay_base:.0f} answers as late or invalid (Delay; late_limit is "
+                f"{self._late_limit}); check the network, the load of this computer and sen_type",
+            )
         return rise > self._unanswered
 
     def _poll_command(self, now: float) -> None:

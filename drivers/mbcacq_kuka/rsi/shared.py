@@ -83,8 +83,17 @@ class Shared:
     def send(self, command: RsiCommand) -> int:
         """Publish a command; its number comes back in the ``command`` column of the cycles that follow it."""
         seq = self._header[_COMMAND_SEQ] + 1
-        _COMMAND.pack_into(self._memory.buf, _COMMAND_AT[seq & 1], command.kind, *command.target, *command.speed, *command.acceleration,
-                           *command.jerk, command.tolerance, command.settle_s)
+        _COMMAND.pack_into(
+            self._memory.buf,
+            _COMMAND_AT[seq & 1],
+            command.kind,
+            *command.target,
+            *command.speed,
+            *command.acceleration,
+            *command.jerk,
+            command.tolerance,
+            command.settle_s,
+        )
         self._header[_COMMAND_SEQ] = seq
         return seq
 
@@ -102,17 +111,19 @@ class Shared:
         text = json.dumps(list(names)).encode()
         if len(text) > _MAX_NAMES:
             raise ValueError("the names of the telegram's elements are too long")
-        self._memory.buf[_NAMES_AT:_NAMES_AT + len(text)] = text
+        self._memory.buf[_NAMES_AT : _NAMES_AT + len(text)] = text
         width = len(FIXED) + len(names)
         self._row = struct.Struct(f"<{width}d")
         self._header[_NAMES_SIZE], self._header[_WIDTH] = len(text), width
         self._header[_CAPACITY] = self._capacity = RING_BYTES // self._row.size
 
-    def append(self, host_time_s: float, time_s: float, flags: int, command: int, degrees: Sequence[float],
-               values: Sequence[float]) -> None:
+    def append(
+        self, host_time_s: float, time_s: float, flags: int, command: int, degrees: Sequence[float], values: Sequence[float]
+    ) -> None:
         head = self._header[_HEAD]
-        self._row.pack_into(self._memory.buf, _RING_AT + head % self._capacity * self._row.size, host_time_s, time_s, flags, command,
-                            *degrees, *values)
+        self._row.pack_into(
+            self._memory.buf, _RING_AT + head % self._capacity * self._row.size, host_time_s, time_s, flags, command, *degrees, *values
+        )
         self._header[_HEAD] = head + 1
 
     @property
@@ -130,19 +141,19 @@ class Shared:
 
     @property
     def ring(self) -> memoryview:
-        return self._memory.buf[_RING_AT:_RING_AT + self.capacity * self.width * 8]
+        return self._memory.buf[_RING_AT : _RING_AT + self.capacity * self.width * 8]
 
     def names(self) -> list[str]:
-        return json.loads(bytes(self._memory.buf[_NAMES_AT:_NAMES_AT + self._header[_NAMES_SIZE]]))
+        return json.loads(bytes(self._memory.buf[_NAMES_AT : _NAMES_AT + self._header[_NAMES_SIZE]]))
 
     # the first fault of a session
 
     def fail(self, kind: str, text: str) -> None:
         if self._header[_FAULT_SIZE] == 0:
             raw = json.dumps({"kind": kind, "text": text}).encode()[:_MAX_FAULT]
-            self._memory.buf[_FAULT_AT:_FAULT_AT + len(raw)] = raw
+            self._memory.buf[_FAULT_AT : _FAULT_AT + len(raw)] = raw
             self._header[_FAULT_SIZE] = len(raw)
 
     def fault(self) -> dict[str, Any] | None:
         size = self._header[_FAULT_SIZE]
-        return json.loads(bytes(self._memory.buf[_FAULT_AT:_FAULT_AT + size])) if size else None
+        return json.loads(bytes(self._memory.buf[_FAULT_AT : _FAULT_AT + size])) if size else None

@@ -110,12 +110,12 @@ class Parser:
         numeric = [v for v in scan(first) if v.numeric]
         self.names = tuple(v.name for v in numeric)
         self._slot = {name: i for i, name in enumerate(self.names)}
-        if not any(v.name == "IPOC" and first[v.start:v.end].isdigit() for v in numeric):
+        if not any(v.name == "IPOC" and first[v.start : v.end].isdigit() for v in numeric):
             raise Malformed("IPOC is missing")
         self._ipoc = self._slot["IPOC"]
         pattern, position = [], 0
         for value in scan(first):
-            pattern += [re.escape(first[position:value.start]), _NUMBER_GROUP if value.numeric else _TEXT_GROUP]
+            pattern += [re.escape(first[position : value.start]), _NUMBER_GROUP if value.numeric else _TEXT_GROUP]
             position = value.end
         self._match = re.compile(b"".join(pattern) + re.escape(first[position:])).fullmatch
 
@@ -138,7 +138,7 @@ class Parser:
                 continue
             if value.name not in self._slot:
                 raise Malformed(f"a new element {value.name} appeared during the session")
-            text = data[value.start:value.end]
+            text = data[value.start : value.end]
             row[self._slot[value.name]] = float(text)
             if value.name == "IPOC":
                 ipoc = text

@@ -20,15 +20,26 @@ def make_world(facts: CellFacts, options: FakeOptions, seed: int) -> World:
     """The true cell. Raises ConfigError for an effect that does not exist."""
     seed = seed if options.seed is None else options.seed
     deviations = Deviations(
-        errors=arm_errors(options, facts.n, seed), repeatability=np.full(facts.n, 1e-6 * options.repeatability_urad),
+        errors=arm_errors(options, facts.n, seed),
+        repeatability=np.full(facts.n, 1e-6 * options.repeatability_urad),
         hand_eye=None if options.hand_eye is None else options.hand_eye.transform(),
-        hand_eye_mm=options.hand_eye_error.mm, hand_eye_rad=np.radians(options.hand_eye_error.deg),
-        station_mm=options.station_error.mm, station_rad=np.radians(options.station_error.deg))
+        hand_eye_mm=options.hand_eye_error.mm,
+        hand_eye_rad=np.radians(options.hand_eye_error.deg),
+        station_mm=options.station_error.mm,
+        station_rad=np.radians(options.station_error.deg),
+    )
     return World(facts, deviations, _effects(options), Environment(**options.climate.model_dump()), seed)
 
 
-def make_camera(world: World, arm: ArmReadout, options: FakeOptions, planned_q: np.ndarray, planned_station: np.ndarray,
-                right_exposure_us: float | None = None, clock_start_s: float = 0.0) -> Camera:
+def make_camera(
+    world: World,
+    arm: ArmReadout,
+    options: FakeOptions,
+    planned_q: np.ndarray,
+    planned_station: np.ndarray,
+    right_exposure_us: float | None = None,
+    clock_start_s: float = 0.0,
+) -> Camera:
     """planned_q (P, n) rad and planned_station (P,) index: the poses of the plan, by which the operator knows what comes next."""
     check(options, world.facts)
     noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm)

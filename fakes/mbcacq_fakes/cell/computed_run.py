@@ -42,8 +42,15 @@ class ComputedRun:
 
 
 def observe(
-    cell: Any, poses: Sequence[Any], hidden: Sequence[Mapping[str, Any]] = (), seed: int = 0, *, fake: Mapping[str, Any] | None = None,
-    exposures: int | None = None, pace_s: float = 20.0, outliers: float = 0.0,
+    cell: Any,
+    poses: Sequence[Any],
+    hidden: Sequence[Mapping[str, Any]] = (),
+    seed: int = 0,
+    *,
+    fake: Mapping[str, Any] | None = None,
+    exposures: int | None = None,
+    pace_s: float = 20.0,
+    outliers: float = 0.0,
 ) -> ComputedRun:
     """cell: a Cell with planned station poses, or CellFacts. poses: PlannedPose (q, station, balls, exposures), in order.
 

@@ -26,13 +26,16 @@ def normal(driver: str) -> str:
     return driver.replace("-", "_")
 
 
-def start_controller(loaded: Any, state: ArmState, rows: tuple[tuple[float, ...], ...], given: Mapping[str, Any], *, realtime: bool,
-                     ports: str, seed: int) -> tuple[FakeKrc | FakeEkiController, dict[str, Any]]:
+def start_controller(
+    loaded: Any, state: ArmState, rows: tuple[tuple[float, ...], ...], given: Mapping[str, Any], *, realtime: bool, ports: str, seed: int
+) -> tuple[FakeKrc | FakeEkiController, dict[str, Any]]:
     """A running controller and the options that lead the plan's driver to it. rows: its nominal kinematics; given: the plan's
     ``fake.robot``. Raises ConfigError, ConnectError."""
     robot, use = loaded.cell.robot, loaded.plan.robot
     settings: dict[str, Any] = {
-        "realtime": realtime, "start_deg": tuple(map(float, use.home_deg)), "dh": rows,
+        "realtime": realtime,
+        "start_deg": tuple(map(float, use.home_deg)),
+        "dh": rows,
         "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())),
     }
     check_options(use.driver, given)
@@ -49,8 +52,9 @@ def check_options(driver: str, given: Mapping[str, Any]) -> None:
     """Raises ConfigError where ``fake.robot`` names something that the controller of this driver does not have."""
     known = [f.name for f in fields(EkiSettings if normal(driver) == EKI else KrcSettings)]
     if "moving" in given and "moving" not in known:
-        raise ConfigError("fake.robot.moving is of an arm driven by kuka_rsi, whose telegrams carry torques: those of kuka_eki do not; "
-                          "correct the plan")
+        raise ConfigError(
+            "fake.robot.moving is of an arm driven by kuka_rsi, whose telegrams carry torques: those of kuka_eki do not; correct the plan"
+        )
     if unknown := sorted(set(given) - set(known)):
         raise ConfigError(f"fake.robot: unknown option {', '.join(unknown)}; known are {', '.join(known)}; correct the plan")
     if not isinstance(given.get("moving", []), list | tuple):
@@ -84,10 +88,16 @@ def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     name = loaded.cell.robot.name.upper().replace("KUKA", "").replace(" ", "").replace("-", "_")
     ours = {
         "sources": {n.rsplit("/", 1)[1]: text for n, text in files.items() if n.startswith("kss/Program/")},
-        "channel": files["kss/EthernetKRL/mbcacq_eki.xml"], "host": host, "port": port, "model": f"#{name} C4 FLR",
-        "tools": {tool: tuple(options.get("tool_frame") or facts["tool_frame"])}, "mode": MODES.get(str(mode), "#EX"),
-        "bases": {base: tuple(options.get("base_frame") or (0.0,) * 6)}, "override": options.get("override") or 100,
-        "loads": {tool: float(options.get("load_kg") or facts["load_kg"])}, "clock_ms": CLOCK_START_MS,
+        "channel": files["kss/EthernetKRL/mbcacq_eki.xml"],
+        "host": host,
+        "port": port,
+        "model": f"#{name} C4 FLR",
+        "tools": {tool: tuple(options.get("tool_frame") or facts["tool_frame"])},
+        "mode": MODES.get(str(mode), "#EX"),
+        "bases": {base: tuple(options.get("base_frame") or (0.0,) * 6)},
+        "override": options.get("override") or 100,
+        "loads": {tool: float(options.get("load_kg") or facts["load_kg"])},
+        "clock_ms": CLOCK_START_MS,
     }
     _can_listen(host, port)
     try:
@@ -106,5 +116,7 @@ def _can_listen(host: str, port: int) -> None:
         with socket.create_server((host, port)):
             pass
     except OSError as error:
-        raise ConfigError(f"the fake controller cannot listen at the plan's address {host}:{port} ({error.strerror}); "
-                          "set the robot's address to 127.0.0.1 to try the plan against fakes") from error
+        raise ConfigError(
+            f"the fake controller cannot listen at the plan's address {host}:{port} ({error.strerror}); "
+            "set the robot's address to 127.0.0.1 to try the plan against fakes"
+        ) from error

@@ -15,14 +15,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
-from mbcacq_fakes.cell.controller import (
-    CLOCK_START_MS,
-    EKI,
-    RSI,
-    check_options,
-    normal,
-    start_controller,
-)
+from mbcacq_fakes.cell.controller import CLOCK_START_MS, EKI, RSI, check_options, normal, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
 from mbcacq_fakes.cell.ports import scanner_place
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
@@ -41,8 +34,9 @@ class FakeCell:
     world draws follows from ``seed``. The plan's ``fake:`` section says what the world conceals (docs/fakes.md).
     """
 
-    def __init__(self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0,
-                 ports: Literal["free", "plan"] = "free") -> None:
+    def __init__(
+        self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0, ports: Literal["free", "plan"] = "free"
+    ) -> None:
         plan = loaded.plan
         if normal(plan.robot.driver) not in (RSI, EKI) or plan.scanner.driver != "gocator":
             raise ConfigError("the fake cell plays a KUKA controller and a Gocator; for other drivers use their makers' simulators")
@@ -92,7 +86,7 @@ class FakeCell:
                 process.kill()
                 process.wait()
             for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):      # of what was still to be said to it
+                with suppress(OSError):  # of what was still to be said to it
                     pipe.close()
         krc, self._krc = self._krc, None
         if krc is not None:
@@ -148,17 +142,33 @@ class FakeCell:
         plan = self._plan
         assert self._state is not None
         return {
-            "facts": self._facts, "options": self._options.model_dump(), "seed": self._seed, "state": self._state.name,
-            "planned_q": self._planned_q, "planned_station": self._planned_station, "clock_start_s": CLOCK_START_MS * 1e-3,
-            "exposure_us": plan.scanner.exposure_us, "model": plan.scanner.model, "ports": self._ports, "realtime": self._realtime,
-            "scanner_options": dict(plan.scanner.options), "scanner": scanner_place(plan.scanner.options, self._ports),
+            "facts": self._facts,
+            "options": self._options.model_dump(),
+            "seed": self._seed,
+            "state": self._state.name,
+            "planned_q": self._planned_q,
+            "planned_station": self._planned_station,
+            "clock_start_s": CLOCK_START_MS * 1e-3,
+            "exposure_us": plan.scanner.exposure_us,
+            "model": plan.scanner.model,
+            "ports": self._ports,
+            "realtime": self._realtime,
+            "scanner_options": dict(plan.scanner.options),
+            "scanner": scanner_place(plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }
 
     def _start_controller(self) -> dict[str, Any]:
-        self._krc, options = start_controller(self._loaded, self._state, self._nominal_rows(), self._options.robot,
-                                              realtime=self._realtime, ports=self._ports, seed=self._seed)
+        self._krc, options = start_controller(
+            self._loaded,
+            self._state,
+            self._nominal_rows(),
+            self._options.robot,
+            realtime=self._realtime,
+            ports=self._ports,
+            seed=self._seed,
+        )
         return options
 
     def _nominal_rows(self) -> tuple[tuple[float, ...], ...]:

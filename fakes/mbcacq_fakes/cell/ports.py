@@ -36,10 +36,16 @@ def scanner_place(options: Mapping[str, Any], ports: str) -> dict[str, Any]:
         with socket.create_server((host, 0)):
             pass
     except OSError as error:
-        raise ConfigError(f"the fake Gocator cannot listen at the plan's address {host} ({error.strerror}); "
-                          "set the scanner's address to 127.0.0.1 to try the plan against fakes") from error
-    return {"host": host, "control_port": int(options.get("control_port", 3190)), "health_port": int(options.get("health_port", 3194)),
-            "data_port": int(options.get("data_port", 3196))}
+        raise ConfigError(
+            f"the fake Gocator cannot listen at the plan's address {host} ({error.strerror}); "
+            "set the scanner's address to 127.0.0.1 to try the plan against fakes"
+        ) from error
+    return {
+        "host": host,
+        "control_port": int(options.get("control_port", 3190)),
+        "health_port": int(options.get("health_port", 3194)),
+        "data_port": int(options.get("data_port", 3196)),
+    }
 
 
 def line_place(port: str) -> dict[str, Any]:
@@ -49,6 +55,8 @@ def line_place(port: str) -> dict[str, Any]:
         return {"port": int(port.rsplit(":", 1)[1])}
     path = Path(port)
     if sys.platform == "win32" or path.is_symlink() or path.exists() or not path.is_absolute() or not os.access(path.parent, os.W_OK):
-        raise ConfigError(f"the fake serial device cannot play the port {port}; use socket://{LOOPBACK}:PORT, or a name that does not "
-                          "exist yet (/tmp/lift), to try it")
+        raise ConfigError(
+            f"the fake serial device cannot play the port {port}; use socket://{LOOPBACK}:PORT, or a name that does not "
+            "exist yet (/tmp/lift), to try it"
+        )
     return {"pty": True, "link": port}

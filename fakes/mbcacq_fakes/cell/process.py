@@ -32,8 +32,9 @@ class Servers:
         state = ArmState.attach(job["state"])
         stack.callback(state.close)
         world = make_world(job["facts"], options, job["seed"])
-        self._camera: Camera = make_camera(world, state, options, job["planned_q"], job["planned_station"], job["exposure_us"],
-                                           job["clock_start_s"])
+        self._camera: Camera = make_camera(
+            world, state, options, job["planned_q"], job["planned_station"], job["exposure_us"], job["clock_start_s"]
+        )
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}
         self.addresses["positioner"] = self._start_positioner()
         for k, (driver, given) in enumerate(job["sensors"]):
@@ -73,8 +74,14 @@ class Servers:
 
         place, given = self._job["scanner"], self._job["scanner_options"]
         jobs = tuple(filter(None, (given.get("job", ""),))) + ("bench.job", "other.job")
-        settings = {"model": self._job["model"] or "3210", "jobs": jobs, "scan_time_s": 0.15 if self._job["realtime"] else 0.0,
-                    "volume": _volume(self._job["facts"].view), **place, **options.scanner}
+        settings = {
+            "model": self._job["model"] or "3210",
+            "jobs": jobs,
+            "scan_time_s": 0.15 if self._job["realtime"] else 0.0,
+            "volume": _volume(self._job["facts"].view),
+            **place,
+            **options.scanner,
+        }
         try:
             self._gocator = FakeGocator(self._camera, **settings)
         except TypeError as error:
@@ -105,8 +112,9 @@ class Servers:
 
         options = parse(PositionerOptions, "the Modbus positioner", given)
         stations = {str(k): v for k, v in options.stations.items()}
-        self._positioner = FakePositioner(stations, options.position, options.in_position, options.actual, options.fault,
-                                          travel_s=self._travel_s())
+        self._positioner = FakePositioner(
+            stations, options.position, options.in_position, options.actual, options.fault, travel_s=self._travel_s()
+        )
         self._stand_on(self._positioner)
         bus = FakeModbus(self._positioner)
         if options.ready is not None:
@@ -160,7 +168,7 @@ class Servers:
             return self._serve(bus, options)
         if driver == "serial":
             return self._start_serial(number, given)
-        return {}   # one the cell does not play is read where the plan says: reading moves nothing
+        return {}  # one the cell does not play is read where the plan says: reading moves nothing
 
     def _start_serial(self, number: int, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.options import parse
@@ -180,12 +188,14 @@ class Servers:
 
         def say() -> str:
             now = self._camera.temperatures()
-            return fill(line, {name: (now.get(name, 20.0) - options.offset.get(name, 0.0)) / options.scale.get(name, 1.0)
-                               for name in names(line)})
+            return fill(
+                line, {name: (now.get(name, 20.0) - options.offset.get(name, 0.0)) / options.scale.get(name, 1.0) for name in names(line)}
+            )
 
         asked = options.ask.strip() if options.ask else None
-        sensor = SerialLine(lambda heard: say() if heard == asked else answers.get(heard), None if asked else say,
-                            **self._line_place(options.port))
+        sensor = SerialLine(
+            lambda heard: say() if heard == asked else answers.get(heard), None if asked else say, **self._line_place(options.port)
+        )
         self._sensors[number] = sensor
         self._stack.callback(sensor.stop)
         sensor.start()
@@ -213,7 +223,7 @@ class Servers:
 
             bridge = TerminalBridge(bus.host, bus.port)
             self._stack.callback(bridge.stop)
-            return {"host": None, "serial": bridge.start().url, "parity": "N"}    # a pseudo-terminal knows no parity
+            return {"host": None, "serial": bridge.start().url, "parity": "N"}  # a pseudo-terminal knows no parity
         return {"host": bus.host, "port": bus.port, "serial": None}
 
     def _value(self, name: str) -> Any:

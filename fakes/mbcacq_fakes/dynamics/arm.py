@@ -7,11 +7,11 @@ import numpy as np
 from mbcacq_fakes.dynamics.bodies import Bodies
 from mbcacq_fakes.dynamics.faults import Drives
 
-DAMPING = 0.08          # of an elastic joint's own oscillation
-PRESLIDING_RAD = 4e-5   # travel over which friction changes its sense
-SWING_S = 1 / 500.0     # an elastic joint that swings faster (1/rad/s) is taken as at rest on its spring
-FLANK_S = 0.004         # time to cross the play of a gear
-ROTOR_SHARE = 0.5       # inertia of a rotor, geared up, against what it moves
+DAMPING = 0.08  # of an elastic joint's own oscillation
+PRESLIDING_RAD = 4e-5  # travel over which friction changes its sense
+SWING_S = 1 / 500.0  # an elastic joint that swings faster (1/rad/s) is taken as at rest on its spring
+FLANK_S = 0.004  # time to cross the play of a gear
+ROTOR_SHARE = 0.5  # inertia of a rotor, geared up, against what it moves
 
 
 class Links:
@@ -21,9 +21,9 @@ class Links:
         """at_rest_on_springs: elastic joints do not swing; their wind-up follows the load at once, whatever the step."""
         self._bodies, self._drives = bodies, drives
         M, _ = bodies.at(np.radians([0.0, -90.0, 90.0, 0.0, 45.0, 0.0])[: bodies.n], np.zeros(bodies.n))
-        self.rotor = ROTOR_SHARE * np.diag(M).copy()   # of the drives, so whatever the posture
+        self.rotor = ROTOR_SHARE * np.diag(M).copy()  # of the drives, so whatever the posture
         M, h = bodies.at(start, np.zeros(bodies.n))
-        soft = (drives.compliance * np.diag(M) > SWING_S**2) & (not at_rest_on_springs)   # the others follow their load at once
+        soft = (drives.compliance * np.diag(M) > SWING_S**2) & (not at_rest_on_springs)  # the others follow their load at once
         self._elastic, self._stiff_enough = np.flatnonzero(soft), np.where(soft, 0.0, drives.compliance)
         stiff = 1.0 / np.maximum(drives.compliance[self._elastic], 1e-12)
         self._stiff = stiff
@@ -33,7 +33,7 @@ class Links:
         self.q[self._elastic] -= h[self._elastic] / stiff
         self._now = self.q.copy()
         self.qd = np.zeros(bodies.n)
-        self._ahead = np.zeros(len(self._elastic))   # from the middle of the last step, where their rates stand, to its end
+        self._ahead = np.zeros(len(self._elastic))  # from the middle of the last step, where their rates stand, to its end
         self._sense = np.zeros(bodies.n)
         self._link_sense = np.zeros(bodies.n)
         self._flank = np.sign(h)

@@ -27,8 +27,9 @@ class Bodies:
     payload (kg, com (3,) mm in the flange frame) rides on the last link. Inertia tensors are those of solid boxes of the links' size.
     """
 
-    def __init__(self, sign: np.ndarray, rows: np.ndarray, mass: np.ndarray, com: np.ndarray, payload: tuple[float, np.ndarray],
-                 gravity: np.ndarray) -> None:
+    def __init__(
+        self, sign: np.ndarray, rows: np.ndarray, mass: np.ndarray, com: np.ndarray, payload: tuple[float, np.ndarray], gravity: np.ndarray
+    ) -> None:
         self._engine = mujoco()
         self.n = len(sign)
         self.model = self._engine.MjModel.from_xml_string(_xml(sign, rows, mass, com, payload, gravity))
@@ -57,13 +58,17 @@ def _xml(sign, rows, mass, com, payload, gravity) -> str:
         if i == len(rows) - 1 and payload[0] > 0:
             bodies += _mass(payload[0], after, np.asarray(payload[1]) * 1e-3, np.full(3, 0.08), "tool")
         # With theta taken into the body's own frame the joint is zero where the controller's is.
-        parts.append(f'<body name="b{i + 1}" pos="{_v(start[:3, 3])}" quat="{_v(_quat(start[:3, :3]))}">'
-                     f'<joint name="A{i + 1}" type="hinge" axis="0 0 {int(sign[i])}"/>{bodies}')
+        parts.append(
+            f'<body name="b{i + 1}" pos="{_v(start[:3, 3])}" quat="{_v(_quat(start[:3, :3]))}">'
+            f'<joint name="A{i + 1}" type="hinge" axis="0 0 {int(sign[i])}"/>{bodies}'
+        )
         close.append("</body>")
         frame = after
     down = GRAVITY * np.asarray(gravity, dtype=float)
-    return (f'<mujoco><option gravity="{_v(down)}"/><compiler angle="radian" inertiafromgeom="false" boundmass="1e-6" boundinertia="1e-9"/>'
-            f"<worldbody>{''.join(parts)}{''.join(close)}</worldbody></mujoco>")
+    return (
+        f'<mujoco><option gravity="{_v(down)}"/><compiler angle="radian" inertiafromgeom="false" boundmass="1e-6" boundinertia="1e-9"/>'
+        f"<worldbody>{''.join(parts)}{''.join(close)}</worldbody></mujoco>"
+    )
 
 
 def _mass(mass: float, T: np.ndarray, com: np.ndarray, size: np.ndarray, name: str) -> str:
@@ -71,8 +76,10 @@ def _mass(mass: float, T: np.ndarray, com: np.ndarray, size: np.ndarray, name: s
     x, y, z = size
     inertia = mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
     place = T[:3, :3] @ com + T[:3, 3]
-    return (f'<body name={quoteattr(name)} pos="{_v(place)}" quat="{_v(_quat(T[:3, :3]))}">'
-            f'<inertial pos="0 0 0" mass="{max(mass, 1e-3):.17g}" diaginertia="{_v(np.maximum(inertia, 1e-8))}"/></body>')
+    return (
+        f'<body name={quoteattr(name)} pos="{_v(place)}" quat="{_v(_quat(T[:3, :3]))}">'
+        f'<inertial pos="0 0 0" mass="{max(mass, 1e-3):.17g}" diaginertia="{_v(np.maximum(inertia, 1e-8))}"/></body>'
+    )
 
 
 def _v(values) -> str:

@@ -42,8 +42,19 @@ class Drives:
     clocks: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("latency_s", "time_constant_s", "coulomb", "viscous", "stribeck", "stribeck_speed", "load_share", "link_coulomb",
-                     "compliance", "backlash", "scale"):
+        for name in (
+            "latency_s",
+            "time_constant_s",
+            "coulomb",
+            "viscous",
+            "stribeck",
+            "stribeck_speed",
+            "load_share",
+            "link_coulomb",
+            "compliance",
+            "backlash",
+            "scale",
+        ):
             setattr(self, name, np.zeros(self.n))
 
 
@@ -160,8 +171,15 @@ def _compensator(drives: Drives, where, size: Size, given):
 
 
 FAULTS = {
-    "channel_latency": ((), _latency), "drive_lag": (range(6), _lag), "friction": (range(6), _friction),
-    "joint_compliance": (range(6), _compliance), "backlash": ((0, 1, 2, 3, 4), _backlash), "gear_transmission_error": (range(6), _wave),
-    "torque_ripple": (range(6), _ripple), "joint_scale": (range(6), _scale), "wrist_coupling": ((), _coupling), "payload": ((), _payload),
+    "channel_latency": ((), _latency),
+    "drive_lag": (range(6), _lag),
+    "friction": (range(6), _friction),
+    "joint_compliance": (range(6), _compliance),
+    "backlash": ((0, 1, 2, 3, 4), _backlash),
+    "gear_transmission_error": (range(6), _wave),
+    "torque_ripple": (range(6), _ripple),
+    "joint_scale": (range(6), _scale),
+    "wrist_coupling": ((), _coupling),
+    "payload": ((), _payload),
     "gravity_compensator": ((), _compensator),
 }

@@ -78,12 +78,23 @@ class Kinematics:
             turned = sign * radians(angle) + theta
             c, s = cos(turned), sin(turned)
             # the columns x, y, z of the rotation and the origin p, multiplied from the right by Rz, Tz, Tx, Rx, Ry
-            x0, x1, x2, y0, y1, y2 = (c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2,
-                                      c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2)
+            x0, x1, x2, y0, y1, y2 = (c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2, c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2)
             px, py, pz = px + d * z0 + a * x0, py + d * z1 + a * x1, pz + d * z2 + a * x2
-            y0, y1, y2, z0, z1, z2 = (ca * y0 + sa * z0, ca * y1 + sa * z1, ca * y2 + sa * z2,
-                                      ca * z0 - sa * y0, ca * z1 - sa * y1, ca * z2 - sa * y2)
+            y0, y1, y2, z0, z1, z2 = (
+                ca * y0 + sa * z0,
+                ca * y1 + sa * z1,
+                ca * y2 + sa * z2,
+                ca * z0 - sa * y0,
+                ca * z1 - sa * y1,
+                ca * z2 - sa * y2,
+            )
             if sb:
-                x0, x1, x2, z0, z1, z2 = (cb * x0 - sb * z0, cb * x1 - sb * z1, cb * x2 - sb * z2,
-                                          cb * z0 + sb * x0, cb * z1 + sb * x1, cb * z2 + sb * x2)
+                x0, x1, x2, z0, z1, z2 = (
+                    cb * x0 - sb * z0,
+                    cb * x1 - sb * z1,
+                    cb * x2 - sb * z2,
+                    cb * z0 + sb * x0,
+                    cb * z1 + sb * x1,
+                    cb * z2 + sb * x2,
+                )
         return px, py, pz, degrees(atan2(x1, x0)), degrees(atan2(-x2, hypot(x0, x1))), degrees(atan2(y2, z2))

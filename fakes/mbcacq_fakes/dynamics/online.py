@@ -13,15 +13,21 @@ from mbcacq_fakes.dynamics.faults import Drives, Size, conceal
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm
 from mbcacq_fakes.dynamics.recorded import lively_torque
 
-PERCENT_AT = 4.0   # a drive at 100 % of its current gives so many times the torque of a lively motion
+PERCENT_AT = 4.0  # a drive at 100 % of its current gives so many times the torque of a lively motion
 
 
 def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:
     """What the controller's process needs to move a robot (an mbcacq RobotModel, duck-typed), as JSON."""
     return {
-        "sign": robot.chain.sign.tolist(), "rows": robot.chain.rows.tolist(), "mass": robot.mass.tolist(), "com": robot.com.tolist(),
-        "payload": [float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float).tolist()], "gravity": robot.gravity.tolist(),
-        "typical": lively_torque(robot, np.radians(60.0) * np.ones(robot.n)).tolist(), "faults": [dict(f) for f in faults], "seed": seed,
+        "sign": robot.chain.sign.tolist(),
+        "rows": robot.chain.rows.tolist(),
+        "mass": robot.mass.tolist(),
+        "com": robot.com.tolist(),
+        "payload": [float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float).tolist()],
+        "gravity": robot.gravity.tolist(),
+        "typical": lively_torque(robot, np.radians(60.0) * np.ones(robot.n)).tolist(),
+        "faults": [dict(f) for f in faults],
+        "seed": seed,
     }
 
 
@@ -37,10 +43,16 @@ class MovingArm(IdealArm):
         for fault in told["faults"]:
             conceal(drives, fault["name"], fault.get("where"), size, {k: v for k, v in fault.items() if k not in ("name", "where")})
         payload = (told["payload"][0] + drives.payload[0], np.array(told["payload"][1]))
-        bodies = Bodies(np.array(told["sign"]), np.array(told["rows"]), np.array(told["mass"]), np.array(told["com"]), payload,
-                        np.array(told["gravity"]))
+        bodies = Bodies(
+            np.array(told["sign"]),
+            np.array(told["rows"]),
+            np.array(told["mass"]),
+            np.array(told["com"]),
+            payload,
+            np.array(told["gravity"]),
+        )
         self._links = Links(bodies, drives, np.radians(start), at_rest_on_springs=True)
-        self._past = [np.radians(start)] * 4   # motor side, newest first
+        self._past = [np.radians(start)] * 4  # motor side, newest first
         self._rng = rng
         self._feel()
 

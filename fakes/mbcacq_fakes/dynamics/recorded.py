@@ -15,9 +15,9 @@ from mbcacq_fakes.dynamics.bodies import Bodies
 from mbcacq_fakes.dynamics.faults import Drives, Size, conceal
 
 CYCLE_S = 0.004
-FINER = 8           # steps of a drive's lag in one of the arm's
-MARGIN_S = 0.1      # recorded before and after, for clocks that are late
-INERTIA = 0.02      # masses and centres differ from the description by so much
+FINER = 8  # steps of a drive's lag in one of the arm's
+MARGIN_S = 0.1  # recorded before and after, for clocks that are late
+INERTIA = 0.02  # masses and centres differ from the description by so much
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,15 @@ class RecordedMotion:
     truth: list[dict[str, Any]]
 
 
-def recorded(robot: Any, concealed: Sequence[Mapping[str, Any]], seed: int, motion: int = 0, seconds: float = 12.0, liveliness: float = 0.5,
-             noise: SignalNoise | None = None) -> RecordedMotion:
+def recorded(
+    robot: Any,
+    concealed: Sequence[Mapping[str, Any]],
+    seed: int,
+    motion: int = 0,
+    seconds: float = 12.0,
+    liveliness: float = 0.5,
+    noise: SignalNoise | None = None,
+) -> RecordedMotion:
     """Robot: an mbcacq RobotModel (duck-typed). concealed: ``{name, where?, strength?, ...}``; seed: the arm, motion: which motion of it.
 
     liveliness: share of the joints' speed limits that is reached. Raises ConfigError for an unknown fault.
@@ -54,8 +61,16 @@ def recorded(robot: Any, concealed: Sequence[Mapping[str, Any]], seed: int, moti
     speed = np.radians(150.0) * np.ones(robot.n) if robot.speed is None else np.asarray(robot.speed)
     drives = Drives(robot.n)
     typical = Size(lively_torque(robot, liveliness * speed), liveliness * speed, 1.0, rng)
-    truth = [conceal(drives, f["name"], f.get("where"), Size(typical.torque, typical.speed, f.get("strength", 1.0), rng),
-                     {k: v for k, v in f.items() if k not in ("name", "where", "strength")}) for f in concealed]
+    truth = [
+        conceal(
+            drives,
+            f["name"],
+            f.get("where"),
+            Size(typical.torque, typical.speed, f.get("strength", 1.0), rng),
+            {k: v for k, v in f.items() if k not in ("name", "where", "strength")},
+        )
+        for f in concealed
+    ]
     described = (float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
     bodies = Bodies(robot.chain.sign, robot.chain.rows, mass, com, _together(described, drives.payload), robot.gravity)
     time, command = fourier(robot, seconds, liveliness * speed, np.random.default_rng([seed, 18, motion]))
@@ -101,7 +116,7 @@ def follow(drives: Drives, clock: np.ndarray, time: np.ndarray, command) -> tupl
         if lag > 0:
             ratio = dt / finer / lag
             keep, gone = np.exp(-ratio), -np.expm1(-ratio)
-            first = values[0][0]   # exact for a command that is a ramp between two samples
+            first = values[0][0]  # exact for a command that is a ramp between two samples
             followed = first + lfilter([1 - gone / ratio, gone / ratio - keep], [1.0, -keep], values[0] - first)
             rate = (values[0] - followed) / lag
             values = [followed, rate, (values[1] - rate) / lag]

@@ -13,13 +13,26 @@ from mbcacq.errors import ConfigError
 from mbcacq_fakes.effects.base import Hidden
 
 CATALOGUED = (
-    "joint_compliance", "base_compliance", "mount_compliance", "gear_transmission_error", "backlash", "joint_scale", "wrist_coupling",
-    "joint_step", "thermal_growth", "mount_shift", "scanner_scale", "scanner_distortion", "scanner_warmup", "ball_shift",
-    "artefact_expansion", "station_drift", "payload", "exposure_latency",
+    "joint_compliance",
+    "base_compliance",
+    "mount_compliance",
+    "gear_transmission_error",
+    "backlash",
+    "joint_scale",
+    "wrist_coupling",
+    "joint_step",
+    "thermal_growth",
+    "mount_shift",
+    "scanner_scale",
+    "scanner_distortion",
+    "scanner_warmup",
+    "ball_shift",
+    "artefact_expansion",
+    "station_drift",
+    "payload",
+    "exposure_latency",
 )
-OUTSIDE = (
-    "axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias",
-)
+OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
 
 
 def make(name: str, strength: float = 1.0, seed: int | None = None, **options: Any) -> Hidden:

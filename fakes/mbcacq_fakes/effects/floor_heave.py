@@ -22,5 +22,9 @@ class FloorHeave(Hidden):
         moved.frame[:, 0] += np.concatenate([warmer * self.rise, warmer * self.lean], axis=1)
 
     def truth(self) -> dict[str, Any]:
-        return {"where": ["base"], "depends_on": ["air_C", "time"], "rise_mm_per_K": self.rise.tolist(),
-                "lean_rad_per_K": self.lean.tolist()}
+        return {
+            "where": ["base"],
+            "depends_on": ["air_C", "time"],
+            "rise_mm_per_K": self.rise.tolist(),
+            "lean_rad_per_K": self.lean.tolist(),
+        }

@@ -38,5 +38,9 @@ class GearTransmissionError(Hidden):
             moved.joint[:, i] += np.arctan2(self.amplitude * np.sin(wheel), 1 + self.amplitude * np.cos(wheel)).sum(axis=1)
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "order": self.order.tolist(), "amplitude_deg": np.degrees(self.amplitude).tolist(),
-                "phase_deg": np.degrees(self.phase).tolist()}
+        return {
+            "where": names(self._axes),
+            "order": self.order.tolist(),
+            "amplitude_deg": np.degrees(self.amplitude).tolist(),
+            "phase_deg": np.degrees(self.phase).tolist(),
+        }

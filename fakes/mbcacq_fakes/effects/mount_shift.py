@@ -24,5 +24,9 @@ class MountShift(Hidden):
         moved.frame[after, -1] += np.concatenate([self.translation, self.rotation])
 
     def truth(self) -> dict[str, Any]:
-        return {"where": ["mount"], "at_pose": self.at_pose, "translation_mm": self.translation.tolist(),
-                "rotation_deg": np.degrees(self.rotation).tolist()}
+        return {
+            "where": ["mount"],
+            "at_pose": self.at_pose,
+            "translation_mm": self.translation.tolist(),
+            "rotation_deg": np.degrees(self.rotation).tolist(),
+        }

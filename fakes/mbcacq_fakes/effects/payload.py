@@ -34,5 +34,9 @@ class Payload(Hidden):
         moved.joint += self.compliance * self.cell.masses.torque(self.arm, at.q + moved.joint)
 
     def truth(self) -> dict[str, Any]:
-        return {"where": ["mount"], "mass_kg": self.mass, "com_mm": np.asarray(self.com).tolist(),
-                "compliance_rad_per_Nm": self.compliance.tolist()}
+        return {
+            "where": ["mount"],
+            "mass_kg": self.mass,
+            "com_mm": np.asarray(self.com).tolist(),
+            "compliance_rad_per_Nm": self.compliance.tolist(),
+        }

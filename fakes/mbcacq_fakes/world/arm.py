@@ -27,8 +27,10 @@ PAPER_TABLE_1 = {
 def paper_errors() -> np.ndarray:
     """Table 1 as (6, 5): theta rad, d mm, a mm, alpha rad, beta rad."""
     table = PAPER_TABLE_1
-    return np.stack([np.radians(table["theta_deg"]), table["d_mm"], table["a_mm"],
-                     np.radians(table["alpha_deg"]), np.radians(table["beta_deg"])], axis=1)
+    return np.stack(
+        [np.radians(table["theta_deg"]), table["d_mm"], table["a_mm"], np.radians(table["alpha_deg"]), np.radians(table["beta_deg"])],
+        axis=1,
+    )
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,9 @@ def carrier(facts: ArtefactFacts, clearance: float = 12.0) -> Carrier:
     foot = facts.centres.copy()
     foot[:, 2] = floor
     return Carrier(
-        plate=rigid(np.eye(3), middle), plate_half=(high - low)[:2] / 2 + radii.max() + 5.0,
-        rods=np.stack([foot, facts.centres], axis=1), rod_radius=float(0.25 * radii.min()),
+        plate=rigid(np.eye(3), middle),
+        plate_half=(high - low)[:2] / 2 + radii.max() + 5.0,
+        rods=np.stack([foot, facts.centres], axis=1),
+        rod_radius=float(0.25 * radii.min()),
         tripod=np.stack([middle - [0, 0, 400.0], middle]),
     )

@@ -14,7 +14,7 @@ from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import FringeScanner
 from mbcacq_fakes.world.world import SCAN, World
 
-BY_POSE = 1_000_000    # draws of poses, apart from those of arrivals
+BY_POSE = 1_000_000  # draws of poses, apart from those of arrivals
 
 
 class ArmReadout(Protocol):
@@ -30,8 +30,16 @@ class Camera:
     robot's clock showed when the cell was switched on.
     """
 
-    def __init__(self, world: World, scanner: FringeScanner, operator: Operator, arm: ArmReadout, options: FakeOptions,
-                 right_exposure_us: float | None = None, clock_start_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        world: World,
+        scanner: FringeScanner,
+        operator: Operator,
+        arm: ArmReadout,
+        options: FakeOptions,
+        right_exposure_us: float | None = None,
+        clock_start_s: float = 0.0,
+    ) -> None:
         self.world, self.scanner, self.operator = world, scanner, operator
         self._arm, self._options, self._clock_start = arm, options, clock_start_s
         self._stand: Callable[[], int | None] = lambda: None
@@ -71,8 +79,14 @@ class Camera:
         station = self.operator.station_for(q) if stand is None else stand
         arrival = reading.arrivals if self._options.draws == "course" else BY_POSE + self.operator.pose_for(q)
         return self.world.moments(
-            q[None], np.array(reading.qd)[None], np.array(reading.direction)[None], np.array([arrival]),
-            np.array([self._time(reading)]), np.array([station]), np.array([self.operator.artefact_at(station)]))
+            q[None],
+            np.array(reading.qd)[None],
+            np.array(reading.direction)[None],
+            np.array([arrival]),
+            np.array([self._time(reading)]),
+            np.array([station]),
+            np.array([self.operator.artefact_at(station)]),
+        )
 
     def temperatures(self) -> dict[str, float]:
         """What the cell's thermometers show now."""

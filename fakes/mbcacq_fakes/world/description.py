@@ -74,17 +74,36 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
     return CellFacts(
         sign=np.array(chain.sign, dtype=float),
         rows=np.stack([chain.theta, chain.d, chain.a, chain.alpha, chain.beta], axis=1).astype(float),
-        masses=Masses(np.array(robot.mass, dtype=float), np.array(robot.com, dtype=float), float(robot.payload_mass),
-                      np.array(robot.payload_com, dtype=float), np.array(robot.gravity, dtype=float)),
+        masses=Masses(
+            np.array(robot.mass, dtype=float),
+            np.array(robot.com, dtype=float),
+            float(robot.payload_mass),
+            np.array(robot.payload_com, dtype=float),
+            np.array(robot.gravity, dtype=float),
+        ),
         gear_ratio=np.full(len(chain.sign), 100.0) if robot.gear_ratio is None else np.array(robot.gear_ratio, dtype=float),
         hand_eye=np.array(cell.T_flange_scanner, dtype=float),
-        artefacts=tuple(ArtefactFacts(a.id, tuple(a.ball_ids), np.array(a.centres, dtype=float), np.array(a.diameters, dtype=float),
-                                      float(a.uncertainty_mm), float(a.reference_temperature_C),
-                                      1.5 if a.expansion_ppm_per_K is None else float(a.expansion_ppm_per_K)) for a in cell.artefacts),
+        artefacts=tuple(
+            ArtefactFacts(
+                a.id,
+                tuple(a.ball_ids),
+                np.array(a.centres, dtype=float),
+                np.array(a.diameters, dtype=float),
+                float(a.uncertainty_mm),
+                float(a.reference_temperature_C),
+                1.5 if a.expansion_ppm_per_K is None else float(a.expansion_ppm_per_K),
+            )
+            for a in cell.artefacts
+        ),
         station_ids=tuple(str(s.id) for s in cell.stations),
         station_artefact=np.array([ids.index(s.artefact) for s in cell.stations], dtype=int),
         station_pose=np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations], dtype=float),
-        view=ScannerView() if field_of_view is None else ScannerView(
-            float(field_of_view.near_z_mm), float(field_of_view.far_z_mm),
-            np.array(field_of_view.near_half_mm, dtype=float), np.array(field_of_view.far_half_mm, dtype=float)),
+        view=ScannerView()
+        if field_of_view is None
+        else ScannerView(
+            float(field_of_view.near_z_mm),
+            float(field_of_view.far_z_mm),
+            np.array(field_of_view.near_half_mm, dtype=float),
+            np.array(field_of_view.far_half_mm, dtype=float),
+        ),
     )

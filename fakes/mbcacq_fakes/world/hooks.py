@@ -1,4 +1,7 @@
-"""Where concealed physics may act. An effect is any object with the methods of :class:`ConcealedEffect`; the world calls them in time order."""
+"""Where concealed physics may act.
+
+An effect is any object with the methods of :class:`ConcealedEffect`; the world calls them in time order.
+"""
 
 from __future__ import annotations
 

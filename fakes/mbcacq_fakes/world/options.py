@@ -82,7 +82,7 @@ class FakeOptions(StrictOptions):
     climate: Climate = Climate()
     hidden: tuple[HiddenEffect, ...] = ()
     mishaps: tuple[Mishap, ...] = ()
-    draws: Literal["course", "pose"] = "course"     # whether noise follows the course of the run, or belongs to each planned pose
+    draws: Literal["course", "pose"] = "course"  # whether noise follows the course of the run, or belongs to each planned pose
     robot: dict[str, Any] = {}
     scanner: dict[str, Any] = {}
     seed: int | None = None
@@ -116,5 +116,5 @@ def arm_errors(options: FakeOptions, n: int, seed: int) -> np.ndarray:
         table[:, [0, 3, 4]] = np.radians(table[:, [0, 3, 4]])
         if len(table) != n:
             raise ConfigError(f"fake.errors has {len(table)} rows, but the arm has {n} axes; give one row an axis")
-    out[:min(n, len(table))] = table[:n]
+    out[: min(n, len(table))] = table[:n]
     return options.error_scale * out

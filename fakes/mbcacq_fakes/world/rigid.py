@@ -19,11 +19,14 @@ def turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     x, y, z = np.moveaxis(np.asarray(axis, dtype=float), -1, 0)
     c, s = np.cos(angle), np.sin(angle)
     v = 1.0 - c
-    return np.stack([
-        np.stack([c + v * x * x, v * x * y - s * z, v * x * z + s * y], -1),
-        np.stack([v * x * y + s * z, c + v * y * y, v * y * z - s * x], -1),
-        np.stack([v * x * z - s * y, v * y * z + s * x, c + v * z * z], -1),
-    ], -2)
+    return np.stack(
+        [
+            np.stack([c + v * x * x, v * x * y - s * z, v * x * z + s * y], -1),
+            np.stack([v * x * y + s * z, c + v * y * y, v * y * z - s * x], -1),
+            np.stack([v * x * z - s * y, v * y * z + s * x, c + v * z * z], -1),
+        ],
+        -2,
+    )
 
 
 def screw(axis: np.ndarray, point: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -143,8 +143,12 @@ class FringeScanner:
         taken[pixel] = True
         fresh = ~taken[more]
         more, extra = more[fresh], np.concatenate(more_xyz)[fresh]
-        return (np.concatenate([xyz, extra]), np.concatenate([pixel, more]),
-                np.concatenate([ball, np.full(len(more), NO_BALL)]), np.concatenate([intensity, np.full(len(more), 20.0)]))
+        return (
+            np.concatenate([xyz, extra]),
+            np.concatenate([pixel, more]),
+            np.concatenate([ball, np.full(len(more), NO_BALL)]),
+            np.concatenate([intensity, np.full(len(more), 20.0)]),
+        )
 
 
 def _nearer(depth: np.ndarray, label: np.ndarray, pixel: np.ndarray, z: np.ndarray, name: int) -> None:

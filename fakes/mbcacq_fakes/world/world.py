@@ -38,7 +38,7 @@ class Deviations:
         """Table 1 of the paper for a six-axis arm (repeated or cut for another), 5 urad of joint repeatability."""
         errors = np.zeros((n, 5))
         table = paper_errors()
-        errors[:min(n, 6)] = table[:min(n, 6)]
+        errors[: min(n, 6)] = table[: min(n, 6)]
         return cls(errors, np.full(n, 5e-6))
 
 
@@ -68,12 +68,21 @@ class World:
         for k, effect in enumerate(self.effects):
             effect.begin(true_facts, self.arm, np.random.default_rng([self.seed, EFFECTS, k]))
 
-    def moments(self, q: np.ndarray, velocity: np.ndarray, direction: np.ndarray, arrival: np.ndarray, robot_time_s: np.ndarray,
-                station: np.ndarray, artefact: np.ndarray) -> Moments:
+    def moments(
+        self,
+        q: np.ndarray,
+        velocity: np.ndarray,
+        direction: np.ndarray,
+        arrival: np.ndarray,
+        robot_time_s: np.ndarray,
+        station: np.ndarray,
+        artefact: np.ndarray,
+    ) -> Moments:
         """Add clock and temperatures to what the arm and the operator do; all with a leading axis P, in time order."""
         time_s = self.environment.clock(robot_time_s)
-        return Moments(q, velocity, direction, arrival, time_s, self.environment.air(time_s), self.environment.robot(time_s),
-                       station, artefact)
+        return Moments(
+            q, velocity, direction, arrival, time_s, self.environment.air(time_s), self.environment.robot(time_s), station, artefact
+        )
 
     def displaced(self, at: Moments) -> Moved:
         """What all effects do at these moments."""
@@ -116,7 +125,7 @@ class World:
         T = (invert(self.scanner_pose(at, moved)) @ self.artefact_pose(at, moved))[0]
         if bump is not None:
             T = T @ nudge(bump[:3], bump[3:])
-        shift = moved.ball[0, self.first_ball[index]:self.first_ball[index + 1]]
+        shift = moved.ball[0, self.first_ball[index] : self.first_ball[index + 1]]
         seen = np.array([b not in hidden for b in artefact.balls])
         centres, radii = carry(T, artefact.centres + shift)[seen], artefact.radii[seen]
         return Scene(centres, radii, artefact.carrier, T) if furniture else Scene(centres, radii)
@@ -124,7 +133,8 @@ class World:
     def truth(self) -> dict[str, Any]:
         """What is otherwise hidden: errors (n, 5) rad and mm, transforms (4, 4), ball centres by id, effects by name."""
         return {
-            "errors": self.deviations.errors, "repeatability_rad": self.deviations.repeatability,
+            "errors": self.deviations.errors,
+            "repeatability_rad": self.deviations.repeatability,
             "T_flange_scanner": self.hand_eye,
             "T_base_station": dict(zip(self.facts.station_ids, self.stations, strict=True)),
             "balls": {b: c for a in self.artefacts for b, c in zip(a.balls, a.centres, strict=True)},

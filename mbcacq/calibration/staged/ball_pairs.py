@@ -62,8 +62,10 @@ def several_balls(obs: Observations, how: str) -> Observations:
         if len(own) >= VIRTUAL_BALLS and width(obs.cell.ball_centres[chosen]) > FLAT_MM:
             keep[chosen] = True
     if not keep.any():
-        raise CalibrationError("the paper's method needs four balls of an artefact that are not on one line (for its virtual point and "
-                               "its angles); show more balls, or use --method ml")
+        raise CalibrationError(
+            "the paper's method needs four balls of an artefact that are not on one line (for its virtual point and "
+            "its angles); show more balls, or use --method ml"
+        )
     return keep_balls(obs, keep)
 
 
@@ -81,8 +83,11 @@ def one_pair(obs: Observations) -> np.ndarray:
 def keep_balls(obs: Observations, keep: np.ndarray) -> Observations:
     """The centres of the balls where ``keep`` (K,) bool holds, and the poses that show any of them."""
     rows = keep[obs.ball]
-    part = replace(obs, **{name: None if getattr(obs, name) is None else getattr(obs, name)[rows] for name in CENTRE_COLUMNS},
-                   extra={k: v if k.startswith("poses.") else v[rows] for k, v in obs.extra.items()})
+    part = replace(
+        obs,
+        **{name: None if getattr(obs, name) is None else getattr(obs, name)[rows] for name in CENTRE_COLUMNS},
+        extra={k: v if k.startswith("poses.") else v[rows] for k, v in obs.extra.items()},
+    )
     return part.select(np.bincount(part.pose, minlength=part.n_poses) > 0)
 
 

@@ -17,7 +17,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 
-UNSEEN = 1e-10   # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unseen
+UNSEEN = 1e-10  # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unseen
 __all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
@@ -37,8 +37,19 @@ class Identified:
     iterations: int
 
 
-def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, distances: PairDistances,
-             free: np.ndarray, measured: Measured | None = None, *, limit: int = 50, tolerance: float = 1e-9) -> Identified:
+def identify(
+    chain: Chain,
+    hand_eye: np.ndarray,
+    q: np.ndarray,
+    pose: np.ndarray,
+    xyz: np.ndarray,
+    distances: PairDistances,
+    free: np.ndarray,
+    measured: Measured | None = None,
+    *,
+    limit: int = 50,
+    tolerance: float = 1e-9,
+) -> Identified:
     """q: (P, n) rad; pose: (M,); xyz: (M, 3) mm in the scanner frame; free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
 
     Redundant parameters may be free: the damping keeps them near their start, as the paper's does. measured: noise of the centres, for
@@ -74,8 +85,17 @@ def identify(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray
     found = propagate(chain, hand_eye, q, pose, xyz, distances, J, residual, inverse, measured or Measured(np.full(3, 0.02)))
     unseen = scale[:, None] * vector[:, ~seen]
     count = max(len(residual), 1)
-    return Identified(chain, hand_eye, np.sqrt(before / count), np.sqrt(cost / count), found.covariance, found.noise,
-                      unseen / np.linalg.norm(unseen, axis=0), free, iterations)
+    return Identified(
+        chain,
+        hand_eye,
+        np.sqrt(before / count),
+        np.sqrt(cost / count),
+        found.covariance,
+        found.noise,
+        unseen / np.linalg.norm(unseen, axis=0),
+        free,
+        iterations,
+    )
 
 
 def _linearise(chain, hand_eye, q, pose, xyz, distances, free):

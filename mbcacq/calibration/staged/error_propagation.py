@@ -58,8 +58,18 @@ def scanner_noise(obs: Observations) -> np.ndarray:
     return np.maximum(np.sqrt(left / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
 
 
-def propagate(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarray, xyz: np.ndarray, at: PairDistances, J: np.ndarray,
-              residual: np.ndarray, inverse: np.ndarray, measured: Measured) -> Propagated:
+def propagate(
+    chain: Chain,
+    hand_eye: np.ndarray,
+    q: np.ndarray,
+    pose: np.ndarray,
+    xyz: np.ndarray,
+    at: PairDistances,
+    J: np.ndarray,
+    residual: np.ndarray,
+    inverse: np.ndarray,
+    measured: Measured,
+) -> Propagated:
     """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unseen."""
     frames = chain.frames(q)
     T = frames[:, -1] @ hand_eye
@@ -67,15 +77,20 @@ def propagate(chain: Chain, hand_eye: np.ndarray, q: np.ndarray, pose: np.ndarra
     apart = point[at.a] - point[at.b]
     u = apart / np.linalg.norm(apart, axis=1, keepdims=True)
     rows, count = np.arange(len(at.a)), len(pose)
-    D = csr_array((np.concatenate([u, -u]).ravel(), (np.repeat(np.concatenate([rows, rows]), 3),
-                  (3 * np.concatenate([at.a, at.b])[:, None] + np.arange(3)).ravel())), shape=(len(rows), 3 * count))
+    D = csr_array(
+        (
+            np.concatenate([u, -u]).ravel(),
+            (np.repeat(np.concatenate([rows, rows]), 3), (3 * np.concatenate([at.a, at.b])[:, None] + np.arange(3)).ravel()),
+        ),
+        shape=(len(rows), 3 * count),
+    )
     S = (D.T @ J).reshape(count, 3, -1)
     seen = np.zeros((count, 3, 3))
     square = u[:, :, None] * u[:, None, :]
     for ends in (at.a, at.b):
         seen += np.stack([np.bincount(ends, square.reshape(-1, 9)[:, c], count) for c in range(9)], axis=1).reshape(-1, 3, 3)
     twists = chain.joint_twists(frames)[pose]
-    joint = np.swapaxes(twists[..., :3] + np.cross(twists[..., 3:], point[:, None]), 1, 2)      # (M, 3, n)
+    joint = np.swapaxes(twists[..., :3] + np.cross(twists[..., 3:], point[:, None]), 1, 2)  # (M, 3, n)
     by_scanner, seen_scanner = _scanner(pose, T[pose, :3, :3], S, seen, measured)
     by_pose = np.zeros((len(q), joint.shape[2], S.shape[2]))
     np.add.at(by_pose, pose, np.swapaxes(joint, 1, 2) @ S)

@@ -24,8 +24,10 @@ def rotation_from_translations(T_base_flange: np.ndarray, virtual: np.ndarray) -
     seen = -(virtual - virtual.mean(axis=0))
     spread = np.linalg.svd(seen, compute_uv=False)
     if len(virtual) < 3 or spread[1] < 1.0:
-        raise CalibrationError("the translations do not span a plane, which leaves the hand-eye rotation undetermined; "
-                               "translate along base X, Y and Z by 20 mm and more")
+        raise CalibrationError(
+            "the translations do not span a plane, which leaves the hand-eye rotation undetermined; "
+            "translate along base X, Y and Z by 20 mm and more"
+        )
     return se3.nearest_rotation(moved.T @ seen)
 
 
@@ -40,6 +42,8 @@ def translation_from_orientations(T_base_flange: np.ndarray, virtual: np.ndarray
     columns = (R - R.mean(axis=0)).reshape(-1, 3)
     size = np.linalg.svd(columns, compute_uv=False)
     if size[-1] < 0.02 * np.sqrt(len(R)):
-        raise CalibrationError("the orientations turn too little, or about one axis only, which leaves the hand-eye translation "
-                               "undetermined; turn about two axes by 10 deg and more")
+        raise CalibrationError(
+            "the orientations turn too little, or about one axis only, which leaves the hand-eye translation "
+            "undetermined; turn about two axes by 10 deg and more"
+        )
     return np.linalg.lstsq(columns, -(point - point.mean(axis=0)).reshape(-1), rcond=None)[0]

@@ -29,8 +29,9 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
     """The published method on a recording. Raises CalibrationError where its stages lack what they need."""
     whole = select_phases(observations, options)
     if whole.cell.measurement == TARGET_IN_BASE or not np.any(np.abs(whole.xyz) > 1e-9):
-        raise CalibrationError("the paper's method needs a scanner on the flange that sees several balls at a pose; "
-                               "use --method ml for this recording")
+        raise CalibrationError(
+            "the paper's method needs a scanner on the flange that sees several balls at a pose; use --method ml for this recording"
+        )
     obs = several_balls(whole, options.pairs)
     adjusted, stages, left = adjust_angles(obs)
     X, more = preliminary(adjusted)
@@ -43,9 +44,18 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
     layout = published_layout(obs, options)
     at = constraint(where, options.pairs)
     found = identify(where, first, at, layout, options, measured)
-    stages = [*stages, *more, {"stage": "distance constraint (Eq. 13-24)", "pairs_of_balls": options.pairs, "distances": len(at.a),
-                               "iterations": found.iterations, "rms_distance_before_mm": found.rms_before,
-                               "rms_distance_after_mm": found.rms_after}]
+    stages = [
+        *stages,
+        *more,
+        {
+            "stage": "distance constraint (Eq. 13-24)",
+            "pairs_of_balls": options.pairs,
+            "distances": len(at.a),
+            "iterations": found.iterations,
+            "rms_distance_before_mm": found.rms_before,
+            "rms_distance_after_mm": found.rms_after,
+        },
+    ]
     state = with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
     return _as_calibration(obs, options, layout, state, first, found, stages)
 
@@ -60,13 +70,21 @@ def constraint(obs: Observations, how: str) -> distance_constraint.Distances:
     return distance_constraint.Distances(at.a[keep], at.b[keep], at.certified[keep])
 
 
-def identify(obs: Observations, first: CellState, at: distance_constraint.Distances, layout: ParameterLayout, options: CalibrationOptions,
-             measured: Measured) -> distance_constraint.Identified:
+def identify(
+    obs: Observations,
+    first: CellState,
+    at: distance_constraint.Distances,
+    layout: ParameterLayout,
+    options: CalibrationOptions,
+    measured: Measured,
+) -> distance_constraint.Identified:
     """The last stage. Raises CalibrationError where the distances leave a direction unseen that matters elsewhere in the workspace."""
     free = np.concatenate([b.free for b in layout.blocks[:2]])
     if len(at.a) < free.sum():
-        raise CalibrationError(f"{len(at.a)} pairs of balls were seen from different poses of one station, the distance constraint has "
-                               f"{free.sum()} unknowns; take several orientations at each position of the artefact")
+        raise CalibrationError(
+            f"{len(at.a)} pairs of balls were seen from different poses of one station, the distance constraint has "
+            f"{free.sum()} unknowns; take several orientations at each position of the artefact"
+        )
     if options.refuse:
         refuse_one_station(obs)
     found = distance_constraint.identify(first.chain, first.T_flange_scanner, obs.q, obs.pose, obs.xyz, at, free, measured)
@@ -78,8 +96,10 @@ def identify(obs: Observations, first: CellState, at: distance_constraint.Distan
         if effect[-1] > identifiability.VISIBLE_MM**2:
             size = np.abs(basis @ vector[:, -1])
             named = ", ".join(layout.names[i] for i in np.argsort(-size)[:4] if size[i] > 0.1 * size.max())
-            raise CalibrationError(f"the distances between the balls of different poses do not determine {named}; "
-                                   "add positions of the artefact, and orientations about two axes at each")
+            raise CalibrationError(
+                f"the distances between the balls of different poses do not determine {named}; "
+                "add positions of the artefact, and orientations about two axes at each"
+            )
     return found
 
 
@@ -93,7 +113,9 @@ def published_layout(obs: Observations, options: CalibrationOptions) -> Paramete
     block = layout.blocks[0]
     kept = {name: why for name, why in block.why.items() if not free.reshape(-1)[block.names.index(name)]}
     kept |= {name: "not in the paper's model" for name, f in zip(block.names, free.reshape(-1), strict=True) if not f and name not in kept}
-    return ParameterLayout((ParameterBlock(block.name, block.names, block.units, free.reshape(-1), block.sigma, block.scale, kept), *layout.blocks[1:]))
+    return ParameterLayout(
+        (ParameterBlock(block.name, block.names, block.units, free.reshape(-1), block.sigma, block.scale, kept), *layout.blocks[1:])
+    )
 
 
 def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibration:
@@ -102,6 +124,22 @@ def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibr
     at = system(lineariser, Estimate(state), found.noise, weights)
     seen = int(found.free.sum()) - found.unseen.shape[1] + 6 * len(lineariser.rows.stations)
     whitened = lineariser.rows.unpad(at.X[..., -1:])[..., 0]
-    return Calibration(obs, options, layout, state, first, (), found.covariance, np.zeros((len(obs.cell.stations), 6, 6)), found.noise,
-                       weights, at.linear.residual, whitened, float(np.sum(whitened**2)), whitened.size - seen, seen, found.iterations,
-                       extra={"stages": stages})
+    return Calibration(
+        obs,
+        options,
+        layout,
+        state,
+        first,
+        (),
+        found.covariance,
+        np.zeros((len(obs.cell.stations), 6, 6)),
+        found.noise,
+        weights,
+        at.linear.residual,
+        whitened,
+        float(np.sum(whitened**2)),
+        whitened.size - seen,
+        seen,
+        found.iterations,
+        extra={"stages": stages},
+    )

@@ -38,11 +38,19 @@ def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.
     adjusted = replace(obs, xyz=xyz)
     moved = np.sqrt(np.mean(np.sum((xyz - obs.xyz) ** 2, axis=1)))
     largest = max(curves, key=lambda c: c[0])[1] if curves else None
-    stage = {"stage": "angle adjustment (Eq. 8-12)", "rms_correction_mm": float(moved), "rms_shape_before_mm": shape_error(obs),
-             "rms_shape_after_mm": shape_error(adjusted)}
+    stage = {
+        "stage": "angle adjustment (Eq. 8-12)",
+        "rms_correction_mm": float(moved),
+        "rms_shape_before_mm": shape_error(obs),
+        "rms_shape_after_mm": shape_error(adjusted),
+    }
     if largest is not None:
-        stage["l_curve"] = {"ridge": largest.ridge.tolist(), "misfit_rad": largest.misfit.tolist(), "size_mm": largest.size.tolist(),
-                            "corner": largest.corner}
+        stage["l_curve"] = {
+            "ridge": largest.ridge.tolist(),
+            "misfit_rad": largest.misfit.tolist(),
+            "size_mm": largest.size.tolist(),
+            "corner": largest.corner,
+        }
     return adjusted, [stage], left
 
 
@@ -52,8 +60,10 @@ def shape_error(obs: Observations) -> float:
     for p in range(obs.n_poses):
         rows = np.flatnonzero(obs.pose == p)
         i, j = np.triu_indices(len(rows), 1)
-        same.append(np.linalg.norm(obs.xyz[rows[i]] - obs.xyz[rows[j]], axis=1)
-                    - np.linalg.norm(obs.cell.ball_centres[obs.ball[rows[i]]] - obs.cell.ball_centres[obs.ball[rows[j]]], axis=1))
+        same.append(
+            np.linalg.norm(obs.xyz[rows[i]] - obs.xyz[rows[j]], axis=1)
+            - np.linalg.norm(obs.cell.ball_centres[obs.ball[rows[i]]] - obs.cell.ball_centres[obs.ball[rows[j]]], axis=1)
+        )
     errors = np.concatenate(same)
     return float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
 
@@ -65,10 +75,16 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
     if not {"translation", "orientation"} <= phases:
         found = hand_eye_from_fixed_points(obs, obs.cell.robot.chain.flange(obs.q), obs.cell.T_flange_scanner)
         if found is None:
-            raise CalibrationError("the poses do not determine a first hand-eye transform for the paper's method; record its translations "
-                                   "and orientations, or turn the scanner about two axes by 20 deg and more at a position")
-        return found, [{"stage": "hand-eye from fixed points (no translation and orientation phases recorded)",
-                    "rms_virtual_point_mm": point_spread(obs, found)}]
+            raise CalibrationError(
+                "the poses do not determine a first hand-eye transform for the paper's method; record its translations "
+                "and orientations, or turn the scanner about two axes by 20 deg and more at a position"
+            )
+        return found, [
+            {
+                "stage": "hand-eye from fixed points (no translation and orientation phases recorded)",
+                "rms_virtual_point_mm": point_spread(obs, found),
+            }
+        ]
     T, virtual = virtual_point(obs, obs.phase == "translation")
     R = hand_eye.rotation_from_translations(T, virtual)
     T_turned, virtual_turned = virtual_point(obs, obs.phase == "orientation")
@@ -76,12 +92,16 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
     X = se3.transform(R, t)
     guess = obs.cell.T_flange_scanner
     turned = se3.rotation_log(guess[:3, :3].T @ R)
-    return X, [{"stage": "hand-eye rotation from translations (Eq. 7)", "poses": len(T),
-                "change_deg": float(np.degrees(np.linalg.norm(turned)))},
-               {"stage": "hand-eye translation from orientations", "poses": len(T_turned),
-                "change_mm": float(np.linalg.norm(t - guess[:3, 3])),
-                "rms_virtual_point_before_mm": _spread(T_turned @ guess, virtual_turned),
-                "rms_virtual_point_after_mm": _spread(T_turned @ X, virtual_turned)}]
+    return X, [
+        {"stage": "hand-eye rotation from translations (Eq. 7)", "poses": len(T), "change_deg": float(np.degrees(np.linalg.norm(turned)))},
+        {
+            "stage": "hand-eye translation from orientations",
+            "poses": len(T_turned),
+            "change_mm": float(np.linalg.norm(t - guess[:3, 3])),
+            "rms_virtual_point_before_mm": _spread(T_turned @ guess, virtual_turned),
+            "rms_virtual_point_after_mm": _spread(T_turned @ X, virtual_turned),
+        },
+    ]
 
 
 def virtual_point(obs: Observations, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

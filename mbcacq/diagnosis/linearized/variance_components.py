@@ -17,7 +17,9 @@ MANY_POSES, WORST_JOINT = 350, 10.0  # of a long recording no joint is taken to 
 LOG_SD_STATED, LOG_SD_GUESSED, LOG_SD_AXIS, LOG_SD_COMMON, LOG_SD_JOINT = 0.3, 1.5, 0.35, 1.0, 0.35
 
 
-def estimate(linear: LinearProblem, columns: np.ndarray, sigma: np.ndarray, start: NoiseEstimate, prior: NoiseEstimate, rounds: int = 12) -> NoiseEstimate:
+def estimate(
+    linear: LinearProblem, columns: np.ndarray, sigma: np.ndarray, start: NoiseEstimate, prior: NoiseEstimate, rounds: int = 12
+) -> NoiseEstimate:
     """Most probable noise given that ``columns`` (M, R, z; prior sigma (z,)) explain what is not noise.
 
     Fisher scoring with the average information matrix (Gilmour, Thompson, Cullis 1995), on logarithms of the sigmas.
@@ -75,7 +77,9 @@ def prior_precision(n: int, turn: bool, stated: bool) -> np.ndarray:
     return out
 
 
-def _score(linear: LinearProblem, columns: np.ndarray, sigma: np.ndarray, noise: NoiseEstimate, turn: bool) -> tuple[np.ndarray, np.ndarray]:
+def _score(
+    linear: LinearProblem, columns: np.ndarray, sigma: np.ndarray, noise: NoiseEstimate, turn: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and average information of the restricted log likelihood by the log sigmas."""
     whiten = linear.whitener(noise)
     Q, _ = orthogonal(whiten(columns) * sigma)

@@ -58,8 +58,9 @@ def _prepared(trajectories: list) -> tuple[tuple[MotionSignals, ...], list[np.nd
     return _common([run for run, _ in prepared]), [inertial for _, inertial in prepared], trajectories[0].robot
 
 
-def explain(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot: RobotModel,
-            held: int | None = None) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
+def explain(
+    runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot: RobotModel, held: int | None = None
+) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
     """Torque first: the load it tells winds up the gears. Raises ConfigError where there is nothing to compare."""
     kinds = [g.name for g in groups(runs, inertial, robot)]
     if not kinds:

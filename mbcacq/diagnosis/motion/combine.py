@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq.diagnosis.motion.text import trajectory_words
 from mbcacq.diagnosis.output.text import number
 
-AGREE = 3.0   # sigmas
+AGREE = 3.0  # sigmas
 
 
 def joined(poses: dict[str, Any], motion: dict[str, Any]) -> dict[str, Any]:
@@ -28,18 +28,36 @@ def agreement(poses: dict[str, Any], motion: dict[str, Any]) -> list[dict[str, A
             if values is None or any(v is None or np.ndim(v) for v in values):
                 continue
             apart = abs(values[0] - values[2]) / max(float(np.hypot(values[1], values[3])), 1e-300)
-            out.append({"name": effect["name"], "parameter": key, "poses": {"value": values[0], "std": values[1]},
-                        "motion": {"value": values[2], "std": values[3]}, "sigmas": float(apart), "agrees": bool(apart <= AGREE)})
+            out.append(
+                {
+                    "name": effect["name"],
+                    "parameter": key,
+                    "poses": {"value": values[0], "std": values[1]},
+                    "motion": {"value": values[2], "std": values[3]},
+                    "sigmas": float(apart),
+                    "agrees": bool(apart <= AGREE),
+                }
+            )
     return out
 
 
 def words(content: dict[str, Any], poses: str) -> str:
     """poses: the text of the pose diagnosis."""
-    lines = ["Poses, at standstill", "====================", poses, "", "Motion, between the poses", "=========================",
-             trajectory_words(content["motion"])]
+    lines = [
+        "Poses, at standstill",
+        "====================",
+        poses,
+        "",
+        "Motion, between the poses",
+        "=========================",
+        trajectory_words(content["motion"]),
+    ]
     if content["agreement"]:
         lines += ["", "Found in both:"]
-        lines += [f"  {a['parameter']}: {number(a['poses']['value'])} +- {number(a['poses']['std'])} from the poses, "
-                  f"{number(a['motion']['value'])} +- {number(a['motion']['std'])} from the motion: "
-                  f"{'they agree' if a['agrees'] else 'they do not agree'} ({a['sigmas']:.1f} sigma)" for a in content["agreement"]]
+        lines += [
+            f"  {a['parameter']}: {number(a['poses']['value'])} +- {number(a['poses']['std'])} from the poses, "
+            f"{number(a['motion']['value'])} +- {number(a['motion']['std'])} from the motion: "
+            f"{'they agree' if a['agrees'] else 'they do not agree'} ({a['sigmas']:.1f} sigma)"
+            for a in content["agreement"]
+        ]
     return "\n".join(lines)

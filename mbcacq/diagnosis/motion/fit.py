@@ -59,7 +59,7 @@ def conclude(selection: ForwardSelection) -> MotionFit:
     ledger = selection.ledger
     refine(selection)
     delay = ledger.delay
-    ledger.retime(0.0)   # what there was to explain is what was recorded
+    ledger.retime(0.0)  # what there was to explain is what was recorded
     start = np.array(ledger.base)
     x0 = ledger.solve(ledger.normal(selection.weights(start)), start)
     before, train_start = _left(selection, start, x0), ledger.errors(start, x0).sum(axis=0)
@@ -79,10 +79,19 @@ def conclude(selection: ForwardSelection) -> MotionFit:
     found = _found(selection, x, spread, position, hyper_std)
     n = np.maximum(ledger.count.sum(axis=0), 1.0)
     result = MotionFit(
-        selection.group, found, before, _left(selection, chosen, x),
+        selection.group,
+        found,
+        before,
+        _left(selection, chosen, x),
         [[u[:, k] for u in selection.group.use] for k in range(len(selection.group.joints))],
-        selection.mean_square(selection.start), held, train_start / n, ledger.errors(chosen, x).sum(axis=0) / n,
-        ledger.split, _links(selection, x), load_doubt(selection, chosen, x, spread))
+        selection.mean_square(selection.start),
+        held,
+        train_start / n,
+        ledger.errors(chosen, x).sum(axis=0) / n,
+        ledger.split,
+        _links(selection, x),
+        load_doubt(selection, chosen, x, spread),
+    )
     ledger.forget(selection.mark)
     return result
 
@@ -99,7 +108,7 @@ def _links(selection: ForwardSelection, x: np.ndarray) -> list[list[np.ndarray]]
     group, n, J = selection.group, selection.runs[0].q.shape[1], len(selection.group.joints)
     if group.name != "tau":
         return [[np.zeros(len(r.q)) for r in selection.runs] for _ in group.joints]
-    inertial = x[J: len(selection.ledger.base) - n]   # the base: an offset a joint, inertial parameters, one column a rotor
+    inertial = x[J : len(selection.ledger.base) - n]  # the base: an offset a joint, inertial parameters, one column a rotor
     return [[group.base[r][:, k, :-n] @ inertial for r in range(len(selection.runs))] for k in range(J)]
 
 
@@ -113,13 +122,33 @@ def _found(selection: ForwardSelection, x: np.ndarray, spread: np.ndarray, posit
         step = {"adds": list(told), "before": t.before.tolist(), "after": t.after.tolist()}
         key = t.candidate.place
         if key not in out:
-            out[key] = FoundTerm(t.candidate.name, list(t.candidate.where), t.candidate.depends_on, told, t.p_value, t.candidate.joints,
-                             t.before - t.after, [step], t.rivals, added)
+            out[key] = FoundTerm(
+                t.candidate.name,
+                list(t.candidate.where),
+                t.candidate.depends_on,
+                told,
+                t.p_value,
+                t.candidate.joints,
+                t.before - t.after,
+                [step],
+                t.rivals,
+                added,
+            )
             continue
         mine = out[key]
         added = [[a + b for a, b in zip(p, q, strict=True)] for p, q in zip(mine.contributions, added, strict=True)]
-        out[key] = FoundTerm(mine.name, mine.where, mine.depends_on, _join(mine.parameters, told), min(mine.p_value, t.p_value), mine.joints,
-                         mine.gain + t.before - t.after, [*mine.steps, step], mine.rivals, added)
+        out[key] = FoundTerm(
+            mine.name,
+            mine.where,
+            mine.depends_on,
+            _join(mine.parameters, told),
+            min(mine.p_value, t.p_value),
+            mine.joints,
+            mine.gain + t.before - t.after,
+            [*mine.steps, step],
+            mine.rivals,
+            added,
+        )
     return list(out.values())
 
 
@@ -132,10 +161,14 @@ def _join(one: dict, other: dict) -> dict:
 
 
 def _contribution(selection: ForwardSelection, candidate: MotionCandidate, hyper: float | None, c: np.ndarray) -> list[list[np.ndarray]]:
-    return [[candidate.columns(run, joint, hyper) @ c if joint in candidate.joints else np.zeros(len(run.q)) for run in selection.runs]
-            for joint in selection.group.joints]
+    return [
+        [candidate.columns(run, joint, hyper) @ c if joint in candidate.joints else np.zeros(len(run.q)) for run in selection.runs]
+        for joint in selection.group.joints
+    ]
 
 
 def _late(selection: ForwardSelection, t: SelectedEffect, c: np.ndarray) -> list[list[np.ndarray]]:
-    return [[-lateness(selection.group, run, k, place, t.variant.hyper + float(c[0])) for k, run in enumerate(selection.runs)]
-            for place in range(len(selection.group.joints))]
+    return [
+        [-lateness(selection.group, run, k, place, t.variant.hyper + float(c[0])) for k, run in enumerate(selection.runs)]
+        for place in range(len(selection.group.joints))
+    ]

@@ -18,13 +18,13 @@ from mbcacq.diagnosis.motion.spectrum import lines
 from mbcacq.effects import motion as effects
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
 
-LEAST_GAIN = 0.02      # of the held-out mean square of a joint it acts on, as it is before the effect is taken
-LEAST_RELIEF = 25.0    # squared sigmas by which an effect lets the arm be as it is described
-UNDERSTOOD = 4.0       # chi2 per degree of freedom of a joint that is explained
-SIGNIFICANCE = 1e-4    # after correction for the number of candidates
+LEAST_GAIN = 0.02  # of the held-out mean square of a joint it acts on, as it is before the effect is taken
+LEAST_RELIEF = 25.0  # squared sigmas by which an effect lets the arm be as it is described
+UNDERSTOOD = 4.0  # chi2 per degree of freedom of a joint that is explained
+SIGNIFICANCE = 1e-4  # after correction for the number of candidates
 MOST_EFFECTS = 40
-TRIED = 14             # candidates of the largest gain in the fit that are tried on held-out data
-NEAR = 0.05            # of the best candidate's gain: closer is as good, and the one with fewer coefficients claims less
+TRIED = 14  # candidates of the largest gain in the fit that are tried on held-out data
+NEAR = 0.05  # of the best candidate's gain: closer is as good, and the one with fewer coefficients claims less
 
 
 @dataclass
@@ -40,10 +40,10 @@ class Variant:
 class SelectedEffect:
     variant: Variant
     p_value: float
-    before: np.ndarray                   # held-out mean square (J,) without it
-    after: np.ndarray                    # and with it
+    before: np.ndarray  # held-out mean square (J,) without it
+    after: np.ndarray  # and with it
     rivals: list[dict] = field(default_factory=list)
-    relieves: bool = False               # taken for what the arm's description had to be bent without it
+    relieves: bool = False  # taken for what the arm's description had to be bent without it
 
     @property
     def candidate(self) -> MotionCandidate:
@@ -62,8 +62,13 @@ def all_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list
 class ForwardSelection:
     """Forward choice with a look back: an effect that later ones make needless is dropped again."""
 
-    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None,
-                 candidates: Sequence[MotionCandidate] | None = None) -> None:
+    def __init__(
+        self,
+        group: ChannelGroup,
+        runs: tuple[MotionSignals, ...],
+        held: int | None = None,
+        candidates: Sequence[MotionCandidate] | None = None,
+    ) -> None:
         """candidates: what may be chosen, None for the whole catalogue."""
         self.group, self.runs, self.ledger = group, runs, NormalStore(group, runs, held)
         self.pool = all_candidates(group, runs) if candidates is None else list(candidates)
@@ -99,15 +104,14 @@ class ForwardSelection:
     def mean_square(self, blocks: np.ndarray) -> np.ndarray:
         return blocks.sum(axis=0) / np.maximum(self.ledger.count.sum(axis=0), 1.0)
 
-    def simulated(self, place: int, k: int, x: np.ndarray, position: dict[int, int], but: Collection[str],
-                  rotors: bool) -> np.ndarray:
+    def simulated(self, place: int, k: int, x: np.ndarray, position: dict[int, int], but: Collection[str], rotors: bool) -> np.ndarray:
         """What the links, the rotors if asked for and the effects, without those named in ``but``, add (T,) at the joint at ``place``
         in run number k; position: of x by column."""
         run, joint, group = self.runs[k], self.group.joints[place], self.group
         out = np.zeros(len(run.q))
         if group.base[k].shape[2]:
-            own = self.ledger.base[len(group.joints): None if rotors else -run.q.shape[1]]   # the last are the rotors
-            out += group.base[k][:, place, :len(own)] @ x[[position[int(i)] for i in own]]
+            own = self.ledger.base[len(group.joints) : None if rotors else -run.q.shape[1]]  # the last are the rotors
+            out += group.base[k][:, place, : len(own)] @ x[[position[int(i)] for i in own]]
         for t in self.taken:
             if t.candidate.name not in but and joint in t.candidate.joints:
                 out += t.candidate.columns(run, joint, t.variant.hyper) @ x[[position[int(i)] for i in t.variant.ids]]
@@ -153,8 +157,11 @@ class ForwardSelection:
         there = {(t.candidate.place, t.candidate.tag) for t in self.taken}
         # One plain form of an effect at a place; its refinements come as extensions.
         plain = {t.candidate.place for t in self.taken if not t.candidate.extends}
-        return [v for v in self.variants if (v.candidate.place, v.candidate.tag) not in there
-                and (v.candidate.extends or v.candidate.place not in plain)]
+        return [
+            v
+            for v in self.variants
+            if (v.candidate.place, v.candidate.tag) not in there and (v.candidate.extends or v.candidate.place not in plain)
+        ]
 
     def _extend(self, taken: SelectedEffect) -> None:
         if taken.candidate.extends:
@@ -168,11 +175,19 @@ class ForwardSelection:
 
     def _waves(self, weights: np.ndarray, chosen: np.ndarray) -> list[Variant]:
         x = self.ledger.solve(self.ledger.normal(weights), chosen)
-        found = [c for place, joint in enumerate(self.group.joints)
-                 for c in lines(self.group, self.runs, joint, self.ledger.residual(place, chosen, x), self.ledger.training)]
+        found = [
+            c
+            for place, joint in enumerate(self.group.joints)
+            for c in lines(self.group, self.runs, joint, self.ledger.residual(place, chosen, x), self.ledger.training)
+        ]
         middle = [float(c.hyper[len(c.hyper) // 2]) for c in found]
-        numbers = self.ledger.add_many([(self.group.joints.index(c.joints[0]), self.ledger.columns(c, c.joints[0], order))
-                                        for c, order in zip(found, middle, strict=True)], [np.full(2, np.inf)] * len(found))
+        numbers = self.ledger.add_many(
+            [
+                (self.group.joints.index(c.joints[0]), self.ledger.columns(c, c.joints[0], order))
+                for c, order in zip(found, middle, strict=True)
+            ],
+            [np.full(2, np.inf)] * len(found),
+        )
         return [Variant(c, order, ids) for c, order, ids in zip(found, middle, numbers, strict=True)]
 
     def _best(self, weights, chosen, normals, now, variants: list[Variant]) -> tuple[SelectedEffect, bool] | None:
@@ -217,16 +232,18 @@ class ForwardSelection:
             return None
         # Of those that predict about as well, the one with the fewest coefficients: it claims least.
         gain, p, v, after, relieves = min(good, key=lambda t: (len(t[2].ids), -t[0]))
-        rivals = [{"name": t[1].candidate.name, "where": list(t[1].candidate.where), "gain": t[0] / gain} for t in trials
-                  if t[1].candidate.place != v.candidate.place and set(t[1].candidate.joints) & set(v.candidate.joints)
-                  and t[0] > 0.1 * gain][:3]
+        rivals = [
+            {"name": t[1].candidate.name, "where": list(t[1].candidate.where), "gain": t[0] / gain}
+            for t in trials
+            if t[1].candidate.place != v.candidate.place and set(t[1].candidate.joints) & set(v.candidate.joints) and t[0] > 0.1 * gain
+        ][:3]
         return SelectedEffect(v, min(p, 1.0), standing, after, rivals, relieves), not any(v is w for w in self.variants)
 
     def _fit_gains(self, weights: np.ndarray, chosen: np.ndarray, variants: list[Variant]) -> list[float]:
         """Drop of the weighted squared error (per joint's mean square) by each variant, all else refitted."""
         N = self.ledger.normal(weights)
         factor, scale = self.ledger.factor(N, chosen)
-        B = solve_triangular(factor[0], scale[:, None] * N[chosen], lower=True, check_finite=False)   # (b, P + 1)
+        B = solve_triangular(factor[0], scale[:, None] * N[chosen], lower=True, check_finite=False)  # (b, P + 1)
         out = []
         for v in variants:
             ids = np.concatenate([v.ids, [-1]])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
 
 ROUNDS = 4
-SMALL = 1e-3   # relative step of a hyper-parameter for its derivative
+SMALL = 1e-3  # relative step of a hyper-parameter for its derivative
 
 
 def refine(selection: ForwardSelection) -> None:
@@ -38,7 +38,7 @@ def refine(selection: ForwardSelection) -> None:
         mark = len(ledger.prior)
         slope = slopes(selection, chosen, x)
         ids = np.concatenate([chosen, *(i for _, i in slope)]).astype(int)
-        step = ledger.solve(ledger.normal(weights), ids)[len(chosen):]
+        step = ledger.solve(ledger.normal(weights), ids)[len(chosen) :]
         ledger.forget(mark)
         for (t, _), s in zip(slope, step, strict=True):
             low, high = spans[id(t)]
@@ -85,7 +85,11 @@ def slopes(selection: ForwardSelection, chosen: np.ndarray, x: np.ndarray) -> li
         c = x[[position[int(i)] for i in t.variant.ids]]
         h, d = t.variant.hyper, SMALL * max(abs(t.variant.hyper), 1e-9)
         places = [selection.group.joints.index(j) for j in t.candidate.joints]
-        columns = [np.concatenate([(t.candidate.columns(r, j, h + d) - t.candidate.columns(r, j, h - d)) @ c / (2 * d)
-                                   for r in selection.runs])[:, None] for j in t.candidate.joints]
+        columns = [
+            np.concatenate([(t.candidate.columns(r, j, h + d) - t.candidate.columns(r, j, h - d)) @ c / (2 * d) for r in selection.runs])[
+                :, None
+            ]
+            for j in t.candidate.joints
+        ]
         out.append((t, selection.ledger.add(places, columns)))
     return out

@@ -31,7 +31,7 @@ def _load(selection: ForwardSelection, place: int, chosen: np.ndarray, x: np.nda
     """The torque that passes a gear (Ttot,), zero where a sample takes no part; the columns (Ttot, k) by which it was adapted, and where
     they stand in ``chosen``."""
     group, ledger = selection.group, selection.ledger
-    behind = {int(i) for i in ledger.base[len(group.joints): -selection.runs[0].q.shape[1]]}
+    behind = {int(i) for i in ledger.base[len(group.joints) : -selection.runs[0].q.shape[1]]}
     behind |= {int(i) for t in selection.taken if t.candidate.name not in OF_THE_DRIVE for i in t.variant.ids}
     columns, at = ledger.taking_part(place, chosen)
     mine = np.array([i for i, number in enumerate(chosen[at]) if int(number) in behind], dtype=int)

@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve
 if TYPE_CHECKING:
     from mbcacq.diagnosis.motion.normal_store import NormalStore
 
-TOGETHER_S = 1.0   # what is left further apart than that counts as independent
+TOGETHER_S = 1.0  # what is left further apart than that counts as independent
 
 
 def covariance(ledger: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -53,9 +53,9 @@ def _spectral(ledger: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: n
         together = np.fft.irfft(power, length)[: longest + 1] / np.maximum(np.fft.irfft(pairs, length)[: longest + 1], 1.0)
         lags = np.zeros(length)
         lags[: longest + 1] = window * together
-        lags[length - longest:] = lags[longest: 0: -1]
+        lags[length - longest :] = lags[longest:0:-1]
         density = np.maximum(np.fft.rfft(lags).real, 0.0) * weights[place] ** 2
-        density[1:-1] *= 2.0   # the other half of the frequencies
+        density[1:-1] *= 2.0  # the other half of the frequencies
         root = np.sqrt(density / length)[:, None]
         for s in spectra:
             both = np.concatenate([s.real * root, s.imag * root])

@@ -15,9 +15,9 @@ from mbcacq.diagnosis.motion.time_alignment import lateness
 from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 
 PIECE_S = 0.5
-PARTS = 3              # a single recording is held out in so many blocks
-INTERLEAVED = 15       # blocks of a single recording among which effects are chosen
-RIDGE = 1e-12          # of a scaled normal matrix: directions far below are not determined
+PARTS = 3  # a single recording is held out in so many blocks
+INTERLEAVED = 15  # blocks of a single recording among which effects are chosen
+RIDGE = 1e-12  # of a scaled normal matrix: directions far below are not determined
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,20 @@ def pieces(runs: tuple[MotionSignals, ...], held: int | None = None) -> tuple[li
     out = []
     for fold, part in enumerate(left):
         for k, where in part:
-            blocks = [where] if whole else [slice(where.start + b.start, where.start + b.stop) for b in _blocks(
-                where.stop - where.start, INTERLEAVED if split == "trajectory" else INTERLEAVED // PARTS)]
+            blocks = (
+                [where]
+                if whole
+                else [
+                    slice(where.start + b.start, where.start + b.stop)
+                    for b in _blocks(where.stop - where.start, INTERLEAVED if split == "trajectory" else INTERLEAVED // PARTS)
+                ]
+            )
             for i, block in enumerate(blocks):
                 number = max(int((block.stop - block.start) * runs[k].step_s / PIECE_S), 1)
-                out += [NormalSegment(k, slice(block.start + b.start, block.start + b.stop), fold if whole else i % PARTS)
-                        for b in _blocks(block.stop - block.start, number)]
+                out += [
+                    NormalSegment(k, slice(block.start + b.start, block.start + b.stop), fold if whole else i % PARTS)
+                    for b in _blocks(block.stop - block.start, number)
+                ]
     return out, split
 
 
@@ -103,8 +111,9 @@ class NormalStore:
             fresh = column * self._use[place][:, None]
             cross, own = self._products(self.Z[place], fresh), self._products(fresh, fresh)
             old = self.G[place]
-            self.G[place] = np.concatenate([np.concatenate([old, cross], axis=2),
-                                            np.concatenate([np.swapaxes(cross, 1, 2), own], axis=2)], axis=1)
+            self.G[place] = np.concatenate(
+                [np.concatenate([old, cross], axis=2), np.concatenate([np.swapaxes(cross, 1, 2), own], axis=2)], axis=1
+            )
             self.Z[place] = np.concatenate([self.Z[place], fresh], axis=1)
             self.ids[place] = np.concatenate([self.ids[place], new])
             self._sums[place] = None
@@ -143,8 +152,9 @@ class NormalStore:
         for place in range(len(self.Z)):
             mine = [i for i, (p, _) in enumerate(batches) if p == place]
             if mine:
-                numbers = self.add([place], [np.concatenate([batches[i][1] for i in mine], axis=1)],
-                                   np.concatenate([sigmas[i] for i in mine]))
+                numbers = self.add(
+                    [place], [np.concatenate([batches[i][1] for i in mine], axis=1)], np.concatenate([sigmas[i] for i in mine])
+                )
                 for i, part in zip(mine, np.split(numbers, np.cumsum([batches[i][1].shape[1] for i in mine])[:-1]), strict=True):
                     out[i] = part
         return out

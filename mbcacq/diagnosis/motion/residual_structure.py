@@ -10,8 +10,8 @@ from mbcacq.diagnosis.motion.forward_selection import improvement_p
 from mbcacq.effects.motion.effect import MotionSignals
 
 BINS = 24
-PIECES = 24          # of a channel's residual, taken as independent witnesses
-LEAST_SHARE = 0.15   # of what is left that one variable must explain, on the other part of the data, to be worth saying
+PIECES = 24  # of a channel's residual, taken as independent witnesses
+LEAST_SHARE = 0.15  # of what is left that one variable must explain, on the other part of the data, to be worth saying
 LEAST_CHI2 = 2.0
 
 
@@ -36,8 +36,17 @@ def structure(explained: MotionFit, place: int, runs: tuple[MotionSignals, ...],
     if best_shape is None or best_share < LEAST_SHARE:
         rest = {"depends_on": "time", "p_value": float(chi2.sf(PIECES * total / floor**2, PIECES)), "share": weight}
         return {"mismatch": where | rest}
-    effect = {"name": "unknown", "where": [f"A{joint + 1}"], "channel": group.name, "depends_on": best_name, "parameters": {},
-              "p_value": p, "held_out_gain": best_share * weight, "shape": best_shape, "alternatives": []}
+    effect = {
+        "name": "unknown",
+        "where": [f"A{joint + 1}"],
+        "channel": group.name,
+        "depends_on": best_name,
+        "parameters": {},
+        "p_value": p,
+        "held_out_gain": best_share * weight,
+        "shape": best_shape,
+        "alternatives": [],
+    }
     return {"mismatch": where, "effect": effect}
 
 
@@ -54,8 +63,11 @@ def _cross_validated(values: list[np.ndarray], left: list[np.ndarray]) -> tuple[
     """Share of the mean square that a table over the covariate (quantile bins) predicts on the other half; the table; a p-value of the
     improvement, from pieces of the residual."""
     v, r = np.concatenate(values), np.concatenate(left)
-    half = np.concatenate([np.arange(len(x)) * 4 // len(x) % 2 for x in values]) if len(values) == 1 else \
-        np.concatenate([np.full(len(x), k % 2) for k, x in enumerate(values)])
+    half = (
+        np.concatenate([np.arange(len(x)) * 4 // len(x) % 2 for x in values])
+        if len(values) == 1
+        else np.concatenate([np.full(len(x), k % 2) for k, x in enumerate(values)])
+    )
     edges = np.unique(np.quantile(v, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 4:
         return 0.0, None, 1.0

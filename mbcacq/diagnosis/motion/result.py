@@ -10,7 +10,7 @@ from mbcacq.diagnosis.motion.residual_structure import structure
 from mbcacq.diagnosis.result import FORMAT, plain
 from mbcacq.effects.motion.effect import MotionSignals
 
-LEFT = 2.0     # held-out chi2 per degree of freedom above which something is unexplained
+LEFT = 2.0  # held-out chi2 per degree of freedom above which something is unexplained
 
 
 def outcome(explained: list[MotionFit], runs: tuple[MotionSignals, ...], proof: dict[str, np.ndarray] | None) -> dict:
@@ -27,7 +27,7 @@ def outcome(explained: list[MotionFit], runs: tuple[MotionSignals, ...], proof: 
             shown = np.stack([e.held_start, e.held_end]) if proof is None else proof[e.group.name]
             fits.append(_fit(e, place, floor[place], shown[:, place]))
             # What is left of a joint, as a share of all that was there to explain.
-            weight = max(float(e.held_end[place]) / floor[place]**2 - 1.0, 0.0) / total_excess(e, floor)
+            weight = max(float(e.held_end[place]) / floor[place] ** 2 - 1.0, 0.0) / total_excess(e, floor)
             found = structure(e, place, runs, float(floor[place]), min(weight, 1.0))
             if found is not None:
                 mismatch.append(found["mismatch"])
@@ -37,11 +37,17 @@ def outcome(explained: list[MotionFit], runs: tuple[MotionSignals, ...], proof: 
     left = any(f["held_out"]["after_chi2_dof"] > LEFT for f in fits)
     there = any(f["held_out"]["before_chi2_dof"] > LEFT for f in fits)
     verdict = "explained" if named and not left else "partly_explained" if named else "unexplained" if there else "none"
-    return plain({
-        "format": FORMAT, "verdict": verdict, "mismatch": mismatch, "effects": sorted(effects, key=lambda x: -x["held_out_gain"]),
-        "fit": {"train": _mean(fits, "train"), "held_out": _mean(fits, "held_out") | {"split": explained[0].split}, "channels": fits},
-        "not_separable": [], "advice": [],
-    })
+    return plain(
+        {
+            "format": FORMAT,
+            "verdict": verdict,
+            "mismatch": mismatch,
+            "effects": sorted(effects, key=lambda x: -x["held_out_gain"]),
+            "fit": {"train": _mean(fits, "train"), "held_out": _mean(fits, "held_out") | {"split": explained[0].split}, "channels": fits},
+            "not_separable": [],
+            "advice": [],
+        }
+    )
 
 
 def _mean(fits: list[dict], part: str) -> dict[str, float]:
@@ -50,13 +56,21 @@ def _mean(fits: list[dict], part: str) -> dict[str, float]:
 
 def _effect(e: MotionFit, f: FoundTerm, floor: np.ndarray, excess: float) -> dict:
     at = [e.group.joints.index(j) for j in f.joints]
-    here = float(np.maximum(e.held_start[at] / floor[at]**2 - 1.0, 0.0).sum())
+    here = float(np.maximum(e.held_start[at] / floor[at] ** 2 - 1.0, 0.0).sum())
     drop = float((f.gain / floor**2).sum())
     alternatives = [{"name": r["name"], "where": r["where"], "held_out_gain": r["gain"] * drop / max(excess, 1e-300)} for r in f.rivals]
-    return {"name": f.name, "where": f.where, "depends_on": f.depends_on, "channel": e.group.name, "parameters": f.parameters,
-            "p_value": f.p_value, "held_out_gain": drop / max(excess, 1e-300),
-            "held_out_gain_here": float((f.gain[at] / floor[at]**2).sum()) / max(here, 1e-300), "alternatives": alternatives,
-            "steps": [{"adds": s["adds"], **_in_units(e, s, at)} for s in f.steps]}
+    return {
+        "name": f.name,
+        "where": f.where,
+        "depends_on": f.depends_on,
+        "channel": e.group.name,
+        "parameters": f.parameters,
+        "p_value": f.p_value,
+        "held_out_gain": drop / max(excess, 1e-300),
+        "held_out_gain_here": float((f.gain[at] / floor[at] ** 2).sum()) / max(here, 1e-300),
+        "alternatives": alternatives,
+        "steps": [{"adds": s["adds"], **_in_units(e, s, at)} for s in f.steps],
+    }
 
 
 def _in_units(e: MotionFit, step: dict, at: list[int]) -> dict:
@@ -70,8 +84,15 @@ def _mismatch(e: MotionFit, floor: np.ndarray) -> list[dict]:
     out = []
     for f in e.found:
         place = f.where[0] if len(f.joints) == 1 and f.name != "wrist_coupling" else f.where[-1]
-        out.append({"at": place, "channel": e.group.name, "depends_on": f.depends_on,
-                    "share": float((f.gain / floor**2).sum()) / excess, "p_value": f.p_value})
+        out.append(
+            {
+                "at": place,
+                "channel": e.group.name,
+                "depends_on": f.depends_on,
+                "share": float((f.gain / floor**2).sum()) / excess,
+                "p_value": f.p_value,
+            }
+        )
     return out
 
 
@@ -93,9 +114,18 @@ def _fit(e: MotionFit, place: int, floor: float, proof: np.ndarray) -> dict:
     scale = _scale(e)
 
     def entry(before: float, after: float) -> dict:
-        return {"before_rms": scale * float(np.sqrt(before)), "after_rms": scale * float(np.sqrt(after)),
-                "before_chi2_dof": float(before / floor**2), "after_chi2_dof": float(after / floor**2)}
+        return {
+            "before_rms": scale * float(np.sqrt(before)),
+            "after_rms": scale * float(np.sqrt(after)),
+            "before_chi2_dof": float(before / floor**2),
+            "after_chi2_dof": float(after / floor**2),
+        }
 
-    return {"channel": e.group.name, "at": f"A{e.group.joints[place] + 1}", "unit": "deg" if e.group.unit == "rad" else e.group.unit,
-            "noise_floor": scale * float(floor), "train": entry(e.train_start[place], e.train_end[place]),
-            "held_out": entry(*proof)}
+    return {
+        "channel": e.group.name,
+        "at": f"A{e.group.joints[place] + 1}",
+        "unit": "deg" if e.group.unit == "rad" else e.group.unit,
+        "noise_floor": scale * float(floor),
+        "train": entry(e.train_start[place], e.train_end[place]),
+        "held_out": entry(*proof),
+    }

@@ -12,12 +12,12 @@ from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor
 
-WINDOW_S = 0.09        # of the local quintic that gives rates: short against any motion, long against the clock
+WINDOW_S = 0.09  # of the local quintic that gives rates: short against any motion, long against the clock
 PRESLIDING_RAD = 2e-5  # a joint's sense has turned after so much travel
-STANDSTILL = 0.02      # of a joint's fastest speed: below, friction may be anything up to the stiction
+STANDSTILL = 0.02  # of a joint's fastest speed: below, friction may be anything up to the stiction
 HIGHEST_RATE_HZ = 500.0
 FEWEST_SAMPLES = 200
-EDGE_S = 0.05          # at both ends: a late channel has its past there, or its future, outside the recording
+EDGE_S = 0.05  # at both ends: a late channel has its past there, or its future, outside the recording
 
 
 def prepare(trajectory) -> tuple[MotionSignals, np.ndarray]:
@@ -48,8 +48,24 @@ def prepare(trajectory) -> tuple[MotionSignals, np.ndarray]:
         payload = inertial[:, :, -1]
     if q_set is not None and robot.mass.any():
         rigid_set = np.einsum("tjlk,lk->tj", regressor(robot.chain, rates(q_set, step, 0), *set_rates[:2], robot.gravity), parameters)
-    run = MotionSignals(step, q, qd, qdd, sense(q, step), smooth, q_set, *set_rates, resample(trajectory.q_joint), torque, rigid, rigid, gravity,
-              rigid_set, payload, robot.gear_ratio)
+    run = MotionSignals(
+        step,
+        q,
+        qd,
+        qdd,
+        sense(q, step),
+        smooth,
+        q_set,
+        *set_rates,
+        resample(trajectory.q_joint),
+        torque,
+        rigid,
+        rigid,
+        gravity,
+        rigid_set,
+        payload,
+        robot.gear_ratio,
+    )
     return run, inertial
 
 
@@ -124,11 +140,23 @@ def groups(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot) -
         if joints:
             sigma, fastest = inertial_sigma(robot), np.max([np.abs(run.qd).max(axis=0) for run in runs], axis=0)
             wanted = sigma > 0
-            base = tuple(np.concatenate([(c * sigma)[:, joints][:, :, wanted], _rotors(run, robot, joints)], axis=2)
-                         for c, run in zip(inertial, runs, strict=True))
-            out.append(ChannelGroup("tau", "N m", joints, tuple((run.torque - run.rigid)[:, joints] for run in runs),
-                             tuple((_moving(run, fastest) & k)[:, joints] for run, k in zip(runs, inner, strict=True)), base,
-                             np.ones(base[0].shape[2]), refit=False, signal=tuple(run.torque[:, joints] for run in runs)))
+            base = tuple(
+                np.concatenate([(c * sigma)[:, joints][:, :, wanted], _rotors(run, robot, joints)], axis=2)
+                for c, run in zip(inertial, runs, strict=True)
+            )
+            out.append(
+                ChannelGroup(
+                    "tau",
+                    "N m",
+                    joints,
+                    tuple((run.torque - run.rigid)[:, joints] for run in runs),
+                    tuple((_moving(run, fastest) & k)[:, joints] for run, k in zip(runs, inner, strict=True)),
+                    base,
+                    np.ones(base[0].shape[2]),
+                    refit=False,
+                    signal=tuple(run.torque[:, joints] for run in runs),
+                )
+            )
     for name, signal, sign in (("q_joint", "q_joint", 1.0), ("q_set", "q_set", -1.0)):
         if any(getattr(run, signal) is None for run in runs):
             continue
@@ -138,8 +166,19 @@ def groups(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot) -
             base = tuple(np.zeros((len(run.q), len(joints), 0)) for run in runs)
             late = name == "q_joint"  # a late set point and a late drive are one and the same
             use = tuple((k if late else np.ones_like(k))[:, joints] for k in inner)
-            out.append(ChannelGroup(name, "rad", joints, mismatch, use, base, np.zeros(0), refit=True,
-                             signal=tuple(run.q_joint[:, joints] for run in runs) if late else ()))
+            out.append(
+                ChannelGroup(
+                    name,
+                    "rad",
+                    joints,
+                    mismatch,
+                    use,
+                    base,
+                    np.zeros(0),
+                    refit=True,
+                    signal=tuple(run.q_joint[:, joints] for run in runs) if late else (),
+                )
+            )
     return out
 
 
@@ -150,7 +189,7 @@ def _finite(signals: list[np.ndarray]) -> tuple[int, ...]:
 def _inside(run: MotionSignals) -> np.ndarray:
     """(T, n): away from both ends of the recording."""
     out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(EDGE_S / run.step_s))
-    out[:edge] = out[len(out) - edge:] = False
+    out[:edge] = out[len(out) - edge :] = False
     return out
 
 

@@ -7,11 +7,13 @@ import numpy as np
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.effects.motion.torque_ripple import range_of_orders, wave
 
-FINER = 8          # steps of angle per shortest period, and steps of order per distinguishable one
-NEIGHBOURS = 61    # orders about a line that say how high the ground is there
+FINER = 8  # steps of angle per shortest period, and steps of order per distinguishable one
+NEIGHBOURS = 61  # orders about a line that say how high the ground is there
 
 
-def lines(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, left: np.ndarray, training: np.ndarray) -> list[MotionCandidate]:
+def lines(
+    group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, left: np.ndarray, training: np.ndarray
+) -> list[MotionCandidate]:
     """Candidates for the strongest waves in ``left`` (Ttot,): strongest of all, strongest above its surroundings, at motor orders.
 
     training: (Ttot,) which samples take part.

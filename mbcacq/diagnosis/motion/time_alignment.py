@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
 
 ROUNDS = 6
-LONGEST_S = 0.05       # a longer delay of a channel is not credible
+LONGEST_S = 0.05  # a longer delay of a channel is not credible
 SETTLED_S = 1e-8
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from mbcacq.diagnosis.motion.signals import rates, sense
 from mbcacq.geometry.dynamics import nominal_parameters, regressor
 
-LEAST_SIGMAS = 20.0   # a joint whose current does not show the arm's torque as clearly has no torque
-PIECE = 125           # samples taken as one witness
+LEAST_SIGMAS = 20.0  # a joint whose current does not show the arm's torque as clearly has no torque
+PIECE = 125  # samples taken as one witness
 
 
 def with_torque(trajectories: list) -> list:
@@ -36,7 +36,7 @@ def current_per_torque(trajectories: list) -> np.ndarray:
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         x, *_ = np.linalg.lstsq(A / scale, y, rcond=1e-9)
         left = y - (A / scale) @ x
-        scores = np.stack([(A[i:i + PIECE] / scale).T @ left[i:i + PIECE] for i in range(0, len(y), PIECE)])
+        scores = np.stack([(A[i : i + PIECE] / scale).T @ left[i : i + PIECE] for i in range(0, len(y), PIECE)])
         inverse = np.linalg.pinv((A / scale).T @ (A / scale))
         std = float(np.sqrt((inverse @ scores.T @ scores @ inverse)[0, 0]))
         if abs(x[0]) > LEAST_SIGMAS * std:

@@ -12,8 +12,8 @@ from mbcacq.diagnosis.motion.result import noise_floor
 from mbcacq.effects.motion.effect import OF_THE_DRIVE, MotionSignals
 
 LOAD_WINDOW_S = 0.1
-DOUBT = 0.05         # of a load that is the drive's torque: a rotor's part of it is not told apart
-UNDERSTOOD = 4.0     # chi2 per degree of freedom below which the torque of a joint counts as explained
+DOUBT = 0.05  # of a load that is the drive's torque: a rotor's part of it is not told apart
+UNDERSTOOD = 4.0  # chi2 per degree of freedom below which the torque of a joint counts as explained
 
 
 def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:

@@ -97,7 +97,7 @@ def sense(table: BasisTable, s: Context, i: int) -> None:
     """The sense of the last motion: alone, fading with the distance travelled, growing with the load."""
     fading = table.add(joint_travel.functions(s, i))
     for j in range(len(fading)):
-        table.shape(f"direction_{i + 1}", fading[j:j + 1])
+        table.shape(f"direction_{i + 1}", fading[j : j + 1])
     table.shape(f"direction_{i + 1}", fading)
     loaded = table.add(s.obs.direction[:, i] * np.abs(s.gravity_torque[:, i]))
     table.shape(f"direction_{i + 1}", loaded)

@@ -49,9 +49,12 @@ def of_poses(s: Context) -> list[Covariate]:
 
 def of_centres(s: Context) -> list[Covariate]:
     """Covariates within the field of view (M,), with waves over it: for a model of what is there, rather than a test of whether."""
-    return [Covariate(c.name, np.concatenate([c.functions, periodic_component.waves(c.values)], axis=1), c.values)
-            if c.name in ("x", "y") else c
-            for c in smooth_of_centres(s)]
+    return [
+        Covariate(c.name, np.concatenate([c.functions, periodic_component.waves(c.values)], axis=1), c.values)
+        if c.name in ("x", "y")
+        else c
+        for c in smooth_of_centres(s)
+    ]
 
 
 def smooth_of_centres(s: Context) -> list[Covariate]:

@@ -151,7 +151,7 @@ def of_scanner(s: Context) -> list[BlockGroup]:
             index = table.add(values)
             table.shape(name, index)
             for j in range(0, len(index) - 1, 2):
-                table.shape(name, index[j:j + 2])
+                table.shape(name, index[j : j + 2])
         variants = ((0,), (1,), (2,), (0, 1), (0, 1, 2))
         entries = [("scanner", rows, shape) for shape in table.shapes for rows in variants if len(rows) * len(shape.index) < 60]
         out.append(BlockGroup(3, table.values, entries, tuple(("point", 0, c) for c in range(3)), np.eye(3), False))

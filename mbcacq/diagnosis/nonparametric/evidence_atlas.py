@@ -136,7 +136,9 @@ class EvidenceMap:
         f = layer.functions.shape[1]
         columns = self._columns(layer, cell.rows, cell.shape.index)
         raw = self.base[cell.layer][2][(np.array(cell.rows)[:, None] * f + cell.shape.index).reshape(-1)]
-        return RandomEffect(cell.at, cell.depends_on, columns / np.sqrt(np.maximum(raw, 1e-200)), np.tile(cell.shape.weight, len(cell.rows)))
+        return RandomEffect(
+            cell.at, cell.depends_on, columns / np.sqrt(np.maximum(raw, 1e-200)), np.tile(cell.shape.weight, len(cell.rows))
+        )
 
 
 def less(blocks: list[np.ndarray], plan: BlockPlan, taken: np.ndarray) -> list[np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 from mbcacq.effects.context import Context
 
 REACHES = (0.1, 0.3, 1.0)  # rad over which the memory of where a joint came from fades
-STANDING = 1e-4            # rad: less than this is no motion, what was before it lasts
+STANDING = 1e-4  # rad: less than this is no motion, what was before it lasts
 
 
 def travelled(s: Context) -> tuple[np.ndarray, np.ndarray]:

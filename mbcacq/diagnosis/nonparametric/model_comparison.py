@@ -74,12 +74,14 @@ class ComparisonProblem:
     def _chosen_anew(self, atlas: EvidenceMap, named: CandidateScoring, cells: tuple[MapCell, ...]) -> tuple[MapCell, ...]:
         """Each group in turn put to the choice again, beside the others."""
         for j in range(len(cells)):
-            others = cells[:j] + cells[j + 1:]
+            others = cells[:j] + cells[j + 1 :]
             judged = atlas.judge(adopted(named, fitted(atlas, named, others)))
-            cells = (*cells[:j], judged.best(), *cells[j + 1:])
+            cells = (*cells[:j], judged.best(), *cells[j + 1 :])
         return cells
 
-    def _grown(self, atlas: EvidenceMap, named: CandidateScoring, cells: tuple[MapCell, ...]) -> tuple[tuple[MapCell, ...], RandomEffectsModel | None]:
+    def _grown(
+        self, atlas: EvidenceMap, named: CandidateScoring, cells: tuple[MapCell, ...]
+    ) -> tuple[tuple[MapCell, ...], RandomEffectsModel | None]:
         rest = fitted(atlas, named, cells)
         while len(cells) < MOST_GROUPS:
             judged = atlas.judge(adopted(named, rest))

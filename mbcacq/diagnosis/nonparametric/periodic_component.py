@@ -34,7 +34,7 @@ def scan(screen: CandidateScoring, values: np.ndarray, chunk: int = 24) -> Perio
     for component in range(3):
         unit = screen.linear.unit("point", 0, component)
         for start in range(0, len(frequencies), chunk):
-            phase = frequencies[start:start + chunk] * values[:, None]
+            phase = frequencies[start : start + chunk] * values[:, None]
             F = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(values), -1)
             X = screen.whiten(unit[:, :, None] * F[:, None, :])
             taken = (screen.all_projected.T @ X).reshape(-1, F.shape[1] // 2, 2)

@@ -103,7 +103,9 @@ def everything(linear: LinearProblem, s: Context) -> list[RandomEffect]:
     return out
 
 
-def fit(screen: CandidateScoring, groups: tuple[RandomEffect, ...] | list[RandomEffect], start: np.ndarray | None = None, rounds: int = 25) -> RandomEffectsModel | None:
+def fit(
+    screen: CandidateScoring, groups: tuple[RandomEffect, ...] | list[RandomEffect], start: np.ndarray | None = None, rounds: int = 25
+) -> RandomEffectsModel | None:
     """Sizes and coefficients of the groups beyond what the screen has projected out. start: (G,) sizes to begin with."""
     if not groups:
         return None
@@ -156,4 +158,6 @@ def fit(screen: CandidateScoring, groups: tuple[RandomEffect, ...] | list[Random
     normal = mine + np.eye(len(index))
     u = root * np.linalg.solve(normal, root * b[index])
     used = float(np.trace(np.linalg.solve(normal, mine)))
-    return RandomEffectsModel(tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]), used)
+    return RandomEffectsModel(
+        tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(size2[chosen]), used
+    )

@@ -43,7 +43,4 @@ class Contributions:
         """Numbers of the groups at a place."""
         if full.smooth is None:
             return []
-        return [self.members + g for g, group in enumerate(full.smooth.groups)
-                if group.at == at and depends_on in (None, group.depends_on)]
-
-
+        return [self.members + g for g, group in enumerate(full.smooth.groups) if group.at == at and depends_on in (None, group.depends_on)]

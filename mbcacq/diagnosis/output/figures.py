@@ -14,8 +14,8 @@ from mbcacq.diagnosis.output.response_curves import ResponseCurve
 from mbcacq.diagnosis.result import Diagnosis, plain
 
 FORMAT = "mbcacq-diagnosis-pictures/1"
-MOST_CENTRES, MOST_POINTS = 4000, 800      # kept for pictures: of the recording, of a curve
-FOLDED = 6.0                               # periods a turn from which a wave is shown as one period
+MOST_CENTRES, MOST_POINTS = 4000, 800  # kept for pictures: of the recording, of a curve
+FOLDED = 6.0  # periods a turn from which a wave is shown as one period
 
 
 @dataclass(frozen=True)
@@ -42,25 +42,38 @@ def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
     evidence = diagnosis.evidence
     keep = np.arange(0, len(evidence.points), len(evidence.points) // MOST_CENTRES + 1)
     causes = [n for n in dict.fromkeys([m["depends_on"] for m in diagnosis.mismatch]) if n in evidence.covariates][:4]
-    return plain({
-        "format": FORMAT,
-        "map": [{"at": p.at, "depends_on": p.depends_on, "strength": -p.log10_p} for p in evidence.spots()],
-        "centres": {"pose": _kept(evidence.pose, keep), "ball": _kept(evidence.ball, keep), "point_mm": _short(evidence.points[keep]),
-                    "before_mm": _short(evidence.before[keep]), "after_mm": _short(evidence.after[keep]), "of": len(evidence.points)},
-        "causes": [_cause(name, evidence.covariates[name][keep]) for name in causes],
-        "curves": [_curve(c) for c in evidence.curves()],
-    })
+    return plain(
+        {
+            "format": FORMAT,
+            "map": [{"at": p.at, "depends_on": p.depends_on, "strength": -p.log10_p} for p in evidence.spots()],
+            "centres": {
+                "pose": _kept(evidence.pose, keep),
+                "ball": _kept(evidence.ball, keep),
+                "point_mm": _short(evidence.points[keep]),
+                "before_mm": _short(evidence.before[keep]),
+                "after_mm": _short(evidence.after[keep]),
+                "of": len(evidence.points),
+            },
+            "causes": [_cause(name, evidence.covariates[name][keep]) for name in causes],
+            "curves": [_curve(c) for c in evidence.curves()],
+        }
+    )
 
 
 def axis_of(depends_on: str) -> tuple[str, str, float]:
     """Words, unit and factor to that unit for what an effect may depend on."""
     for pattern, words, unit, factor in (
-        (r"q(\d+)", "angle of A{}", "deg", 180 / np.pi), (r"gravity_torque_(\d+)", "gravity torque about A{}", "N m", 1.0),
-        (r"direction_(\d+)", "sense of A{}'s last motion", "", 1.0), (r"time", "time", "min", 1 / 60),
+        (r"q(\d+)", "angle of A{}", "deg", 180 / np.pi),
+        (r"gravity_torque_(\d+)", "gravity torque about A{}", "N m", 1.0),
+        (r"direction_(\d+)", "sense of A{}'s last motion", "", 1.0),
+        (r"time", "time", "min", 1 / 60),
         (r"pose", "order of measurement", "", 1.0),
-        (r"qd(\d+)", "speed of A{}", "deg/s", 180 / np.pi), (r"tau(\d+)", "motor torque of A{}", "N m", 1.0),
-        (r"([xyz])", "place in the view along {}", "mm", 1.0), (r"tilt", "tilt of the artefact in the view", "deg", 180 / np.pi),
-        (r"payload_kg", "payload", "kg", 1.0), (r"(.+)_C", "temperature {}", "°C", 1.0),
+        (r"qd(\d+)", "speed of A{}", "deg/s", 180 / np.pi),
+        (r"tau(\d+)", "motor torque of A{}", "N m", 1.0),
+        (r"([xyz])", "place in the view along {}", "mm", 1.0),
+        (r"tilt", "tilt of the artefact in the view", "deg", 180 / np.pi),
+        (r"payload_kg", "payload", "kg", 1.0),
+        (r"(.+)_C", "temperature {}", "°C", 1.0),
     ):
         if match := re.fullmatch(pattern, depends_on):
             return words.format(*match.groups()).replace("_", " "), unit, factor
@@ -84,8 +97,17 @@ def _curve(curve: ResponseCurve) -> dict[str, Any]:
     order = np.argsort(x, kind="stable")
     order = order[:: len(order) // MOST_POINTS + 1]
     columns = {name: _short(getattr(curve, name)[order]) for name in ("y", "std", "seen")}
-    return {"effect": curve.effect, "at": curve.at, "what": curve.what, "unit": curve.unit, "depends_on": curve.depends_on,
-            "x_label": label, "x_unit": unit, "x": _short(x[order]), **columns}
+    return {
+        "effect": curve.effect,
+        "at": curve.at,
+        "what": curve.what,
+        "unit": curve.unit,
+        "depends_on": curve.depends_on,
+        "x_label": label,
+        "x_unit": unit,
+        "x": _short(x[order]),
+        **columns,
+    }
 
 
 def _short(values: np.ndarray) -> list:

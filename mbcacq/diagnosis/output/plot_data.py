@@ -27,5 +27,11 @@ def evidence_of(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, aft
         values |= {c.name: np.asarray(c.values, float) for c in covariates.of_centres(s)}
     named = [obs.pose_id[obs.pose][keep], np.array(obs.cell.ball_ids)[obs.ball[keep]]]
     kept = {name: v[keep] for name, v in values.items()}
-    return PlotData(lambda: mismatch(full.before, setup.chart), points[keep], *turned, kept, *named,
-                    lambda: curves(linear, values, full.model, full.smooth, full.named, after))
+    return PlotData(
+        lambda: mismatch(full.before, setup.chart),
+        points[keep],
+        *turned,
+        kept,
+        *named,
+        lambda: curves(linear, values, full.model, full.smooth, full.named, after),
+    )

@@ -32,7 +32,9 @@ class ResponseCurve:
     order: float | None = None
 
 
-def curves(linear: LinearProblem, values: dict[str, np.ndarray], model, rest: RandomEffectsModel | None, screen, left: np.ndarray) -> list[ResponseCurve]:
+def curves(
+    linear: LinearProblem, values: dict[str, np.ndarray], model, rest: RandomEffectsModel | None, screen, left: np.ndarray
+) -> list[ResponseCurve]:
     """linear: of the fit; values: covariate -> (M,) at each centre; model: named effects (``explain.Model``); rest: smooth model with the
     ``screen`` it was fitted beyond; left: (M, R) mm what all of them leave. The largest first."""
     out: list[tuple[float, ResponseCurve]] = []
@@ -57,8 +59,17 @@ def curves(linear: LinearProblem, values: dict[str, np.ndarray], model, rest: Ra
     return [curve for _, curve in sorted(out, key=lambda item: -item[0])][:MOST]
 
 
-def _of_part(linear: LinearProblem, part: Part, candidate, at: str, unit: np.ndarray, amount: np.ndarray, std: np.ndarray, values: np.ndarray,
-             left: np.ndarray) -> ResponseCurve:
+def _of_part(
+    linear: LinearProblem,
+    part: Part,
+    candidate,
+    at: str,
+    unit: np.ndarray,
+    amount: np.ndarray,
+    std: np.ndarray,
+    values: np.ndarray,
+    left: np.ndarray,
+) -> ResponseCurve:
     turn = part.place == "joint" or part.component >= 3
     scale, name = (1e6, "µrad") if turn else (1e3, "µm")
     if part.place == "joint":
@@ -77,10 +88,14 @@ def _of_part(linear: LinearProblem, part: Part, candidate, at: str, unit: np.nda
         x = values
     good = bottom > 1e-3 * np.median(bottom[bottom > 0]) if np.any(bottom > 0) else bottom > 0
     seen = amount[good] + top[good] / bottom[good]
-    return ResponseCurve(candidate.name, at, what, name, candidate.depends_on, x[good], scale * amount[good], scale * std[good], scale * seen)
+    return ResponseCurve(
+        candidate.name, at, what, name, candidate.depends_on, x[good], scale * amount[good], scale * std[good], scale * seen
+    )
 
 
-def _of_groups(linear: LinearProblem, rest: RandomEffectsModel, screen, values: dict[str, np.ndarray], left: np.ndarray) -> list[tuple[float, ResponseCurve]]:
+def _of_groups(
+    linear: LinearProblem, rest: RandomEffectsModel, screen, values: dict[str, np.ndarray], left: np.ndarray
+) -> list[tuple[float, ResponseCurve]]:
     """What each smooth group moves, as it is seen along the axis of the instrument along which it moves most."""
     X = screen.whiten(rest.columns)
     taken = screen.all_projected.T @ X
@@ -101,8 +116,22 @@ def _of_groups(linear: LinearProblem, rest: RandomEffectsModel, screen, values: 
         std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, covariance[p, p], columns), 0.0))
         at = _mean((x * keep)[:, None], pose, count)[:, 0]
         good = count > 0
-        out.append((size, ResponseCurve("unknown", group.at, f"balls seen along {AXES[axis]}", "µm", group.depends_on, at[good], 1e3 * amount[good],
-                                1e3 * std[good], 1e3 * seen[good])))
+        out.append(
+            (
+                size,
+                ResponseCurve(
+                    "unknown",
+                    group.at,
+                    f"balls seen along {AXES[axis]}",
+                    "µm",
+                    group.depends_on,
+                    at[good],
+                    1e3 * amount[good],
+                    1e3 * std[good],
+                    1e3 * seen[good],
+                ),
+            )
+        )
     return out
 
 

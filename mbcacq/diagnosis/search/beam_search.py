@@ -100,7 +100,7 @@ class BeamSearch:
             improved = model
             for j in range(len(model.members)):
                 protected = self.is_protected(model, j)
-                rest = self.solve(screen, model.members[:j] + model.members[j + 1:])
+                rest = self.solve(screen, model.members[:j] + model.members[j + 1 :])
                 if rest is None:
                     continue
                 if rest.score > improved.score and not protected:
@@ -155,8 +155,11 @@ class BeamSearch:
         """Candidates that exist only next to what the model has: a wrong payload next to elastic joints."""
         if self.situation is None:
             return []
-        elastic = {int(c.where[0][1:]) - 1: model.coefficients[p.start] for (c, _), p in zip(model.members, model.parts(), strict=True)
-                   if c.name == "joint_compliance"}
+        elastic = {
+            int(c.where[0][1:]) - 1: model.coefficients[p.start]
+            for (c, _), p in zip(model.members, model.parts(), strict=True)
+            if c.name == "joint_compliance"
+        }
         return payload.beside(self.situation, {i: float(f"{c:.2g}") for i, c in elastic.items()})
 
     def allowed(self, candidate: Candidate, model: EffectSet) -> bool:

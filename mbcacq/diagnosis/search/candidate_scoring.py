@@ -153,14 +153,20 @@ class CandidateScoring:
         values = candidate.hyper.values if values is None else values
         return self.gains(candidate.separable, candidate.functions, values, prior_weight(candidate), key)
 
-    def gains(self, components: tuple[tuple[str, int, int], ...], functions, values: np.ndarray, weight: np.ndarray | float = 0.0,
-              key: str | None = None) -> np.ndarray:
+    def gains(
+        self,
+        components: tuple[tuple[str, int, int], ...],
+        functions,
+        values: np.ndarray,
+        weight: np.ndarray | float = 0.0,
+        key: str | None = None,
+    ) -> np.ndarray:
         """Gain (H,) of the products of some components of a place with functions(values) (H, P, f). key: remember under this name."""
         out = []
         chunk = max(1, int(2e6 // max(self.linear.obs.n_poses, 1)))
         c = len(components)
         for start in range(0, len(values), chunk):
-            here = values if len(values) <= chunk else values[start:start + chunk]
+            here = values if len(values) <= chunk else values[start : start + chunk]
             flat, S, xr, raw = self._normal(components, functions, here, key and (key, start))
             if self.more.shape[1]:
                 H, f = len(S), S.shape[1] // c

@@ -17,8 +17,8 @@ from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
 
-JUST = 4.0    # chi2 of an effect that can just be seen
-LEAST = 0.1   # share of a place that sees nothing: sizes may be far from typical
+JUST = 4.0  # chi2 of an effect that can just be seen
+LEAST = 0.1  # share of a place that sees nothing: sizes may be far from typical
 
 
 def sighted(linear: LinearProblem, noise: NoiseEstimate, candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -13,7 +13,9 @@ REFINED = 1.3  # times as much as on the grid a candidate may gain between its v
 PREFERRED = 0.8  # share of a candidate's chances that its preferred values have
 
 
-def best_hyper(screen: CandidateScoring, candidate: Candidate, least: Callable[[float | None], float] = lambda hyper: -np.inf) -> ScoredCandidate | None:
+def best_hyper(
+    screen: CandidateScoring, candidate: Candidate, least: Callable[[float | None], float] = lambda hyper: -np.inf
+) -> ScoredCandidate | None:
     """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good.
 
     least: what must be gained at a value; None where no value gains so much.

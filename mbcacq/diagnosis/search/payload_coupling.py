@@ -68,7 +68,7 @@ def settled(search: EffectSetSolver, screen: CandidateScoring, model: EffectSet)
 def under(candidate: Candidate, torque: np.ndarray, turn: int) -> Candidate:
     """An elastic joint under other torques (P, n) N m than declared."""
     i = int(candidate.where[0][1:]) - 1
-    return replace(candidate, build=lambda _: [Part("joint", i, 0, torque[:, i:i + 1])], variant=f"heavy {turn} {torque[:, i].sum():.9g}")
+    return replace(candidate, build=lambda _: [Part("joint", i, 0, torque[:, i : i + 1])], variant=f"heavy {turn} {torque[:, i].sum():.9g}")
 
 
 def compliances(model: EffectSet) -> dict[int, float]:

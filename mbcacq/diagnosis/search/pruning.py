@@ -20,7 +20,7 @@ def pruned(search: BeamSearch, screen: CandidateScoring, model: EffectSet) -> Ef
     """
     model = search.solve(screen, model.members, permit=True)
     while model.members:
-        rest = {j: search.solve(screen, model.members[:j] + model.members[j + 1:], permit=True) for j in removable(model)}
+        rest = {j: search.solve(screen, model.members[:j] + model.members[j + 1 :], permit=True) for j in removable(model)}
         dead = [m for j, m in rest.items() if lost(model, m, j) > required(search, model, m)]
         free = [m for j, m in rest.items() if not search.is_protected(model, j)]
         best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)

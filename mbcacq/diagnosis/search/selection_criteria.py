@@ -55,8 +55,9 @@ class SelectionCriteria:
             places *= 0.5
         return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
 
-    def threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None,
-                  rarer: float = 1.0) -> float:
+    def threshold(
+        self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None, rarer: float = 1.0
+    ) -> float:
         """chi2 that chance alone gives to the best of all candidates of this kind in the share of cells that it may (``level``).
 
         dof: of the test's statistic, where not every coefficient is seen. rarer: times as many cells.

@@ -61,8 +61,10 @@ def prove(setup: DiagnosisProblem, full: ModelFit, folds: int = 4, workers: int 
     spots = () if everywhere else full.model.spots
     keys = (*full.model.names, *spots, *(f"unknown:{at}" for at in nameless))
     if not keys and not everywhere:  # nothing is claimed, there is nothing to prove
-        plain = total(judge(linear, linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose], NOTHING, None, full.noise)
-                      for test in left_out)
+        plain = total(
+            judge(linear, linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose], NOTHING, None, full.noise)
+            for test in left_out
+        )
         return CrossValidation(plain, plain, how, {}, (), (), (plain, plain))
     with WorkerPool(lambda k: Fold(setup, full, left_out[k], full.smooth is not None), len(left_out), workers) as crew:
         answers = crew.ask("answer", keys, away_from(full), everywhere)

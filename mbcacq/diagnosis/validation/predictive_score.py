@@ -54,7 +54,9 @@ def better(one: PredictiveScore, other: PredictiveScore) -> bool:
     return one.surprise < other.surprise if one.chi2_dof <= NOISE_LIKE else one.chi2 < other.chi2
 
 
-def judge(linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, rest: RandomEffectsModel | None, noise: NoiseEstimate) -> PredictiveScore:
+def judge(
+    linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, rest: RandomEffectsModel | None, noise: NoiseEstimate
+) -> PredictiveScore:
     """Fit geometry and the model's coefficients on train, look at test, where only stations unseen in training are free, and the moment of
     a change that fell among the poses left out.
     """

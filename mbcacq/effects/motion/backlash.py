@@ -8,9 +8,9 @@ from scipy.signal import lfilter
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, plain_report
 
 NAME = "backlash"
-CROSSING_S = np.array([0.001, 0.003, 0.01, 0.03])   # time constants of crossing the play that are tried
+CROSSING_S = np.array([0.001, 0.003, 0.01, 0.03])  # time constants of crossing the play that are tried
 LEAST_LOAD = 0.002  # of the largest: below, as at rest, the flank in contact is not known and nothing is said
-FINER = 8           # the load changes its sign between two samples
+FINER = 8  # the load changes its sign between two samples
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
@@ -22,8 +22,20 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
         load_report = plain_report(f"A{j + 1}.width_deg", scale=float(np.degrees(1)), hyper_name=f"A{j + 1}.crossing_s")
         out.append(MotionCandidate(NAME, (f"A{j + 1}",), f"direction_{j + 1}", (j,), _by_motion, report, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):
-            out.append(MotionCandidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), _by_load, load_report,
-                                 hyper=CROSSING_S, search=2.0, positive=True, tag="load"))
+            out.append(
+                MotionCandidate(
+                    NAME,
+                    (f"A{j + 1}",),
+                    f"tau{j + 1}",
+                    (j,),
+                    _by_load,
+                    load_report,
+                    hyper=CROSSING_S,
+                    search=2.0,
+                    positive=True,
+                    tag="load",
+                )
+            )
     return out
 
 

@@ -12,15 +12,17 @@ from scipy.signal import savgol_filter
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Report
 
 NAME = "channel_latency"
-RESOLUTION_S = 1e-7   # two clocks are not compared better: splines between samples
-WINDOW_S = 0.25       # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
+RESOLUTION_S = 1e-7  # two clocks are not compared better: splines between samples
+WINDOW_S = 0.25  # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name == "q_set":  # a late set point and a late drive are one and the same: drive_lag says it, joint by joint
         return []
     columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
-    return [MotionCandidate(NAME, (group.name,), depends, group.joints, columns, _report(), hyper=np.array([0.0]), refine=False, tuned=True)]
+    return [
+        MotionCandidate(NAME, (group.name,), depends, group.joints, columns, _report(), hyper=np.array([0.0]), refine=False, tuned=True)
+    ]
 
 
 def _encoder(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:

@@ -14,12 +14,12 @@ from scipy.interpolate import CubicSpline
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, low_pass, plain_report
 
 NAME = "drive_lag"
-RESOLUTION_S = 2e-6   # neither dead time nor lag is claimed to be known better: both filters, the arm's and this one, step in time
-SLOW_S = 0.2          # a longer time constant is that of a position loop, not of a drive
+RESOLUTION_S = 2e-6  # neither dead time nor lag is claimed to be known better: both filters, the arm's and this one, step in time
+SLOW_S = 0.2  # a longer time constant is that of a position loop, not of a drive
 FAST = np.concatenate([[1e-5], np.geomspace(0.001, 0.15, 9)])
-LIKELY = (0.5, 1.0, 1.0)   # too much speed, s of too much acceleration, share of what was away at the start
+LIKELY = (0.5, 1.0, 1.0)  # too much speed, s of too much acceleration, share of what was away at the start
 SLOW = np.geomspace(0.25, 100.0, 12)
-BETWEEN = float(np.log(SLOW[1] / SLOW[0])) / np.sqrt(12.0)   # share by which a slow one lies off those tried
+BETWEEN = float(np.log(SLOW[1] / SLOW[0])) / np.sqrt(12.0)  # share by which a slow one lies off those tried
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
@@ -29,15 +29,20 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
     for j in group.joints:
         axis = f"A{j + 1}"
         place = ((axis,), f"qd{j + 1}", (j,))
-        out.append(MotionCandidate(NAME, *place, _following, _report(axis), hyper=FAST, search=4.0, positive=True,
-                             tag="fast"))
-        out.append(MotionCandidate(NAME, *place, _loop, _loop_report(axis), hyper=SLOW, search=4.0, refine=False, tag="slow",
-                             sigma=LIKELY))
+        out.append(MotionCandidate(NAME, *place, _following, _report(axis), hyper=FAST, search=4.0, positive=True, tag="fast"))
+        out.append(MotionCandidate(NAME, *place, _loop, _loop_report(axis), hyper=SLOW, search=4.0, refine=False, tag="slow", sigma=LIKELY))
         pushes = [("friction", _friction, "rad_per_s")]
-        pushes += [(name, _push_by(signal), "rad_per_Nms") for name, signal in (("drive", "torque"), ("load", "rigid_set"))
-                   if all(getattr(run, signal) is not None for run in runs)]
-        out += [MotionCandidate(NAME, *place, columns, plain_report(f"{axis}.{name}_push_{unit}"), extends=True, follows=True, refine=False,
-                          tag=name) for name, columns, unit in pushes]
+        pushes += [
+            (name, _push_by(signal), "rad_per_Nms")
+            for name, signal in (("drive", "torque"), ("load", "rigid_set"))
+            if all(getattr(run, signal) is not None for run in runs)
+        ]
+        out += [
+            MotionCandidate(
+                NAME, *place, columns, plain_report(f"{axis}.{name}_push_{unit}"), extends=True, follows=True, refine=False, tag=name
+            )
+            for name, columns, unit in pushes
+        ]
     return out
 
 
@@ -82,8 +87,10 @@ def _push_by(signal: str):
 def _report(axis: str):
     def report(c: np.ndarray, v: np.ndarray, lag: float | None, std: float) -> dict:
         total, std = float(np.sqrt(max(v[0, 0], 0.0))), float(np.hypot(std, RESOLUTION_S))
-        return {f"{axis}.latency_s": {"value": float(c[0]) - lag, "std": float(np.hypot(total, std))},
-                f"{axis}.time_constant_s": {"value": float(lag), "std": float(std)}}
+        return {
+            f"{axis}.latency_s": {"value": float(c[0]) - lag, "std": float(np.hypot(total, std))},
+            f"{axis}.time_constant_s": {"value": float(lag), "std": float(std)},
+        }
 
     return report
 
@@ -91,8 +98,10 @@ def _report(axis: str):
 def _loop_report(axis: str):
     def report(c: np.ndarray, v: np.ndarray, lag: float | None, std: float) -> dict:
         s = np.sqrt(np.maximum(np.diag(v), 0.0))
-        return {f"{axis}.latency_s": {"value": -float(c[1]), "std": float(s[1])},
-                f"{axis}.time_constant_s": {"value": float(lag), "std": float(np.hypot(std, BETWEEN * lag))},
-                f"{axis}.speed_gain": {"value": float(c[0]), "std": float(s[0])}}
+        return {
+            f"{axis}.latency_s": {"value": -float(c[1]), "std": float(s[1])},
+            f"{axis}.time_constant_s": {"value": float(lag), "std": float(np.hypot(std, BETWEEN * lag))},
+            f"{axis}.speed_gain": {"value": float(c[0]), "std": float(s[0])},
+        }
 
     return report

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-OF_THE_DRIVE = ("friction", "channel_latency", "torque_ripple")   # what of a torque never passes the gear, beside the rotor
-FINER = 4     # samples between samples where a filter is as fast as the clock
+OF_THE_DRIVE = ("friction", "channel_latency", "torque_ripple")  # what of a torque never passes the gear, beside the rotor
+FINER = 4  # samples between samples where a filter is as fast as the clock
 
 
 @dataclass(frozen=True)

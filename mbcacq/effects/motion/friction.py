@@ -26,10 +26,24 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
         place = ((axis,), depends, (j,))
         out += [
             MotionCandidate(NAME, *place, _plain, plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad"), positive=True),
-            MotionCandidate(NAME, *place, _stribeck, plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s"),
-                      hyper=np.geomspace(0.01, 0.4, 8) * fastest, search=3.0, extends=True, tag="stribeck"),
-            MotionCandidate(NAME, *place, _uneven, plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad"), extends=True,
-                      tag="direction"),
+            MotionCandidate(
+                NAME,
+                *place,
+                _stribeck,
+                plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s"),
+                hyper=np.geomspace(0.01, 0.4, 8) * fastest,
+                search=3.0,
+                extends=True,
+                tag="stribeck",
+            ),
+            MotionCandidate(
+                NAME,
+                *place,
+                _uneven,
+                plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad"),
+                extends=True,
+                tag="direction",
+            ),
         ]
         if all(np.ptp(np.abs(run.rigid[:, j])) > LEAST_LOAD * np.ptp(run.torque[:, j]) for run in runs):
             out.append(MotionCandidate(NAME, *place, _load, plain_report(f"{axis}.load_dependent"), extends=True, tag="load", by_load=True))

@@ -18,10 +18,13 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
     if group.name != "tau" or 1 not in group.joints:
         return []
     names = [f"A2.{wave}{k}_Nm" for k in ("", "2") for wave in ("sin", "cos")]
-    weight = max(float(np.abs(run.gravity[:, 1]).max()) for run in runs)   # what a balancer is there to balance
-    return [MotionCandidate(NAME, ("A2",), "q2", (1,), _columns(1, 2), plain_report(*names), sigma=weight),
-            MotionCandidate(NAME, ("A2",), "q2", (1,), _columns(3), plain_report("A2.sin3_Nm", "A2.cos3_Nm"), extends=True, tag="third",
-                      sigma=0.1 * weight)]
+    weight = max(float(np.abs(run.gravity[:, 1]).max()) for run in runs)  # what a balancer is there to balance
+    return [
+        MotionCandidate(NAME, ("A2",), "q2", (1,), _columns(1, 2), plain_report(*names), sigma=weight),
+        MotionCandidate(
+            NAME, ("A2",), "q2", (1,), _columns(3), plain_report("A2.sin3_Nm", "A2.cos3_Nm"), extends=True, tag="third", sigma=0.1 * weight
+        ),
+    ]
 
 
 def _columns(*harmonics: int):

@@ -16,8 +16,18 @@ NAME = "joint_compliance"
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    return [MotionCandidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), lambda run, joint, _: -run.load[:, [joint]],
-                      _report(f"A{j + 1}.compliance_rad_per_Nm", runs, j), positive=True) for j in group.joints]
+    return [
+        MotionCandidate(
+            NAME,
+            (f"A{j + 1}",),
+            f"tau{j + 1}",
+            (j,),
+            lambda run, joint, _: -run.load[:, [joint]],
+            _report(f"A{j + 1}.compliance_rad_per_Nm", runs, j),
+            positive=True,
+        )
+        for j in group.joints
+    ]
 
 
 def _report(name: str, runs: tuple[MotionSignals, ...], joint: int):

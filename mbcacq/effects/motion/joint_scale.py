@@ -10,5 +10,7 @@ NAME = "joint_scale"
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_joint":
         return []
-    return [MotionCandidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), lambda run, joint, _: run.q[:, [joint]],
-                      plain_report(f"A{j + 1}.ratio")) for j in group.joints]
+    return [
+        MotionCandidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), lambda run, joint, _: run.q[:, [joint]], plain_report(f"A{j + 1}.ratio"))
+        for j in group.joints
+    ]

@@ -18,5 +18,7 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
 def _report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> dict:
     """What must be added to the described payload: mass (kg) and first moment (kg mm, flange frame)."""
     std = np.sqrt(np.maximum(np.diag(v), 0.0))
-    return {"added_mass_kg": {"value": float(c[0]), "std": float(std[0])},
-            "added_moment_kg_mm": {"value": (1e3 * c[1:4]).tolist(), "std": (1e3 * std[1:4]).tolist()}}
+    return {
+        "added_mass_kg": {"value": float(c[0]), "std": float(std[0])},
+        "added_moment_kg_mm": {"value": (1e3 * c[1:4]).tolist(), "std": (1e3 * std[1:4]).tolist()},
+    }

@@ -7,7 +7,7 @@ import numpy as np
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Report
 
 ANGLE, TORQUE = "gear_transmission_error", "torque_ripple"
-SLOWEST = {ANGLE: 0.0, TORQUE: 6.0}     # slower waves of torque are gravity's
+SLOWEST = {ANGLE: 0.0, TORQUE: 6.0}  # slower waves of torque are gravity's
 BEYOND = np.radians(0.5)
 FASTEST = {ANGLE: 1500.0, TORQUE: 1500.0}  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
 
@@ -17,8 +17,17 @@ def wave(group: ChannelGroup, joint: int, order: float, spacing: float, tried: f
     angles (rad) at which it was seen: elsewhere its phase is not known, and nothing is claimed."""
     name = ANGLE if group.name == "q_joint" else TORQUE
     key, scale = ("amplitude_deg", float(np.degrees(1))) if name == ANGLE else ("amplitude_Nm", 1.0)
-    return MotionCandidate(name, (f"A{joint + 1}",), f"q{joint + 1}", (joint,), _columns(seen), _report(f"A{joint + 1}", key, scale),
-                     hyper=order + spacing * np.array([-0.5, 0.0, 0.5]), search=tried, tag=f"{order:.4g}")
+    return MotionCandidate(
+        name,
+        (f"A{joint + 1}",),
+        f"q{joint + 1}",
+        (joint,),
+        _columns(seen),
+        _report(f"A{joint + 1}", key, scale),
+        hyper=order + spacing * np.array([-0.5, 0.0, 0.5]),
+        search=tried,
+        tag=f"{order:.4g}",
+    )
 
 
 def range_of_orders(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int) -> tuple[float, float, float] | None:
@@ -55,8 +64,10 @@ def _report(axis: str, amplitude_name: str, scale: float) -> Report:
         return {
             f"{axis}.order": {"value": float(order), "std": float(std)},
             f"{axis}.{amplitude_name}": {"value": scale * amplitude, "std": scale * float(np.sqrt(max(unit @ v @ unit, 0.0)))},
-            f"{axis}.phase_deg": {"value": float(np.degrees(np.arctan2(c[1], c[0]))),
-                                  "std": float(np.degrees(np.sqrt(max(turn @ v @ turn, 0.0)) / max(amplitude, 1e-300)))},
+            f"{axis}.phase_deg": {
+                "value": float(np.degrees(np.arctan2(c[1], c[0]))),
+                "std": float(np.degrees(np.sqrt(max(turn @ v @ turn, 0.0)) / max(amplitude, 1e-300))),
+            },
         }
 
     return report

@@ -20,9 +20,17 @@ def candidates(s: Context) -> list[Candidate]:
         about = centres - centres[mine].mean(axis=0)
         here = np.isin(s.obs.ball, mine)[:, None]
         bias = np.where(here, about[s.obs.ball], 0.0) * 1e-6
-        parts = [Part("ball", 0, c, bias[:, c:c + 1]) for c in range(3)]
-        out.append(Candidate(NAME, (artefact.id,), "x", lambda _, p=parts: p,
-                             lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))}, np.array([100.0])))
+        parts = [Part("ball", 0, c, bias[:, c : c + 1]) for c in range(3)]
+        out.append(
+            Candidate(
+                NAME,
+                (artefact.id,),
+                "x",
+                lambda _, p=parts: p,
+                lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))},
+                np.array([100.0]),
+            )
+        )
     if not out:
         raise Missing("no artefact with two balls seen")
     return out

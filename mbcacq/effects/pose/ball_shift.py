@@ -20,6 +20,7 @@ def candidates(s: Context) -> list[Candidate]:
             continue  # one or two balls only make a length: that is artefact_expansion
         basis = seen[:, None].astype(float)
         parts = [Part("ball", 0, c, basis * np.eye(3)[c]) for c in range(3)]
-        out.append(Candidate(NAME, (f"ball{ball}",), "x", lambda _, p=parts: p,
-                             lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, 0.05)))
+        out.append(
+            Candidate(NAME, (f"ball{ball}",), "x", lambda _, p=parts: p, lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, 0.05))
+        )
     return out

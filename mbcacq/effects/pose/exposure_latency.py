@@ -13,5 +13,5 @@ def candidates(s: Context) -> list[Candidate]:
         raise Missing("no velocities at the exposure recorded (qd1_deg_s..)")
     velocity = np.nan_to_num(s.obs.velocity)
     fastest = int(np.argmax(np.abs(velocity).max(axis=0))) + 1
-    parts = [Part("joint", i, 0, velocity[:, i:i + 1]) for i in range(s.n)]
+    parts = [Part("joint", i, 0, velocity[:, i : i + 1]) for i in range(s.n)]
     return [Candidate(NAME, ("scanner",), f"qd{fastest}", lambda _: parts, scalar_report("latency_s"), np.array([2e-3]))]

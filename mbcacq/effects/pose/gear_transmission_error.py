@@ -22,7 +22,9 @@ def candidates(s: Context) -> list[Candidate]:
         step = 0.25 * 2 * np.pi / span
         orders = np.arange(max(LOWEST_ORDER, 0.0), highest, min(step, 0.5))
         preferred = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
-        hyper = Hyperparameter("order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred)
+        hyper = Hyperparameter(
+            "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred
+        )
 
         functions = waves(q, hyper.values)
 

@@ -14,8 +14,16 @@ def candidates(s: Context) -> list[Candidate]:
     for i in range(s.n):
         if np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             continue  # a vertical axis feels no gravity
-        basis = torque[:, i:i + 1]
-        out.append(Candidate(
-            NAME, (f"A{i + 1}",), f"gravity_torque_{i + 1}", lambda _, i=i, b=basis: [Part("joint", i, 0, b)],
-            scalar_report(f"A{i + 1}.compliance_rad_per_Nm"), np.array([1.5e-6]), positive=True))
+        basis = torque[:, i : i + 1]
+        out.append(
+            Candidate(
+                NAME,
+                (f"A{i + 1}",),
+                f"gravity_torque_{i + 1}",
+                lambda _, i=i, b=basis: [Part("joint", i, 0, b)],
+                scalar_report(f"A{i + 1}.compliance_rad_per_Nm"),
+                np.array([1.5e-6]),
+                positive=True,
+            )
+        )
     return out

@@ -17,8 +17,8 @@ def candidates(s: Context) -> list[Candidate]:
     force = mass[:, None] * STANDARD_GRAVITY * s.flange_gravity
     moment = np.cross(com[None], force) * 1e-3
     none = np.zeros(len(force))
-    tilt = [Part("frame", s.n, 3 + c, moment[:, c:c + 1]) for c in range(3)]
-    shift = [Part("frame", s.n, c, force[:, c:c + 1]) for c in range(3)]
+    tilt = [Part("frame", s.n, 3 + c, moment[:, c : c + 1]) for c in range(3)]
+    shift = [Part("frame", s.n, c, force[:, c : c + 1]) for c in range(3)]
     both = [Part("frame", s.n, 3 + c, np.stack([moment[:, c], none], 1)) for c in range(3)]
     both += [Part("frame", s.n, c, np.stack([none, force[:, c]], 1)) for c in range(3)]
 

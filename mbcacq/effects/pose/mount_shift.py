@@ -29,5 +29,16 @@ def candidates(s: Context) -> list[Candidate]:
             out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
         return out
 
-    return [Candidate(NAME, ("mount",), "pose", build, report, np.array([0.03] * 3 + [1e-4] * 3)[:k], hyper,
-                      tuple(("frame", s.n, c) for c in components), functions)]
+    return [
+        Candidate(
+            NAME,
+            ("mount",),
+            "pose",
+            build,
+            report,
+            np.array([0.03] * 3 + [1e-4] * 3)[:k],
+            hyper,
+            tuple(("frame", s.n, c) for c in components),
+            functions,
+        )
+    ]

@@ -12,8 +12,8 @@ def candidates(s: Context) -> list[Candidate]:
     if not s.scanner_on_flange or np.ptp(s.obs.xyz, axis=0).max() == 0:
         raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
     ppm, xyz = 1e-6, s.obs.xyz
-    one = [Part("point", 0, c, ppm * xyz[:, c:c + 1]) for c in range(3)]
-    three = [Part("point", 0, c, ppm * xyz[:, c:c + 1] * np.eye(3)[c]) for c in range(3)]
+    one = [Part("point", 0, c, ppm * xyz[:, c : c + 1]) for c in range(3)]
+    three = [Part("point", 0, c, ppm * xyz[:, c : c + 1] * np.eye(3)[c]) for c in range(3)]
 
     def report_one(c, v, _):
         return {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))}
@@ -22,10 +22,27 @@ def candidates(s: Context) -> list[Candidate]:
         return {"scale_ppm": vector(c, v)}
 
     def report_axis(axis):
-        return lambda c, v, _: {"scale_ppm": {"value": [float(c[0]) if a == axis else 0.0 for a in range(3)],
-                                              "std": [float(np.sqrt(v[0, 0])) if a == axis else 0.0 for a in range(3)]}}
+        return lambda c, v, _: {
+            "scale_ppm": {
+                "value": [float(c[0]) if a == axis else 0.0 for a in range(3)],
+                "std": [float(np.sqrt(v[0, 0])) if a == axis else 0.0 for a in range(3)],
+            }
+        }
 
-    single = [Candidate(NAME, ("scanner",), "xyz"[a], lambda _, a=a: [Part("point", 0, a, ppm * xyz[:, a:a + 1])], report_axis(a),
-                        np.array([200.0]), variant="xyz"[a]) for a in range(3)]
-    return [Candidate(NAME, ("scanner",), "z", lambda _: one, report_one, np.array([200.0])),
-            Candidate(NAME, ("scanner",), "x", lambda _: three, report_three, np.full(3, 200.0), variant="axes"), *single]
+    single = [
+        Candidate(
+            NAME,
+            ("scanner",),
+            "xyz"[a],
+            lambda _, a=a: [Part("point", 0, a, ppm * xyz[:, a : a + 1])],
+            report_axis(a),
+            np.array([200.0]),
+            variant="xyz"[a],
+        )
+        for a in range(3)
+    ]
+    return [
+        Candidate(NAME, ("scanner",), "z", lambda _: one, report_one, np.array([200.0])),
+        Candidate(NAME, ("scanner",), "x", lambda _: three, report_three, np.full(3, 200.0), variant="axes"),
+        *single,
+    ]

@@ -18,8 +18,16 @@ def candidates(s: Context) -> list[Candidate]:
         way = np.where(here, (key - key[here].min()) / np.ptp(key[here]), 0.0)[:, None]
         R = s.state.T_base_station[k, :3, :3]
         parts = [Part("station", 0, c, way * R[:, c]) for c in range(3)]  # coefficients along the base axes
-        out.append(Candidate(NAME, (f"station{station.id}",), "time" if s.obs.time_s is not None else "pose", lambda _, p=parts: p,
-                             lambda c, v, _: {"drift_mm": vector(c, v)}, np.full(3, 0.05)))
+        out.append(
+            Candidate(
+                NAME,
+                (f"station{station.id}",),
+                "time" if s.obs.time_s is not None else "pose",
+                lambda _, p=parts: p,
+                lambda c, v, _: {"drift_mm": vector(c, v)},
+                np.full(3, 0.05),
+            )
+        )
     if not out:
         raise Missing("no station with five poses")
     return out

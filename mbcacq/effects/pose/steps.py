@@ -26,6 +26,7 @@ def step_functions(s: Context):
 
     def functions(values: np.ndarray) -> np.ndarray:
         return (order[None] >= np.asarray(values)[:, None]).astype(float)[..., None]
+
     return functions
 
 

@@ -11,5 +11,14 @@ NAME = "wrist_coupling"
 def candidates(s: Context) -> list[Candidate]:
     first = max(s.n - 3, 0)
     pairs = [(i, j) for i in range(first, s.n) for j in range(first, s.n) if i != j and np.ptp(s.obs.q[:, i]) > 0.02]
-    return [Candidate(NAME, (f"A{i + 1}", f"A{j + 1}"), f"q{i + 1}", lambda _, i=i, j=j: [Part("joint", j, 0, s.obs.q[:, i:i + 1])],
-                      scalar_report("ratio"), np.array([1e-4])) for i, j in pairs]
+    return [
+        Candidate(
+            NAME,
+            (f"A{i + 1}", f"A{j + 1}"),
+            f"q{i + 1}",
+            lambda _, i=i, j=j: [Part("joint", j, 0, s.obs.q[:, i : i + 1])],
+            scalar_report("ratio"),
+            np.array([1e-4]),
+        )
+        for i, j in pairs
+    ]

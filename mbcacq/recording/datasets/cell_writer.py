@@ -41,9 +41,15 @@ def _dump(data: dict[str, Any]) -> str:
 def _robot(robot: RobotModel) -> dict[str, Any]:
     chain, n = robot.chain, robot.n
     columns: dict[str, list[Any]] = {
-        "sign": [int(s) for s in chain.sign], "theta_deg": _degrees(chain.theta), "d_mm": _list(chain.d), "a_mm": _list(chain.a),
-        "alpha_deg": _degrees(chain.alpha), "beta_deg": _degrees(chain.beta), "limits_deg": [_degrees(row) for row in robot.limits],
-        "mass_kg": _list(robot.mass), "com_mm": [_list(row) for row in robot.com],
+        "sign": [int(s) for s in chain.sign],
+        "theta_deg": _degrees(chain.theta),
+        "d_mm": _list(chain.d),
+        "a_mm": _list(chain.a),
+        "alpha_deg": _degrees(chain.alpha),
+        "beta_deg": _degrees(chain.beta),
+        "limits_deg": [_degrees(row) for row in robot.limits],
+        "mass_kg": _list(robot.mass),
+        "com_mm": [_list(row) for row in robot.com],
     }
     if robot.speed is not None:
         columns["speed_deg_s"] = _degrees(robot.speed)
@@ -61,13 +67,14 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
 
 
 def _artefact(artefact: Artefact) -> dict[str, Any]:
-    data: dict[str, Any] = {"id": artefact.id, "name": artefact.name,
-                            "reference_temperature_C": float(artefact.reference_temperature_C)}
+    data: dict[str, Any] = {"id": artefact.id, "name": artefact.name, "reference_temperature_C": float(artefact.reference_temperature_C)}
     if artefact.expansion_ppm_per_K is not None:
         data["expansion_ppm_per_K"] = float(artefact.expansion_ppm_per_K)
     data["uncertainty_mm"] = float(artefact.uncertainty_mm)
-    data["balls"] = [_Flow({"id": int(ball), "centre_mm": _list(centre), "diameter_mm": float(diameter)})
-                     for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)]
+    data["balls"] = [
+        _Flow({"id": int(ball), "centre_mm": _list(centre), "diameter_mm": float(diameter)})
+        for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
+    ]
     return data
 
 

@@ -47,12 +47,15 @@ def _check_references(spec: CellSpec, node: yaml.Node, name: str) -> None:
             balls.add(ball.id)
     for i, station in enumerate(spec.stations):
         if station.artefact not in artefacts:
-            refuse(("stations", i), f"station '{station.id}' names the artefact '{station.artefact}', "
-                                    f"which is not among: {', '.join(artefacts)}")
+            refuse(
+                ("stations", i),
+                f"station '{station.id}' names the artefact '{station.artefact}', which is not among: {', '.join(artefacts)}",
+            )
     if not np.any(spec.robot.base_to_gravity):
         refuse(("robot", "base_to_gravity"), "base_to_gravity is the zero vector; give the direction of gravity in the base frame")
-    poses = [(("hand_eye",), spec.hand_eye)] + [(("stations", i, "pose_in_base"), s.pose_in_base)
-                                                for i, s in enumerate(spec.stations) if s.pose_in_base]
+    poses = [(("hand_eye",), spec.hand_eye)] + [
+        (("stations", i, "pose_in_base"), s.pose_in_base) for i, s in enumerate(spec.stations) if s.pose_in_base
+    ]
     for path, pose in poses:
         if pose.rotation is not None:
             R = np.array(pose.rotation)

@@ -40,8 +40,10 @@ class CsvTable:
     def require(self, names: Sequence[str]) -> None:
         missing = [name for name in names if name not in self.columns]
         if missing:
-            raise ConfigError(f"{self.path}:1: column {', '.join(missing)} is missing (the header has: {', '.join(self.columns)}); "
-                              "add it, the separator must be a comma")
+            raise ConfigError(
+                f"{self.path}:1: column {', '.join(missing)} is missing (the header has: {', '.join(self.columns)}); "
+                "add it, the separator must be a comma"
+            )
 
     def text(self, name: str) -> tuple[str, ...]:
         self.require([name])
@@ -114,8 +116,10 @@ def read_table(path: Path) -> CsvTable:
             raise ConfigError(f"{path}:1: column {name} appears twice; remove one")
     for row, number in zip(rows, line, strict=True):
         if len(row) != len(header):
-            raise ConfigError(f"{path}:{number}: column {header[min(len(row), len(header) - 1)]}: the row has {len(row)} cells, "
-                              f"the header {len(header)}; correct the row (decimal point '.', separator ',')")
+            raise ConfigError(
+                f"{path}:{number}: column {header[min(len(row), len(header) - 1)]}: the row has {len(row)} cells, "
+                f"the header {len(header)}; correct the row (decimal point '.', separator ',')"
+            )
     if not rows:
         raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
     return CsvTable(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)

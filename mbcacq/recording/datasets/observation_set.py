@@ -21,7 +21,6 @@ from mbcacq.recording.datasets.observation_writer import write_observation_set
 __all__ = ["read_observation_set", "write_observation_set"]
 
 
-
 def read_observation_set(folder: Path | str) -> Observations:
     """Read a folder. Raises ConfigError naming file, line and column of the first fault."""
     folder = Path(folder)
@@ -78,8 +77,10 @@ def _read_centres(table: CsvTable, cell: Cell, poses: dict) -> dict:
     if wrong.any():
         row = int(np.argmax(wrong))
         station = cell.stations[poses["station"][pose[row]]]
-        raise ConfigError(f"{table.where(row, 'ball')}: ball {cell.ball_ids[ball[row]]} is not on artefact '{station.artefact}', "
-                          f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station")
+        raise ConfigError(
+            f"{table.where(row, 'ball')}: ball {cell.ball_ids[ball[row]]} is not on artefact '{station.artefact}', "
+            f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station"
+        )
     _refuse_repeated(table, "ball", pose * len(cell.ball_ids) + ball, "this ball was already given for this pose (line {1}); remove one")
     out = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
     if table.has(["n_points"]):

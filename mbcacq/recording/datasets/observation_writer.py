@@ -11,14 +11,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import angles, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
-from mbcacq.recording.datasets.csvfile import (
-    QUATERNION,
-    XYZ,
-    numbered,
-    numbers,
-    write_table,
-    write_text,
-)
+from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, numbered, numbers, write_table, write_text
 
 
 def write_observation_set(observations: Observations, folder: Path | str) -> None:
@@ -51,8 +44,12 @@ def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
     if obs.time_s is not None:
         columns["time_s"] = numbers(obs.time_s)
     columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
-    for pattern, values, text in (("dir{}", obs.direction, numbers), ("qd{}_deg_s", obs.velocity, angles.degrees_text),
-                                  ("tau{}_Nm", obs.torque, numbers), ("i{}_A", obs.current, numbers)):
+    for pattern, values, text in (
+        ("dir{}", obs.direction, numbers),
+        ("qd{}_deg_s", obs.velocity, angles.degrees_text),
+        ("tau{}_Nm", obs.torque, numbers),
+        ("i{}_A", obs.current, numbers),
+    ):
         if values is not None:
             columns |= dict(zip(numbered(pattern, n), map(text, values.T), strict=True))
     if obs.payload_kg is not None:
@@ -87,5 +84,8 @@ def _quaternion_columns(obs: Observations) -> dict[str, Sequence[str]]:
 
 
 def _extra(obs: Observations, prefix: str, skip: Container[str]) -> dict[str, Sequence[str]]:
-    return {name.removeprefix(prefix): cells.tolist() for name, cells in obs.extra.items()
-            if name.startswith(prefix) and name.removeprefix(prefix) not in skip}
+    return {
+        name.removeprefix(prefix): cells.tolist()
+        for name, cells in obs.extra.items()
+        if name.startswith(prefix) and name.removeprefix(prefix) not in skip
+    }

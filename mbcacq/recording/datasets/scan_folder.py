@@ -34,8 +34,13 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
         rms.append(found.rms_mm)
     if not any(map(len, pose)):
         raise ConfigError(f"{folder / 'scans'}: no cloud of a pose (POSE.ply) shows a ball; name each cloud by the number of its pose")
-    return {"pose": np.concatenate(pose), "ball": np.concatenate(ball).astype(np.int64), "xyz": np.concatenate(xyz),
-            "n_points": np.concatenate(count), "rms_mm": np.concatenate(rms)}
+    return {
+        "pose": np.concatenate(pose),
+        "ball": np.concatenate(ball).astype(np.int64),
+        "xyz": np.concatenate(xyz),
+        "n_points": np.concatenate(count),
+        "rms_mm": np.concatenate(rms),
+    }
 
 
 def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None) -> None:

@@ -61,9 +61,12 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
         row = int(np.argmax(np.diff(time_s) <= 0)) + 1
         raise ConfigError(f"{table.where(row, 'time_s')}: the time does not rise; sort the rows and remove doubles")
     signals = {
-        "q": _signal(table, "q{}_deg", robot.n, angle=True), "q_set": _signal(table, "q{}_set_deg", robot.n, angle=True),
-        "q_joint": _signal(table, "q{}_joint_deg", robot.n, angle=True), "torque": _signal(table, "tau{}_Nm", robot.n),
-        "motor_torque": _signal(table, "motor_tau{}_Nm", robot.n), "current": _signal(table, f"i{{}}_{unit}", robot.n),
+        "q": _signal(table, "q{}_deg", robot.n, angle=True),
+        "q_set": _signal(table, "q{}_set_deg", robot.n, angle=True),
+        "q_joint": _signal(table, "q{}_joint_deg", robot.n, angle=True),
+        "torque": _signal(table, "tau{}_Nm", robot.n),
+        "motor_torque": _signal(table, "motor_tau{}_Nm", robot.n),
+        "current": _signal(table, f"i{{}}_{unit}", robot.n),
     }
     temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C")}
     return Trajectory(robot, time_s, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder))
@@ -75,9 +78,12 @@ def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
     write_text(folder / "cell.yaml", robot_to_yaml(FORMAT, t.robot))
     columns = {"time_s": numbers(t.time_s)}
     for pattern, values, text in (
-        ("q{}_set_deg", t.q_set, angles.degrees_text), ("q{}_deg", t.q, angles.degrees_text),
-        ("q{}_joint_deg", t.q_joint, angles.degrees_text), ("tau{}_Nm", t.torque, numbers),
-        ("motor_tau{}_Nm", t.motor_torque, numbers), (f"i{{}}_{t.current_unit}", t.current, numbers),
+        ("q{}_set_deg", t.q_set, angles.degrees_text),
+        ("q{}_deg", t.q, angles.degrees_text),
+        ("q{}_joint_deg", t.q_joint, angles.degrees_text),
+        ("tau{}_Nm", t.torque, numbers),
+        ("motor_tau{}_Nm", t.motor_torque, numbers),
+        (f"i{{}}_{t.current_unit}", t.current, numbers),
     ):
         if values is not None:
             columns |= {pattern.format(i + 1): text(column) for i, column in enumerate(values.T) if np.isfinite(column).all()}
@@ -91,13 +97,22 @@ def _robot(use: _RobotUse, file: str) -> RobotModel:
         raise ConfigError(f"{file}: robot: give either its links or the model: of one of the tool's robots")
     if use.links is not None:
         links = use.links
-        robot = RobotSpec(name=use.name, links=links, payload=use.payload or PayloadSpec(),
-                          base_to_gravity=use.base_to_gravity or (0.0, 0.0, -1.0), repeatability_mm=use.repeatability_mm).model()
+        robot = RobotSpec(
+            name=use.name,
+            links=links,
+            payload=use.payload or PayloadSpec(),
+            base_to_gravity=use.base_to_gravity or (0.0, 0.0, -1.0),
+            repeatability_mm=use.repeatability_mm,
+        ).model()
     else:
         path = robot_file(use.model)
         data, node = load_yaml(read_yaml_text(path), str(path))
-        changes = {"name": use.name or None, "payload": use.payload, "base_to_gravity": use.base_to_gravity,
-                   "repeatability_mm": use.repeatability_mm}
+        changes = {
+            "name": use.name or None,
+            "payload": use.payload,
+            "base_to_gravity": use.base_to_gravity,
+            "repeatability_mm": use.repeatability_mm,
+        }
         robot = validate(RobotSpec, data, node, str(path)).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
     if use.gear_ratio is None:
         return robot

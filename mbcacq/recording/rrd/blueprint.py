@@ -15,8 +15,10 @@ from mbcacq.recording.rrd.camera import RANGE_MM
 
 Point = tuple[float, float, float]
 NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
-LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[rrb.encodings.TimelineColumn(layout.TIME)], text_log_columns=[
-    rrb.encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")])
+LOG_COLUMNS = rrb.TextLogColumns(
+    timeline_columns=[rrb.encodings.TimelineColumn(layout.TIME)],
+    text_log_columns=[rrb.encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")],
+)
 ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white 0, orange +{1e3 * RANGE_MM:.0f} um"
 
 
@@ -24,8 +26,8 @@ ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white
 class Enlarged:
     """How many times longer than they are arrows are drawn; None where there are none yet."""
 
-    pose: float | None = None        # of the current pose, after calibration
-    all: float | None = None         # of all poses, before and after
+    pose: float | None = None  # of the current pose, after calibration
+    all: float | None = None  # of all poses, before and after
     diagnosis: float | None = None
 
 
@@ -41,8 +43,12 @@ def blueprint(at: ViewerCamera = ViewerCamera(), enlarged: Enlarged = Enlarged()
     """The five tabs; those of calibration and diagnosis without their curves until there are some. live: follow what comes. balls: how many
     the cell has."""
     return rrb.Blueprint(
-        rrb.Tabs(_cell(at, enlarged, balls), *(build(at, enlarged) for build in (_motion, _spheres, _calibration, _diagnosis)),
-                 active_tab=0, name="mbcacq"),
+        rrb.Tabs(
+            _cell(at, enlarged, balls),
+            *(build(at, enlarged) for build in (_motion, _spheres, _calibration, _diagnosis)),
+            active_tab=0,
+            name="mbcacq",
+        ),
         rrb.TimePanel(state="collapsed", timeline=layout.TIME, play_state="following" if live else "paused"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -53,77 +59,112 @@ def _cell(at: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
     arrows = "" if enlarged.pose is None else f", arrows: error after calibration, {enlarged.pose:g} times enlarged"
     cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], at)
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
-    texts = rrb.Tabs(rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
-                     rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
-                     rrb.TextDocumentView(name="Cell description", origin=layout.CELL))
-    found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10) + 1)   # round, and its label in the frame
-    return rrb.Horizontal(rrb.Vertical(cell, states, row_shares=[8, 2.3]), rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
-                          column_shares=[3, 2], name="Cell")
+    texts = rrb.Tabs(
+        rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
+        rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
+        rrb.TextDocumentView(name="Cell description", origin=layout.CELL),
+    )
+    found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10) + 1)  # round, and its label in the frame
+    return rrb.Horizontal(
+        rrb.Vertical(cell, states, row_shares=[8, 2.3]),
+        rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
+        column_shares=[3, 2],
+        name="Cell",
+    )
 
 
 def _motion(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Vertical(
         _curves("Axes in deg: set (broad), actual (thin)", [layout.SET, layout.JOINTS]),
         rrb.Horizontal(_curves("Set minus actual, deg", [layout.FOLLOWING]), _curves("Motor current, %", [layout.CURRENT])),
-        rrb.Horizontal(_curves("Cycle period, ms", [layout.PERIOD]), _curves("Answers late, count", [layout.DELAY]),
-                       _curves("Temperatures, deg C", [f"{layout.WARMTH}/**"])),
-        row_shares=[15, 8, 6], name="Motion")
+        rrb.Horizontal(
+            _curves("Cycle period, ms", [layout.PERIOD]),
+            _curves("Answers late, count", [layout.DELAY]),
+            _curves("Temperatures, deg C", [f"{layout.WARMTH}/**"]),
+        ),
+        row_shares=[15, 8, 6],
+        name="Motion",
+    )
 
 
 def _spheres(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Vertical(_scan(), _curves("Scatter between exposures and fit, um", [layout.SCATTER, layout.FIT_RMS]), row_shares=[3, 1]),
-        rrb.Vertical(_curves("Fit residual of each ball (rms), um", [layout.BALL_RMS]),
-                     _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False),
-                     _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE], legend=False),
-                     _curves("Points on each ball", [layout.BALL_POINTS], legend=False), row_shares=[6, 3, 3, 3]),
-        column_shares=[2, 3], name="Spheres")
+        rrb.Vertical(
+            _curves("Fit residual of each ball (rms), um", [layout.BALL_RMS]),
+            _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False),
+            _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE], legend=False),
+            _curves("Points on each ball", [layout.BALL_POINTS], legend=False),
+            row_shares=[6, 3, 3, 3],
+        ),
+        column_shares=[2, 3],
+        name="Spheres",
+    )
 
 
 def _calibration(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     told = "The cell" if enlarged.all is None else f"Errors before (orange) and after (blue), {enlarged.all:g} times enlarged"
-    errors = _space(told, [
-        f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], at)
+    errors = _space(told, [f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], at)
     result = rrb.TextDocumentView(name="Result", origin=layout.SUMMARY)
     if enlarged.all is None:
         return rrb.Horizontal(errors, result, column_shares=[2, 1], name="Calibration")
     return rrb.Horizontal(
         rrb.Vertical(errors, result, row_shares=[1, 1]),
-        rrb.Vertical(_curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"]),
-                     _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False),
-                     _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
-                     rrb.Horizontal(*(_bars(f"Balls in their order, {when}: 3D rms, um", f"{layout.RMS_BALL}/{when}")
-                                      for when in ("before", "after"))), row_shares=[4, 3, 4, 3]),
-        column_shares=[1, 1], name="Calibration")
+        rrb.Vertical(
+            _curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"]),
+            _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False),
+            _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
+            rrb.Horizontal(
+                *(_bars(f"Balls in their order, {when}: 3D rms, um", f"{layout.RMS_BALL}/{when}") for when in ("before", "after"))
+            ),
+            row_shares=[4, 3, 4, 3],
+        ),
+        column_shares=[1, 1],
+        name="Calibration",
+    )
 
 
 def _diagnosis(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
-    told = "The cell" if enlarged.diagnosis is None else (
-        f"Recorded (white); from where it was simulated, before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
-    cell = _space(told, [
-        f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], at)
+    told = (
+        "The cell"
+        if enlarged.diagnosis is None
+        else (f"Recorded (white); from where it was simulated, before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
+    )
+    cell = _space(told, [f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], at)
     words = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
     if enlarged.diagnosis is None:
         return rrb.Horizontal(cell, words, column_shares=[2, 1], name="Diagnosis")
     return rrb.Horizontal(
         rrb.Vertical(cell, words, row_shares=[3, 2]),
-        rrb.Vertical(_curves("Difference of simulation and recording at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
-                     _curves("What is held responsible (empty: nothing)", [f"{layout.CAUSE}/**"])),
-        column_shares=[1, 1], name="Diagnosis")
+        rrb.Vertical(
+            _curves("Difference of simulation and recording at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
+            _curves("What is held responsible (empty: nothing)", [f"{layout.CAUSE}/**"]),
+        ),
+        column_shares=[1, 1],
+        name="Diagnosis",
+    )
 
 
 def _space(name: str, contents: list[str], at: ViewerCamera) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
-        name=name, origin=layout.WORLD, contents=contents, background=rrb.Background(color=NIGHT),
+        name=name,
+        origin=layout.WORLD,
+        contents=contents,
+        background=rrb.Background(color=NIGHT),
         line_grid=rrb.LineGrid3D(visible=True, spacing=100.0, color=GRID),
-        eye_controls=rrb.EyeControls3D(position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)))
+        eye_controls=rrb.EyeControls3D(position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)),
+    )
 
 
 def _scan() -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
-        name=ON_SPHERE, origin=layout.SCAN, contents=[f"+ /{layout.ON_BALLS}", f"+ /{layout.BESIDE}"],
-        background=rrb.Background(color=NIGHT), line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=(22.0, -85.0, 90.0), look_target=(0.0, 0.0, -5.0), eye_up=(0.0, 0.0, 1.0)))
+        name=ON_SPHERE,
+        origin=layout.SCAN,
+        contents=[f"+ /{layout.ON_BALLS}", f"+ /{layout.BESIDE}"],
+        background=rrb.Background(color=NIGHT),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(position=(22.0, -85.0, 90.0), look_target=(0.0, 0.0, -5.0), eye_up=(0.0, 0.0, 1.0)),
+    )
 
 
 def _curves(name: str, entities: list[str], legend: bool = True, most: float | None = None) -> rrb.TimeSeriesView:
@@ -138,8 +179,12 @@ def _bars(name: str, entity: str) -> rrb.BarChartView:
 
 def alone(at: ViewerCamera, diagnosis: float) -> rrb.Blueprint:
     """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
-    return rrb.Blueprint(_diagnosis(at, Enlarged(diagnosis=diagnosis)), rrb.TimePanel(state="collapsed", timeline=layout.POSE),
-                         rrb.SelectionPanel(state="collapsed"), rrb.BlueprintPanel(state="collapsed"))
+    return rrb.Blueprint(
+        _diagnosis(at, Enlarged(diagnosis=diagnosis)),
+        rrb.TimePanel(state="collapsed", timeline=layout.POSE),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
 
 
 def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:

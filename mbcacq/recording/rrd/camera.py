@@ -8,10 +8,10 @@ import numpy as np
 
 from mbcacq.model.cell import Artefact
 
-RANGE_MM = 0.03            # distance to the sphere at which the colours end
-SHELL_MM = 0.5             # a point this near to the certified sphere belongs to the ball
+RANGE_MM = 0.03  # distance to the sphere at which the colours end
+SHELL_MM = 0.5  # a point this near to the certified sphere belongs to the ball
 MOST_ON_BALL, MOST_BESIDE, MOST_LOOKED_AT = 700, 1500, 400_000
-INSIDE, ZERO, OUTSIDE = np.array([33.0, 102, 172]), np.array([240.0, 240, 235]), np.array([214.0, 96, 0])   # blue, white, vermilion
+INSIDE, ZERO, OUTSIDE = np.array([33.0, 102, 172]), np.array([240.0, 240, 235]), np.array([214.0, 96, 0])  # blue, white, vermilion
 GREY = (96, 102, 112)
 
 

@@ -10,9 +10,9 @@ from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
-DRAW_PERIOD_S = 0.04       # of the drawn arm, on the controller's clock
-CURVE_EVERY = 5            # cycles to a point of a curve; the extremes of what is left out are kept where they matter
-SHOW_PERIOD_S = 0.5        # between two batches for the eye: each batch costs a chunk per entity
+DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
+CURVE_EVERY = 5  # cycles to a point of a curve; the extremes of what is left out are kept where they matter
+SHOW_PERIOD_S = 0.5  # between two batches for the eye: each batch costs a chunk per entity
 OTHER_CLOCK_S = 10.0
 
 
@@ -22,9 +22,9 @@ class CycleWriter:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._rec = stream
         self._drawn = self._shown = -np.inf
-        self.urdf: UrdfArm | None = None           # draws the arm as well, where there is one
-        self._start: float | None = None           # POSIX time of the start of this part, where it is known
-        self._last = np.full((1, 2), np.nan)       # controller's and this computer's time of the cycle before
+        self.urdf: UrdfArm | None = None  # draws the arm as well, where there is one
+        self._start: float | None = None  # POSIX time of the start of this part, where it is known
+        self._last = np.full((1, 2), np.nan)  # controller's and this computer's time of the cycle before
         self._kept: list[dict[str, np.ndarray]] = []
 
     def started(self, posix_s: float) -> None:
@@ -35,7 +35,7 @@ class CycleWriter:
         """time_s: of the event; clock: this computer's monotonic clock when the run started; offset: added to all run times (s)."""
         columns = {name: np.asarray(values) for name, values in cycles.columns.items()}
         host = columns["host_time_s"] - clock
-        if abs(host[-1] - time_s) > OTHER_CLOCK_S:       # another clock than this computer's: only its spacing is to be trusted
+        if abs(host[-1] - time_s) > OTHER_CLOCK_S:  # another clock than this computer's: only its spacing is to be trusted
             host = columns["host_time_s"] - columns["host_time_s"][-1] + time_s
         host = host + offset
         self._rec.send_columns(layout.CYCLES, self._index(host, columns["time_s"]), rows.columns(layout.CYCLES_ARCHETYPE, columns))
@@ -100,7 +100,7 @@ def _extremes(values: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 def _curves(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     curves = {layout.JOINTS: np.degrees(columns["q"])}
-    asked = columns.get("q_command", columns.get("q_set"))    # a controller's own set point may lack the corrections it was sent
+    asked = columns.get("q_command", columns.get("q_set"))  # a controller's own set point may lack the corrections it was sent
     if asked is not None:
         curves[layout.SET] = np.degrees(asked)
         curves[layout.FOLLOWING] = curves[layout.SET] - curves[layout.JOINTS]

@@ -17,7 +17,7 @@ from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, camera
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
-ARROW_SHARE = 0.10         # of the extent of the measured places: how long a large difference (95 %) before is drawn
+ARROW_SHARE = 0.10  # of the extent of the measured places: how long a large difference (95 %) before is drawn
 RECORDED = (235, 238, 242)
 
 
@@ -43,8 +43,11 @@ def write_diagnosis(path: Path | str, observations: Observations, words: str, pi
         stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale), static=True)
         stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(f"```\n{words}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
         for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
-            stream.log(f"{layout.DIAGNOSIS_ARROWS}/{name}", rr.Arrows3D(
-                origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=[rr.Radius.ui_points(0.6)]), static=True)
+            stream.log(
+                f"{layout.DIAGNOSIS_ARROWS}/{name}",
+                rr.Arrows3D(origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=[rr.Radius.ui_points(0.6)]),
+                static=True,
+            )
             stream.log(f"{layout.MISFIT}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
         stream.log(layout.DIAGNOSIS_BALLS, rr.Points3D(point, colors=[RECORDED], radii=[rr.Radius.ui_points(1.5)]), static=True)
         for k, cause in enumerate(pictures["causes"]):
@@ -86,8 +89,14 @@ def _log_arm(stream: rr.RecordingStream, obs: Observations) -> None:
         stream.send_columns(entity, index, rr.Transform3D.columns(**scene.transforms(T)))
 
 
-def _log_poses(stream: rr.RecordingStream, centres: dict[str, np.ndarray], before: np.ndarray, after: np.ndarray,
-               causes: list[dict[str, Any]], times: dict[int, float]) -> None:
+def _log_poses(
+    stream: rr.RecordingStream,
+    centres: dict[str, np.ndarray],
+    before: np.ndarray,
+    after: np.ndarray,
+    causes: list[dict[str, Any]],
+    times: dict[int, float],
+) -> None:
     pose, of = np.unique(centres["pose"].astype(int), return_inverse=True)
     if not len(pose):
         return

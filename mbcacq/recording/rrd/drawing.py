@@ -14,7 +14,7 @@ from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import camera, layout, scene
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
-LEG_POINTS = 8             # to a leg straight in joint space
+LEG_POINTS = 8  # to a leg straight in joint space
 
 
 class Drawing:

@@ -17,54 +17,58 @@ VERSION = 1
 TIME, ROBOT_TIME, POSE, STEP_INDEX, CLOCK = "time", "robot_time", "pose", "step", "clock"
 
 # Static: the run as data.
-RUN = "run"                                  # mbcacq.Run
-PLAN, CELL = "plan", "cell"                  # TextDocument, the full YAML
+RUN = "run"  # mbcacq.Run
+PLAN, CELL = "plan", "cell"  # TextDocument, the full YAML
 
 # The course of the run.
-STATE, STEP, STATION = "run/state", "run/step", "run/station"   # StateChange
-LOG = "log"                                  # TextLog
-HEALTH = "health"                            # health/DEVICE/QUANTITY: Scalars
-WARMTH = "motion/temperature_C"              # motion/temperature_C/QUANTITY: of health and sensors, the temperatures once more
+STATE, STEP, STATION = "run/state", "run/step", "run/station"  # StateChange
+LOG = "log"  # TextLog
+HEALTH = "health"  # health/DEVICE/QUANTITY: Scalars
+WARMTH = "motion/temperature_C"  # motion/temperature_C/QUANTITY: of health and sensors, the temperatures once more
 
 # Measured.
-CYCLES = "cycles"                            # mbcacq.Cycles, one row a controller cycle
-JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"   # Scalars: deg, deg, percent
-SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"   # Scalars: deg; ms by controller, by this computer; count
-SCAN = "world/scan"                          # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
-ON_BALLS, BESIDE = "world/scan/on_balls", "world/scan/beside"   # Points3D for the eye: coloured by distance to the ball; the rest, thinned
-EXPOSURE = "exposure"                        # mbcacq.Centres of one exposure
-OBSERVATION = "observation"                  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load() reads
-BALLS_FOUND, FIT_RMS, SCATTER = "quality/balls_found", "quality/fit_rms_um", "quality/exposure_scatter_um"   # Scalars
-BALL_POINTS, BALL_RMS, BALL_FORM, BALL_SIZE = (   # Scalars, one value a ball of the cell (NaN where not seen)
-    "spheres/points", "spheres/rms_um", "spheres/form_um", "spheres/radius_error_um")
+CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
+JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
+SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count
+SCAN = "world/scan"  # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
+ON_BALLS, BESIDE = "world/scan/on_balls", "world/scan/beside"  # Points3D for the eye: coloured by distance to the ball; the rest, thinned
+EXPOSURE = "exposure"  # mbcacq.Centres of one exposure
+OBSERVATION = "observation"  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load() reads
+BALLS_FOUND, FIT_RMS, SCATTER = "quality/balls_found", "quality/fit_rms_um", "quality/exposure_scatter_um"  # Scalars
+BALL_POINTS, BALL_RMS, BALL_FORM, BALL_SIZE = (  # Scalars, one value a ball of the cell (NaN where not seen)
+    "spheres/points",
+    "spheres/rms_um",
+    "spheres/form_um",
+    "spheres/radius_error_um",
+)
 
 # The scene.
 WORLD = "world"
-ROBOT = "world/robot"                        # world/robot/linkI: Transform3D T_base_link
-URDF = "urdf"                                # the arm's shapes and joints, where the plan names a URDF
-SCANNER = "world/robot/scanner"              # Transform3D T_base_scanner; frustum and housing below
-STATIONS = "world/stations"                  # world/stations/ID: balls where they were measured, base frame
-PATH = "world/path"                          # LineStrips3D of the flange, one a pose: done and to come
-OBSTACLES = "world/obstacles"                # Boxes3D
+ROBOT = "world/robot"  # world/robot/linkI: Transform3D T_base_link
+URDF = "urdf"  # the arm's shapes and joints, where the plan names a URDF
+SCANNER = "world/robot/scanner"  # Transform3D T_base_scanner; frustum and housing below
+STATIONS = "world/stations"  # world/stations/ID: balls where they were measured, base frame
+PATH = "world/path"  # LineStrips3D of the flange, one a pose: done and to come
+OBSTACLES = "world/obstacles"  # Boxes3D
 
 # The result, in a file of its own with the same recording id.
-RESIDUAL = "result/residual_um"              # result/residual_um/after, before: Scalars, mean of a pose along x, y, z
-RESIDUAL_BALL = "result/residual"            # mbcacq.Residual: float64, every centre
-RMS_POSE, RMS_BALL = "result/rms_pose_um", "result/rms_ball_um"   # .../before, .../after: Scalars 3D rms of a pose; BarChart by ball
-VIEW = "view"                                # TextDocument, only in the small file that ``mbcacq view`` opens first
-SUMMARY = "result/summary"                   # TextDocument
-ENLARGED = "result/enlarged"                 # mbcacq.Enlarged: how many times longer than they are arrows are drawn
-CALIBRATED = "world/calibrated"              # world/calibrated/STATION: Transform3D T_base_station, certified balls
-ARROWS = "world/residuals"                   # Arrows3D of the pose, enlarged
-ALL_ARROWS = "result/arrows"                 # result/arrows/before, after: Arrows3D of all poses, enlarged alike
+RESIDUAL = "result/residual_um"  # result/residual_um/after, before: Scalars, mean of a pose along x, y, z
+RESIDUAL_BALL = "result/residual"  # mbcacq.Residual: float64, every centre
+RMS_POSE, RMS_BALL = "result/rms_pose_um", "result/rms_ball_um"  # .../before, .../after: Scalars 3D rms of a pose; BarChart by ball
+VIEW = "view"  # TextDocument, only in the small file that ``mbcacq view`` opens first
+SUMMARY = "result/summary"  # TextDocument
+ENLARGED = "result/enlarged"  # mbcacq.Enlarged: how many times longer than they are arrows are drawn
+CALIBRATED = "world/calibrated"  # world/calibrated/STATION: Transform3D T_base_station, certified balls
+ARROWS = "world/residuals"  # Arrows3D of the pose, enlarged
+ALL_ARROWS = "result/arrows"  # result/arrows/before, after: Arrows3D of all poses, enlarged alike
 
 # The diagnosis, in a file of its own with the same recording id.
 DIAGNOSIS = "diagnosis"
-DIAGNOSIS_TEXT = "diagnosis/text"            # TextDocument
-DIAGNOSIS_ARROWS = "diagnosis/cell/arrows"   # .../before, .../after
-DIAGNOSIS_BALLS = "diagnosis/cell/balls"     # Points3D, recorded centres
-CAUSE = "diagnosis/cause"                    # diagnosis/cause/NAME: Scalars, the variable held responsible
-MISFIT = "diagnosis/residual_um"             # .../before, .../after: Scalars, 3D rms of a pose
+DIAGNOSIS_TEXT = "diagnosis/text"  # TextDocument
+DIAGNOSIS_ARROWS = "diagnosis/cell/arrows"  # .../before, .../after
+DIAGNOSIS_BALLS = "diagnosis/cell/balls"  # Points3D, recorded centres
+CAUSE = "diagnosis/cause"  # diagnosis/cause/NAME: Scalars, the variable held responsible
+MISFIT = "diagnosis/residual_um"  # .../before, .../after: Scalars, 3D rms of a pose
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"
 CYCLES_ARCHETYPE, SCAN_ARCHETYPE, RESIDUAL_ARCHETYPE = "mbcacq.Cycles", "mbcacq.Scan", "mbcacq.Residual"

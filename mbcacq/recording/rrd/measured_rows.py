@@ -13,25 +13,58 @@ from mbcacq.recording.rrd.rows import named, row
 def scan_row(event: events.ScanTaken) -> rr.DynamicArchetype:
     """Everything of a scan but its points, which stand beside it as Points3D."""
     scan = event.scan
-    return row(layout.SCAN_ARCHETYPE, pose=event.pose, exposure=event.exposure, intensity=scan.intensity, pixel=scan.pixel,
-               shape=scan.shape, time_s=float(scan.time_s), frame=scan.frame, exposure_us=float(scan.exposure_us),
-               **named("measurements", scan.measurements))
+    return row(
+        layout.SCAN_ARCHETYPE,
+        pose=event.pose,
+        exposure=event.exposure,
+        intensity=scan.intensity,
+        pixel=scan.pixel,
+        shape=scan.shape,
+        time_s=float(scan.time_s),
+        frame=scan.frame,
+        exposure_us=float(scan.exposure_us),
+        **named("measurements", scan.measurements),
+    )
 
 
 def exposure_row(event: events.CentresFound) -> rr.DynamicArchetype:
     """The balls of one exposure."""
-    return row(layout.CENTRES_ARCHETYPE, pose=event.pose, exposure=event.exposure, ball=_int(event.ball), xyz=_float(event.xyz),
-               n_points=_float(event.n_points), rms_mm=_float(event.rms_mm))
+    return row(
+        layout.CENTRES_ARCHETYPE,
+        pose=event.pose,
+        exposure=event.exposure,
+        ball=_int(event.ball),
+        xyz=_float(event.xyz),
+        n_points=_float(event.n_points),
+        rms_mm=_float(event.rms_mm),
+    )
 
 
 def observation_rows(event: events.PoseDone, part: int, time_s: float) -> tuple[rr.DynamicArchetype, rr.DynamicArchetype]:
     """A finished pose and its balls. time_s: since the run started, pauses between its parts included."""
     pose = row(
-        layout.POSE_ARCHETYPE, pose=event.pose, part=part, station=event.station, phase=event.phase, step=event.step, q=_float(event.q),
-        direction=_int(event.direction), time_s=time_s, robot_time_s=float(event.robot_time_s), n_exposures=event.n_exposures,
-        current=None if event.current is None else _float(event.current), **named("sensors", event.sensors))
-    centres = row(layout.CENTRES_ARCHETYPE, ball=_int(event.ball), xyz=_float(event.xyz), n_points=_float(event.n_points),
-                  rms_mm=_float(event.rms_mm), scatter_mm=_float(event.scatter_mm))
+        layout.POSE_ARCHETYPE,
+        pose=event.pose,
+        part=part,
+        station=event.station,
+        phase=event.phase,
+        step=event.step,
+        q=_float(event.q),
+        direction=_int(event.direction),
+        time_s=time_s,
+        robot_time_s=float(event.robot_time_s),
+        n_exposures=event.n_exposures,
+        current=None if event.current is None else _float(event.current),
+        **named("sensors", event.sensors),
+    )
+    centres = row(
+        layout.CENTRES_ARCHETYPE,
+        ball=_int(event.ball),
+        xyz=_float(event.xyz),
+        n_points=_float(event.n_points),
+        rms_mm=_float(event.rms_mm),
+        scatter_mm=_float(event.scatter_mm),
+    )
     return pose, centres
 
 

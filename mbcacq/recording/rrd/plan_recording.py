@@ -26,8 +26,12 @@ def draw(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Tr
     cell = loaded.cell
     rec = rr.RecordingStream("mbcacq_plan")
     at = camera(cell.robot.chain, np.array([s.T_base_station[:3, 3] for s in cell.stations]))
-    view = rrb.Spatial3DView(name="Plan", origin=layout.WORLD, line_grid=rrb.LineGrid3D(visible=False), eye_controls=rrb.EyeControls3D(
-        position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)))
+    view = rrb.Spatial3DView(
+        name="Plan",
+        origin=layout.WORLD,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)),
+    )
     try:
         rec.save(str(file), default_blueprint=rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1])))
     except (OSError, RuntimeError) as error:
@@ -39,8 +43,17 @@ def draw(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Tr
         centres = se3.apply(station.T_base_station, artefact.centres)
         scene.log_balls(rec, station.id, artefact, dict(zip(artefact.ball_ids, centres, strict=True)))
     low, high = (np.array([getattr(o, k) for o in loaded.plan.obstacles], dtype=float).reshape(-1, 3) for k in ("min_mm", "max_mm"))
-    rec.log(f"{layout.WORLD}/obstacles", rr.Boxes3D(centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=[OBSTACLE],
-                                                    labels=[o.name for o in loaded.plan.obstacles], show_labels=False), static=True)
+    rec.log(
+        f"{layout.WORLD}/obstacles",
+        rr.Boxes3D(
+            centers=(low + high) / 2,
+            half_sizes=(high - low) / 2,
+            colors=[OBSTACLE],
+            labels=[o.name for o in loaded.plan.obstacles],
+            show_labels=False,
+        ),
+        static=True,
+    )
     last = np.radians(loaded.plan.robot.home_deg)
     for pose, transit, start, end in zip(poses, transits, starts, [*starts[1:], starts[-1] + 5.0], strict=True):
         stops = np.array([last, *transit, pose.q])

@@ -42,12 +42,13 @@ class Recording:
             stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
         if not stores:
             raise RecordingError(
-                f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it")
+                f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it"
+            )
         self._store = stores[0]
         try:
             self._indexed = self._reader.store(store=self._store)
         except (RuntimeError, ValueError):
-            self._indexed = None              # no footer: the run was cut short, the file is read from end to end
+            self._indexed = None  # no footer: the run was cut short, the file is read from end to end
 
     @property
     def recording_id(self) -> str:
@@ -101,10 +102,20 @@ class Recording:
         """Every scan in the order taken, one at a time."""
         for row in _rows(self._stream(layout.SCAN)):
             if "positions" in row and "exposure_us" in row:
-                yield RecordedScan(int(row["pose"][0]), int(row["exposure"][0]), Scan(
-                    points=row["positions"].reshape(-1, 3), intensity=row.get("intensity"), shape=tuple(row["shape"].tolist()),
-                    pixel=row.get("pixel"), time_s=float(row["time_s"][0]), frame=int(row["frame"][0]),
-                    exposure_us=float(row["exposure_us"][0]), measurements=_mapping(row, "measurements")))
+                yield RecordedScan(
+                    int(row["pose"][0]),
+                    int(row["exposure"][0]),
+                    Scan(
+                        points=row["positions"].reshape(-1, 3),
+                        intensity=row.get("intensity"),
+                        shape=tuple(row["shape"].tolist()),
+                        pixel=row.get("pixel"),
+                        time_s=float(row["time_s"][0]),
+                        frame=int(row["frame"][0]),
+                        exposure_us=float(row["exposure_us"][0]),
+                        measurements=_mapping(row, "measurements"),
+                    ),
+                )
 
     def observed(self) -> list[Row]:
         """The pose observations, in the order made."""
@@ -162,13 +173,15 @@ class _named_errors:
 
     def __enter__(self) -> None:
         self._warnings.__enter__()
-        warnings.simplefilter("ignore")   # a file without footer is read as well as one with
+        warnings.simplefilter("ignore")  # a file without footer is read as well as one with
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         self._warnings.__exit__(kind, error, trace)
         if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
-            raise RecordingError(f"{self._path} is torn or is no .rrd file ({str(error).splitlines()[0]}); "
-                                 f"make what is left of it readable: mbcacq recover {self._path}") from None
+            raise RecordingError(
+                f"{self._path} is torn or is no .rrd file ({str(error).splitlines()[0]}); "
+                f"make what is left of it readable: mbcacq recover {self._path}"
+            ) from None
 
 
 def _rows(batches: Iterable[pa.RecordBatch]) -> Iterator[Row]:

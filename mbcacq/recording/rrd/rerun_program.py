@@ -28,8 +28,15 @@ def program() -> str:
 
 def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
     """Run it to its end; its group is killed when the time is over."""
-    child = subprocess.Popen([program(), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
-                             errors="replace", start_new_session=True)
+    child = subprocess.Popen(
+        [program(), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    )
     try:
         out, err = child.communicate(timeout=timeout_s)
     except BaseException as error:

@@ -16,7 +16,7 @@ from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.reader import open_recordings
 
-BALL_ARROW_MM, SPACE_ARROW = 25.0, 0.12   # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
+BALL_ARROW_MM, SPACE_ARROW = 25.0, 0.12  # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
 BEFORE, AFTER = (230, 159, 0), (86, 180, 233)
 CERTIFIED = (240, 228, 66)
 AXES = ("x", "y", "z")
@@ -78,8 +78,10 @@ def _scales(obs: Observations, after: CellState, errors: dict[str, np.ndarray], 
     large = {name: float(np.percentile(np.linalg.norm(error[shown], axis=1), 95)) for name, error in errors.items()}
     places = _in_base(obs, after)[0][shown]
     extent = float(np.max(np.subtract(*np.percentile(places, [90, 10], axis=0))))
-    return Enlarged(pose=round_scale(BALL_ARROW_MM / max(large["after"], 1e-9)),
-                    all=round_scale(SPACE_ARROW * max(extent, 100.0) / max(max(large.values()), 1e-9)))
+    return Enlarged(
+        pose=round_scale(BALL_ARROW_MM / max(large["after"], 1e-9)),
+        all=round_scale(SPACE_ARROW * max(extent, 100.0) / max(max(large.values()), 1e-9)),
+    )
 
 
 def _in_base(obs: Observations, state: CellState) -> tuple[np.ndarray, np.ndarray]:
@@ -106,16 +108,30 @@ def _log_pose(stream: rr.RecordingStream, obs: Observations, k: int, after: Cell
         stream.log(f"{layout.RESIDUAL}/{name}", rr.Scalars(1e3 * error[mine].mean(axis=0)))
         stream.log(f"{layout.RMS_POSE}/{name}", rr.Scalars(1e3 * _rms(error[mine])))
     ball = np.array(obs.cell.ball_ids)[obs.ball[mine]]
-    stream.log(layout.RESIDUAL_BALL, rows.row(layout.RESIDUAL_ARCHETYPE, pose=int(obs.pose_id[k]), ball=ball,
-                                              **{f"{name}_mm": error[mine] for name, error in errors.items()}))
+    stream.log(
+        layout.RESIDUAL_BALL,
+        rows.row(
+            layout.RESIDUAL_ARCHETYPE, pose=int(obs.pose_id[k]), ball=ball, **{f"{name}_mm": error[mine] for name, error in errors.items()}
+        ),
+    )
     T = after.chain.flange(obs.q[[k]])[0] @ after.T_flange_scanner
     origins = se3.apply(T, obs.xyz[mine])
-    stream.log(layout.ARROWS, rr.Arrows3D(origins=origins, vectors=scale * errors["after"][mine] @ T[:3, :3].T, colors=[AFTER],
-                                          radii=[0.8], labels=[f"ball {b}" for b in ball], show_labels=False))
+    stream.log(
+        layout.ARROWS,
+        rr.Arrows3D(
+            origins=origins,
+            vectors=scale * errors["after"][mine] @ T[:3, :3].T,
+            colors=[AFTER],
+            radii=[0.8],
+            labels=[f"ball {b}" for b in ball],
+            show_labels=False,
+        ),
+    )
 
 
-def _log_all(stream: rr.RecordingStream, obs: Observations, after: CellState, errors: dict[str, np.ndarray], shown: np.ndarray,
-             scale: float | None) -> None:
+def _log_all(
+    stream: rr.RecordingStream, obs: Observations, after: CellState, errors: dict[str, np.ndarray], shown: np.ndarray, scale: float | None
+) -> None:
     """Every error at once, and the rms of each ball."""
     if scale is None:
         return
@@ -125,8 +141,11 @@ def _log_all(stream: rr.RecordingStream, obs: Observations, after: CellState, er
     for name, error in errors.items():
         colour = BEFORE if name == "before" else AFTER
         vectors = scale * np.einsum("mij,mj->mi", turn[shown], error[shown])
-        stream.log(f"{layout.ALL_ARROWS}/{name}", rr.Arrows3D(origins=origins[shown], vectors=vectors, colors=[colour],
-                                                              radii=[rr.Radius.ui_points(0.6)]), static=True)
+        stream.log(
+            f"{layout.ALL_ARROWS}/{name}",
+            rr.Arrows3D(origins=origins[shown], vectors=vectors, colors=[colour], radii=[rr.Radius.ui_points(0.6)]),
+            static=True,
+        )
         rms = [1e3 * _rms(error[shown & (obs.ball == b)]) for b in seen]
         stream.log(f"{layout.RMS_BALL}/{name}", rr.BarChart(rms, abscissa=ids[seen], color=colour), static=True)
 
@@ -144,9 +163,12 @@ def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray
     lengths = {name: 1e3 * np.linalg.norm(error[shown], axis=1) for name, error in errors.items()}
     for label, of in (("3D rms, um", lambda v: np.sqrt(np.mean(v**2))), ("median, um", np.median), ("largest, um", np.max)):
         lines.append(f"| {label} | " + " | ".join(f"{of(v):.1f}" for v in lengths.values()) + " |")
-    lines += ["", "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell.",
-              f"Arrows here are {scale.all:g} times, those of the tab Cell {scale.pose:g} times as long as the errors.",
-              "The whole result with uncertainties: report.html in the folder of the run."]
+    lines += [
+        "",
+        "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell.",
+        f"Arrows here are {scale.all:g} times, those of the tab Cell {scale.pose:g} times as long as the errors.",
+        "The whole result with uncertainties: report.html in the folder of the run.",
+    ]
     ids = np.array(obs.cell.ball_ids)
     lines += ["", "| ball | " + " | ".join(f"{name}, 3D rms, um" for name in errors) + " |", "|---|" + "---|" * len(errors)]
     for b in np.unique(obs.ball[shown]):
@@ -162,8 +184,15 @@ def _log_stations(stream: rr.RecordingStream, obs: Observations, after: CellStat
         entity = f"{layout.CALIBRATED}/{rr.escape_entity_path_part(station.id)}"
         move = scene.transforms(after.T_base_station[[s]])
         own = obs.cell.ball_artefact == obs.cell.artefacts.index(artefact)
-        stream.log(entity, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]),
-                   rr.TransformAxes3D(axis_length=30.0), static=True)
+        stream.log(
+            entity,
+            rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]),
+            rr.TransformAxes3D(axis_length=30.0),
+            static=True,
+        )
         half = np.repeat(np.maximum(artefact.diameters / 2, 1.0)[:, None], 3, axis=1)
-        stream.log(f"{entity}/certified", rr.Ellipsoids3D(centers=after.balls[own], half_sizes=half, colors=[CERTIFIED],
-                                                          line_radii=[rr.Radius.ui_points(0.6)]), static=True)
+        stream.log(
+            f"{entity}/certified",
+            rr.Ellipsoids3D(centers=after.balls[own], half_sizes=half, colors=[CERTIFIED], line_radii=[rr.Radius.ui_points(0.6)]),
+            static=True,
+        )

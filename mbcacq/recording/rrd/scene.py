@@ -18,7 +18,7 @@ ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 9
 HOUSING, VIEW, BALL, BAR = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168)
 CURVES = [(86, 180, 233), (230, 159, 0), (0, 190, 140), (213, 94, 0), (204, 121, 167), (240, 228, 66), (150, 160, 255), (180, 180, 180)]
 MARKERS = ["circle", "diamond", "square", "up", "cross", "plus"]
-LARGEST_BOX = 2000.0       # mm
+LARGEST_BOX = 2000.0  # mm
 SHAFT = 1e-6  # mm; a shorter offset is no link to draw
 
 
@@ -33,8 +33,15 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
     if view:
         _log_scanner(rec, _field_of_view(plan_yaml))
     log_series(rec, cell.robot.n)
-    states = {"connecting": (130, 130, 130), "moving": (86, 180, 233), "settling": (240, 228, 66), "scanning": (0, 190, 140),
-              "waiting": (204, 121, 167), "paused": (230, 159, 0), "stopped": (120, 60, 60)}
+    states = {
+        "connecting": (130, 130, 130),
+        "moving": (86, 180, 233),
+        "settling": (240, 228, 66),
+        "scanning": (0, 190, 140),
+        "waiting": (204, 121, 167),
+        "paused": (230, 159, 0),
+        "stopped": (120, 60, 60),
+    }
     rec.log(layout.STATE, rr.StateConfiguration(values=list(states), colors=list(states.values())), static=True)
 
 
@@ -45,11 +52,17 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
     for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
         rec.log(entity, rr.SeriesLines(names=axes, colors=colours, widths=[1.3]), static=True)
     rec.log(layout.SET, rr.SeriesLines(names=[f"{a} set" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True)
-    rec.log(layout.PERIOD, rr.SeriesLines(names=["controller, ms", "this computer, ms"], colors=[CURVES[0], CURVES[1]], widths=[1.3]),
-            static=True)
+    rec.log(
+        layout.PERIOD,
+        rr.SeriesLines(names=["controller, ms", "this computer, ms"], colors=[CURVES[0], CURVES[1]], widths=[1.3]),
+        static=True,
+    )
     rec.log(layout.DELAY, rr.SeriesLines(names=["late answers"], colors=[CURVES[3]], widths=[1.3]), static=True)
-    for entity, name, colour in ((layout.BALLS_FOUND, "balls found", CURVES[2]), (layout.FIT_RMS, "sphere fit rms, um", CURVES[0]),
-                                 (layout.SCATTER, "scatter between exposures, um", CURVES[1])):
+    for entity, name, colour in (
+        (layout.BALLS_FOUND, "balls found", CURVES[2]),
+        (layout.FIT_RMS, "sphere fit rms, um", CURVES[0]),
+        (layout.SCATTER, "scatter between exposures, um", CURVES[1]),
+    ):
         rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
 
 
@@ -72,9 +85,18 @@ def log_obstacles(rec: rr.RecordingStream, plan_yaml: str) -> None:
         return
     boxes = [(name, low, high) for name, low, high in boxes if np.max(high - low) <= LARGEST_BOX]
     if boxes:
-        rec.log(layout.OBSTACLES, rr.Boxes3D(
-            centers=[(low + high) / 2 for _, low, high in boxes], half_sizes=[(high - low) / 2 for _, low, high in boxes],
-            labels=[name for name, _, _ in boxes], show_labels=False, colors=[BASE], radii=[rr.Radius.ui_points(1.0)]), static=True)
+        rec.log(
+            layout.OBSTACLES,
+            rr.Boxes3D(
+                centers=[(low + high) / 2 for _, low, high in boxes],
+                half_sizes=[(high - low) / 2 for _, low, high in boxes],
+                labels=[name for name, _, _ in boxes],
+                show_labels=False,
+                colors=[BASE],
+                radii=[rr.Radius.ui_points(1.0)],
+            ),
+            static=True,
+        )
 
 
 def transforms(T: np.ndarray) -> dict[str, np.ndarray]:
@@ -102,8 +124,17 @@ def log_balls(rec: rr.RecordingStream, station: str, artefact: Artefact, balls: 
     centres = np.array(list(balls.values()))
     diameter = dict(zip(artefact.ball_ids, artefact.diameters, strict=True))
     radius = np.array([max(diameter[ball] / 2, 1.0) for ball in balls])
-    rec.log(entity, rr.Ellipsoids3D(centers=centres, half_sizes=np.repeat(radius[:, None], 3, axis=1), colors=[BALL],
-                                    fill_mode="solid", labels=[f"{station}: {ball}" for ball in balls], show_labels=False))
+    rec.log(
+        entity,
+        rr.Ellipsoids3D(
+            centers=centres,
+            half_sizes=np.repeat(radius[:, None], 3, axis=1),
+            colors=[BALL],
+            fill_mode="solid",
+            labels=[f"{station}: {ball}" for ball in balls],
+            show_labels=False,
+        ),
+    )
     if len(artefact.ball_ids) == 2 and len(balls) == 2:
         rec.log(f"{entity}/bar", rr.LineStrips3D([centres], colors=[BAR], radii=[float(radius.min()) * 0.4]))
 
@@ -112,10 +143,18 @@ def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
     reach = float(np.sum(np.hypot(chain.a, chain.d)))
     thick = 0.042 * reach * np.linspace(1.0, 0.42, chain.n)
     foot = max(0.45 * abs(float(chain.d[0])), 0.4 * thick[0])
-    rec.log(f"{layout.ROBOT}/base", rr.Cylinders3D(
-        lengths=[foot, 0.18 * foot], radii=[1.35 * thick[0], 1.9 * thick[0]], centers=[[0, 0, foot / 2], [0, 0, 0.09 * foot]],
-        colors=[BASE], fill_mode="solid"), static=True)
-    step = chain.link_transforms(-chain.sign * chain.theta[None])[0]   # joint turned to zero: the rigid part of each row
+    rec.log(
+        f"{layout.ROBOT}/base",
+        rr.Cylinders3D(
+            lengths=[foot, 0.18 * foot],
+            radii=[1.35 * thick[0], 1.9 * thick[0]],
+            centers=[[0, 0, foot / 2], [0, 0, 0.09 * foot]],
+            colors=[BASE],
+            fill_mode="solid",
+        ),
+        static=True,
+    )
+    step = chain.link_transforms(-chain.sign * chain.theta[None])[0]  # joint turned to zero: the rigid part of each row
     for i in range(chain.n):
         corner = se3.apply(se3.inverse(step[i]), np.array([[0.0, 0, 0], [0, 0, chain.d[i]], [chain.a[i], 0, chain.d[i]]]))
         axis = se3.inverse(step[i])[:3, 2]
@@ -124,9 +163,18 @@ def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
         last = i == chain.n - 1
         _log_capsules(rec, f"{layout.link(i + 1)}/body", corner, 0.8 * thick[i], FLANGE if last else ARM)
         if not last:
-            rec.log(f"{layout.link(i + 1)}/joint", rr.Cylinders3D(
-                lengths=[2.1 * thick[i]], radii=[1.02 * thick[i]], centers=[corner[0]], quaternions=[_z_to(axis)],
-                colors=[JOINT], fill_mode="solid"), static=True)
+            rec.log(
+                f"{layout.link(i + 1)}/joint",
+                rr.Cylinders3D(
+                    lengths=[2.1 * thick[i]],
+                    radii=[1.02 * thick[i]],
+                    centers=[corner[0]],
+                    quaternions=[_z_to(axis)],
+                    colors=[JOINT],
+                    fill_mode="solid",
+                ),
+                static=True,
+            )
     rec.log(f"{layout.link(chain.n)}/axes", rr.TransformAxes3D(axis_length=2.5 * float(thick[-1])), static=True)
 
 
@@ -136,16 +184,27 @@ def _log_capsules(rec: rr.RecordingStream, entity: str, corner: np.ndarray, radi
     real = length > SHAFT
     if not real.any():
         return
-    rec.log(entity, rr.Capsules3D(
-        lengths=length[real], radii=np.full(int(real.sum()), radius), translations=corner[:-1][real],
-        quaternions=[_z_to(v / n) for v, n in zip(run[real], length[real], strict=True)], colors=[colour], fill_mode="solid"), static=True)
+    rec.log(
+        entity,
+        rr.Capsules3D(
+            lengths=length[real],
+            radii=np.full(int(real.sum()), radius),
+            translations=corner[:-1][real],
+            quaternions=[_z_to(v / n) for v, n in zip(run[real], length[real], strict=True)],
+            colors=[colour],
+            fill_mode="solid",
+        ),
+        static=True,
+    )
 
 
 def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
     near, far = float(view["near_z_mm"]), float(view["far_z_mm"])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    faces = [np.column_stack([corners * np.array(half, dtype=float), np.full(4, z)])
-             for half, z in ((view["near_half_mm"], near), (view["far_half_mm"], far))]
+    faces = [
+        np.column_stack([corners * np.array(half, dtype=float), np.full(4, z)])
+        for half, z in ((view["near_half_mm"], near), (view["far_half_mm"], far))
+    ]
     edges = [np.vstack([face, face[:1]]) for face in faces] + [np.stack([faces[0][k], faces[1][k]]) for k in range(4)]
     rec.log(f"{layout.SCANNER}/view", rr.LineStrips3D(edges, colors=[VIEW], radii=[rr.Radius.ui_points(1.0)]), static=True)
     if body := view.get("body_mm"):
@@ -154,8 +213,11 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
         rec.log(f"{layout.SCANNER}/rays", rr.LineStrips3D(rays, colors=[(*VIEW, 90)], radii=[rr.Radius.ui_points(0.5)]), static=True)
     if body := view.get("body_mm"):
         low, high = np.array(body, dtype=float)
-        rec.log(f"{layout.SCANNER}/housing", rr.Boxes3D(centers=[(low + high) / 2], half_sizes=[(high - low) / 2], colors=[HOUSING],
-                                                        fill_mode="solid"), static=True)
+        rec.log(
+            f"{layout.SCANNER}/housing",
+            rr.Boxes3D(centers=[(low + high) / 2], half_sizes=[(high - low) / 2], colors=[HOUSING], fill_mode="solid"),
+            static=True,
+        )
     rec.log(f"{layout.SCANNER}/axes", rr.TransformAxes3D(axis_length=40.0), static=True)
 
 

@@ -14,7 +14,7 @@ import rerun as rr
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd import layout
 
-STALLED_S = 5              # without one byte more in the file, while there is something to write
+STALLED_S = 5  # without one byte more in the file, while there is something to write
 MARGIN_BYTES = 48 << 20
 TICK_S = 0.04
 
@@ -45,8 +45,10 @@ class Sink:
         free = shutil.disk_usage(self.path.parent).free
         if free < size + MARGIN_BYTES:
             self.stop_writing()
-            raise RecordingError(f"the disk of {self.path.parent} is almost full ({free >> 20} MiB free); what was measured is kept: "
-                                 "free some space and resume the run")
+            raise RecordingError(
+                f"the disk of {self.path.parent} is almost full ({free >> 20} MiB free); what was measured is kept: "
+                "free some space and resume the run"
+            )
 
     def foresee(self, done: int, poses: int) -> None:
         """Raise RecordingError if the poses to come will not fit, judged by the size of those done: early, when little is lost."""
@@ -54,8 +56,10 @@ class Sink:
         free = shutil.disk_usage(self.path.parent).free
         if free < need:
             self.stop_writing()
-            raise RecordingError(f"the run needs about {need >> 20} MiB more, {free >> 20} MiB are free in {self.path.parent}; "
-                                 "free some space and resume the run")
+            raise RecordingError(
+                f"the run needs about {need >> 20} MiB more, {free >> 20} MiB are free in {self.path.parent}; "
+                "free some space and resume the run"
+            )
 
     def push(self) -> None:
         """Set everything logged on its way to the file, without waiting."""
@@ -76,8 +80,10 @@ class Sink:
 
     def _lost(self, error: RuntimeError) -> RecordingError:
         self.abandon()
-        return RecordingError(f"the recording {self.path} can no longer be written ({error}); is the disk full? "
-                              f"What was written is kept: mbcacq recover {self.path}")
+        return RecordingError(
+            f"the recording {self.path} can no longer be written ({error}); is the disk full? "
+            f"What was written is kept: mbcacq recover {self.path}"
+        )
 
     def _wait(self) -> None:
         """Flush for as long as the file still grows: a writer that met an error may leave a flush waiting for ever."""
@@ -157,7 +163,6 @@ class _Syncer:
             try:
                 os.fsync(handle)
             except OSError:
-                pass   # the next flush reports a disk that does not take the data
+                pass  # the next flush reports a disk that does not take the data
             finally:
                 os.close(handle)
-

@@ -14,7 +14,7 @@ from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.reader import open_recordings
 
-TORQUE, JOINT_SIDE = "GearTorque", "AJPos"   # elements a controller may send: torque about the joints, N m; joint-side encoders, deg
+TORQUE, JOINT_SIDE = "GearTorque", "AJPos"  # elements a controller may send: torque about the joints, N m; joint-side encoders, deg
 
 
 def trajectory_of_run(path: Path | str) -> Trajectory:
@@ -28,8 +28,17 @@ def trajectory_of_run(path: Path | str) -> Trajectory:
     time_s, first = np.unique(joined["time_s"], return_index=True)
     taken = {name: values[first] for name, values in joined.items()}
     robot = parse_cell(recordings[0].text(layout.CELL), f"{path} (its cell description)").robot
-    return Trajectory(robot, time_s, taken["q"], q_set=_command(taken), q_joint=_joint_side(taken), torque=taken.get(TORQUE),
-                      current=taken.get("current_percent"), current_unit="percent", name=str(path))
+    return Trajectory(
+        robot,
+        time_s,
+        taken["q"],
+        q_set=_command(taken),
+        q_joint=_joint_side(taken),
+        torque=taken.get(TORQUE),
+        current=taken.get("current_percent"),
+        current_unit="percent",
+        name=str(path),
+    )
 
 
 def _command(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:

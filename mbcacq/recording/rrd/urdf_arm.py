@@ -14,7 +14,7 @@ from mbcacq.recording.rrd import layout
 
 INSTEAD = "the arm is drawn from its links instead"
 MOVING = ("revolute", "continuous")
-SAME_MM = 5.0              # flanges that move apart by more than this belong to different arms
+SAME_MM = 5.0  # flanges that move apart by more than this belong to different arms
 
 
 class UrdfArm:
@@ -51,11 +51,13 @@ class UrdfArm:
         low, high = np.clip(cell.robot.limits, -1.5, 1.5).T
         q = rng.uniform(low, high, size=(12, cell.robot.n))
         ours, theirs = cell.robot.chain.flange(q), self._forward(q)
-        steps = [se3.inverse(T[0]) @ T[1:] for T in (ours, theirs)]     # motions seen from the first posture, each in its flange's axes
+        steps = [se3.inverse(T[0]) @ T[1:] for T in (ours, theirs)]  # motions seen from the first posture, each in its flange's axes
         turn = [np.arccos(np.clip((np.trace(s[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1)) for s in steps]
         if np.abs(turn[0] - turn[1]).max() > 5e-3 or self._apart(ours, theirs) > SAME_MM:
-            raise ConfigError(f"{path}: its joints do not move as those of {cell.robot.name or 'the arm'}: another robot, or other "
-                              f"senses or zeros of the joints; {INSTEAD}")
+            raise ConfigError(
+                f"{path}: its joints do not move as those of {cell.robot.name or 'the arm'}: another robot, or other "
+                f"senses or zeros of the joints; {INSTEAD}"
+            )
 
     @staticmethod
     def _apart(ours: np.ndarray, theirs: np.ndarray) -> float:

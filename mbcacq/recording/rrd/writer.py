@@ -27,7 +27,7 @@ from mbcacq.recording.rrd.sink import Sink
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 START_FREE_BYTES = 256 << 20
-FORECAST_AFTER = 3         # poses whose size says how large the run will become
+FORECAST_AFTER = 3  # poses whose size says how large the run will become
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
@@ -50,8 +50,10 @@ class Recorder:
         if self.path.exists():
             raise RecordingError(f"{self.path} exists already; record into another folder, or resume the run")
         if free < START_FREE_BYTES:
-            raise RecordingError(f"only {free >> 20} MiB are free for {self.path}, {START_FREE_BYTES >> 20} MiB are needed to start; "
-                                 "free some space or choose another --out")
+            raise RecordingError(
+                f"only {free >> 20} MiB are free for {self.path}, {START_FREE_BYTES >> 20} MiB are needed to start; "
+                "free some space or choose another --out"
+            )
         header = read_run_header(folder) if part else None
         self._first_start = datetime.fromisoformat(header.started) if header else None
         self.recording_id = header.recording_id if header else str(uuid.uuid4())
@@ -59,11 +61,11 @@ class Recorder:
         self._rec = self._sink.stream
         self._cycles = CycleWriter(self._rec)
         self._lock = threading.RLock()
-        self._offset = 0.0                         # of this part's clock to the run's
-        self._clock = np.inf                       # time.monotonic() at the start of this part
+        self._offset = 0.0  # of this part's clock to the run's
+        self._clock = np.inf  # time.monotonic() at the start of this part
         self._pose: int | None = None
         self._step: int | None = None
-        self._started_s: float | None = None       # POSIX time of run time 0
+        self._started_s: float | None = None  # POSIX time of run time 0
         self._cell: Cell | None = None
         self._T_base_scanner = np.eye(4)
         self._drawing = Drawing(self._rec)
@@ -92,7 +94,8 @@ class Recorder:
                 self._failed = True
                 self._sink.stop_writing()
                 raise RecordingError(
-                    f"{type(event).__name__} cannot be recorded in {self.path}: {error}; what came before is kept") from error
+                    f"{type(event).__name__} cannot be recorded in {self.path}: {error}; what came before is kept"
+                ) from error
 
     def close(self) -> None:
         """Complete the file. Idempotent."""
@@ -132,8 +135,16 @@ class Recorder:
         rec.send_recording_name(event.name)
         rec.log(layout.PLAN, rr.TextDocument(event.plan_yaml), static=True)
         rec.log(layout.CELL, rr.TextDocument(event.cell_yaml), static=True)
-        about = rows.row(layout.RUN_ARCHETYPE, layout=layout.VERSION, name=event.name, started=event.started, n_poses=event.n_poses,
-                         offset_s=self._offset, versions_names=list(event.versions), versions_values=list(event.versions.values()))
+        about = rows.row(
+            layout.RUN_ARCHETYPE,
+            layout=layout.VERSION,
+            name=event.name,
+            started=event.started,
+            n_poses=event.n_poses,
+            offset_s=self._offset,
+            versions_names=list(event.versions),
+            versions_values=list(event.versions.values()),
+        )
         rec.log(layout.RUN, about, static=True)
         shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
         rec.send_blueprint(shown, make_active=False, make_default=True)

@@ -9,7 +9,7 @@ from typing import Any
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
-NAMED = 12   # pose numbers written out
+NAMED = 12  # pose numbers written out
 
 
 def find_gaps(folder: Path | str) -> list[str]:

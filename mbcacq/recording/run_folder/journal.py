@@ -35,7 +35,7 @@ class Journal:
     def close(self) -> None:
         with self._lock:
             for file in (self._journal, self._log):
-                with suppress(OSError):   # what a full disk did not take was said when it was written
+                with suppress(OSError):  # what a full disk did not take was said when it was written
                     file.close()
 
     def __enter__(self) -> Journal:
@@ -50,13 +50,22 @@ class Journal:
 
     @_write.register
     def _(self, event: events.RunStarted) -> None:
-        self._note(event.time_s, event="run_started", name=event.name, started=event.started, n_poses=event.n_poses,
-                   versions=dict(event.versions))
+        self._note(
+            event.time_s, event="run_started", name=event.name, started=event.started, n_poses=event.n_poses, versions=dict(event.versions)
+        )
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:
-        self._note(event.time_s, event="pose_done", pose=event.pose, station=event.station, phase=event.phase, step=event.step,
-                   balls=len(event.ball), robot_time_s=float(event.robot_time_s))
+        self._note(
+            event.time_s,
+            event="pose_done",
+            pose=event.pose,
+            station=event.station,
+            phase=event.phase,
+            step=event.step,
+            balls=len(event.ball),
+            robot_time_s=float(event.robot_time_s),
+        )
 
     @_write.register
     def _(self, event: events.Gap) -> None:

@@ -10,7 +10,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
-EMPTY = ".empty"   # added to the name of a recording that was torn before anything was in it
+EMPTY = ".empty"  # added to the name of a recording that was torn before anything was in it
 
 
 @dataclass(frozen=True)

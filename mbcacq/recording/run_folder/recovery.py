@@ -101,7 +101,7 @@ def _verified(path: Path) -> bool:
 
 def _summary(source: Path, output: Path) -> Recovered:
     recording = Recording(output)
-    recording.text(layout.CELL)   # without its cell a recording explains nothing
+    recording.text(layout.CELL)  # without its cell a recording explains nothing
     about = recording.about()
     poses = {int(row["pose"][0]) for row in recording.observed()}
     return Recovered(source, output, len(poses), len(recording.cycles()), "exit_status" in about)

@@ -13,7 +13,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.datasets.csvfile import write_text
 
 PLAN, FILES = "plan.yaml", "plan.files.json"
-SHOWN = 60   # characters of a value
+SHOWN = 60  # characters of a value
 
 
 def keep_plan(folder: Path, plan: str, files: Mapping[str, str], cell: str) -> None:
@@ -42,8 +42,10 @@ def refuse_change(folder: Path, plan: str, files: Mapping[str, str], cell: str) 
         more = f" (and {len(changed) - 1} more changes)" if len(changed) > 1 else ""
         raise ConfigError(f"{changed[0]}{more} since {folder} was recorded; take the change back, or start a new run")
     if kept.get("cell", cell) != cell:
-        raise ConfigError(f"{folder} was recorded with {kept['cell']}, this would go on with {cell}, and the two do not belong into one "
-                          "recording; give the same options as before, or start a new run")
+        raise ConfigError(
+            f"{folder} was recorded with {kept['cell']}, this would go on with {cell}, and the two do not belong into one "
+            "recording; give the same options as before, or start a new run"
+        )
 
 
 def _kept(folder: Path) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from mbcacq.recording.rrd import layout, rerun_program
 
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
-SETTLE_S, TAB_SETTLE_S = 7.0, 1.0   # until the viewer's notices have gone from the picture; until it turns to a tab
-STILL_S, DRAWN_TIMEOUT_S = 1.0, 60.0   # a picture that stays the same for so long is complete: what still loads turns
+SETTLE_S, TAB_SETTLE_S = 7.0, 1.0  # until the viewer's notices have gone from the picture; until it turns to a tab
+STILL_S, DRAWN_TIMEOUT_S = 1.0, 60.0  # a picture that stays the same for so long is complete: what still loads turns
 
 
 def files(path: Path | str) -> list[Path]:
@@ -41,9 +41,16 @@ def view(sources: Sequence[Path | str]) -> None:
         raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
     with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
-        command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]   # it would listen everywhere
-        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                                 errors="replace", start_new_session=True)
+        command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]  # it would listen everywhere
+        child = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
         try:
             _, err = child.communicate()
         except BaseException:
@@ -85,7 +92,7 @@ def _picture(client: Any, path: Path) -> Path:
         late = time.monotonic() > deadline
         try:
             client.save_screenshot(str(path))
-        except TimeoutError:            # a busy viewer
+        except TimeoutError:  # a busy viewer
             if late:
                 raise
             continue
@@ -166,8 +173,22 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
 
     port = _free_port()
     child = subprocess.Popen(
-        [rerun_program.program(), "--headless", "--port", str(port), "--bind", "127.0.0.1", "--hide-welcome-screen", "--window-size",
-         f"{size[0]}x{size[1]}"], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        [
+            rerun_program.program(),
+            "--headless",
+            "--port",
+            str(port),
+            "--bind",
+            "127.0.0.1",
+            "--hide-welcome-screen",
+            "--window-size",
+            f"{size[0]}x{size[1]}",
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     deadline = time.monotonic() + START_TIMEOUT_S
     try:
         while True:
@@ -177,8 +198,10 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
                 break
             except Exception as error:  # noqa: BLE001 the client raises whatever its transport does while the viewer starts
                 if child.poll() is not None or time.monotonic() > deadline:
-                    raise RecordingError("no picture could be made: the viewer does not start without a screen; "
-                                         "it needs a Vulkan driver, e.g. apt-get install mesa-vulkan-drivers") from error
+                    raise RecordingError(
+                        "no picture could be made: the viewer does not start without a screen; "
+                        "it needs a Vulkan driver, e.g. apt-get install mesa-vulkan-drivers"
+                    ) from error
                 time.sleep(0.2)
         try:
             yield client

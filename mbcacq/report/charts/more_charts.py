@@ -5,16 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from mbcacq.report.charts.calibration_charts import (
-    AFTER,
-    ESCAPES,
-    LIMIT,
-    LINE,
-    PHASES,
-    add_base,
-    look,
-    thinned,
-)
+from mbcacq.report.charts.calibration_charts import AFTER, ESCAPES, LIMIT, LINE, PHASES, add_base, look, thinned
 from mbcacq.report.content import AccuracyGrid, Devices, Residuals, Spheres
 
 MOST_STATIONS = 60

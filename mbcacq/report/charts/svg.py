@@ -25,14 +25,18 @@ def spacing_picture(data: Spacing) -> str:
     pitch = 26.0 if len(rows) <= 10 else 21.0
     head, foot = 30.0, 44.0
     bottom = head + pitch * len(rows)
-    out = [f'<svg class="picture" viewBox="0 0 {WIDTH:g} {bottom + foot:g}" role="img" '
-           f'aria-label="Sphere spacing error before and after calibration at {len(rows)} places" font-size="13">']
+    out = [
+        f'<svg class="picture" viewBox="0 0 {WIDTH:g} {bottom + foot:g}" role="img" '
+        f'aria-label="Sphere spacing error before and after calibration at {len(rows)} places" font-size="13">'
+    ]
     for value in ticks(top):
         x = LEFT + value * unit
         out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{head:g}" y2="{bottom:g}" stroke="#e4e4e4"/>')
         out.append(f'<text x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle" fill="#555">{value:g}</text>')
-    out.append(f'<text x="{(LEFT + WIDTH - RIGHT) / 2:.1f}" y="{bottom + 35:g}" text-anchor="middle" fill="#333">'
-               "size of the sphere spacing error / mm</text>")
+    out.append(
+        f'<text x="{(LEFT + WIDTH - RIGHT) / 2:.1f}" y="{bottom + 35:g}" text-anchor="middle" fill="#333">'
+        "size of the sphere spacing error / mm</text>"
+    )
     for k, row in enumerate(rows):
         y = head + pitch * k + 3
         thick = (pitch - 6) / 2
@@ -46,20 +50,26 @@ def spacing_picture(data: Spacing) -> str:
             out.append(f'<path d="M{low:.1f} {middle:.1f}H{high:.1f}M{high:.1f} {middle - 3:.1f}v6" stroke="#222" fill="none"/>')
     if data.limit is not None:
         x = LEFT + data.limit * unit
-        out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{head - 8:g}" y2="{bottom:g}" stroke="{LIMIT}" stroke-width="1.6" '
-                   'stroke-dasharray="5 3"/>')
+        out.append(
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{head - 8:g}" y2="{bottom:g}" stroke="{LIMIT}" stroke-width="1.6" '
+            'stroke-dasharray="5 3"/>'
+        )
     out.append(f'<line x1="{LEFT:g}" x2="{LEFT:g}" y1="{head:g}" y2="{bottom:g}" stroke="#222"/>')
     out.append(_legend(data.limit))
     return "".join([*out, "</svg>"])
 
 
 def _legend(limit: float | None) -> str:
-    out = (f'<rect x="{LEFT:g}" y="5" width="12" height="9" fill="{BEFORE}"/><text x="{LEFT + 17:g}" y="14">before</text>'
-           f'<rect x="{LEFT + 78:g}" y="5" width="12" height="9" fill="{AFTER}"/><text x="{LEFT + 95:g}" y="14">after, ± k = 2</text>')
+    out = (
+        f'<rect x="{LEFT:g}" y="5" width="12" height="9" fill="{BEFORE}"/><text x="{LEFT + 17:g}" y="14">before</text>'
+        f'<rect x="{LEFT + 78:g}" y="5" width="12" height="9" fill="{AFTER}"/><text x="{LEFT + 95:g}" y="14">after, ± k = 2</text>'
+    )
     if limit is None:
         return out
-    return out + (f'<path d="M{LEFT + 200:g} 10h22" stroke="{LIMIT}" stroke-width="1.6" stroke-dasharray="5 3"/>'
-                  f'<text x="{LEFT + 228:g}" y="14">limit {limit:g} mm</text>')
+    return out + (
+        f'<path d="M{LEFT + 200:g} 10h22" stroke="{LIMIT}" stroke-width="1.6" stroke-dasharray="5 3"/>'
+        f'<text x="{LEFT + 228:g}" y="14">limit {limit:g} mm</text>'
+    )
 
 
 def ticks(top: float) -> list[float]:

@@ -35,8 +35,9 @@ def devices_of(run: str | Path) -> Devices | None:
         health = _health(recordings)
     except MbcacqError:
         return None
-    return Devices(late, period, nominal, exposures if len(exposures) else None, sorted(states.items(), key=lambda item: -item[1]),
-                   lost(run), health)
+    return Devices(
+        late, period, nominal, exposures if len(exposures) else None, sorted(states.items(), key=lambda item: -item[1]), lost(run), health
+    )
 
 
 def _cycles(columns: list[dict[str, np.ndarray]]) -> tuple[np.ndarray | None, np.ndarray | None, float | None]:
@@ -68,8 +69,11 @@ def _health(recordings: list) -> list[tuple[str, str, str, str]]:
     for recording in recordings:
         for entity, values in recording.scalars(f"{layout.HEALTH}/**").items():
             found.setdefault(entity.removeprefix(f"/{layout.HEALTH}/").replace("/", ": ").replace("\\", ""), []).extend(values)
-    return [(name, *(f"{v:.6g}" for v in (min(values), max(values), values[-1]))) for name, values in sorted(found.items())
-            if values and (min(values) != max(values) or name.endswith("_C"))]
+    return [
+        (name, *(f"{v:.6g}" for v in (min(values), max(values), values[-1])))
+        for name, values in sorted(found.items())
+        if values and (min(values) != max(values) or name.endswith("_C"))
+    ]
 
 
 def lost(run: Path) -> list[str]:

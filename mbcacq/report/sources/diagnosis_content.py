@@ -14,11 +14,7 @@ VERDICTS = {
     "none": ("pass", "No effect found", "The simulation explains the recording down to the measured noise."),
     "explained": ("found", "Explained", "The effects below bring the simulation down to the measured noise."),
     "partly_explained": ("found", "Partly explained", "The effects below help, but structure remains."),
-    "unexplained": (
-        "fail",
-        "Unexplained",
-        "There is a mismatch that no effect of the catalogue describes.",
-    ),
+    "unexplained": ("fail", "Unexplained", "There is a mismatch that no effect of the catalogue describes."),
     "cannot_tell": ("none", "Cannot tell", "These poses do not let the candidates be told apart, or be seen."),
 }
 UNITS = {

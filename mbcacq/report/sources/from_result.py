@@ -28,8 +28,9 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
     try:
         return _content(result, observations, run_info or {})
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise ConfigError(f"the calibration result is damaged ({type(error).__name__}: {error}); "
-                          "write it anew with mbcacq calibrate") from error
+        raise ConfigError(
+            f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
+        ) from error
 
 
 def _content(result: Mapping[str, Any], observations: Observations | None, run_info: Mapping[str, Any]) -> Content:
@@ -50,17 +51,28 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
-        verdict=verdict, instrument=_instrument(result), headlines=headlines(spacing, result),
+        verdict=verdict,
+        instrument=_instrument(result),
+        headlines=headlines(spacing, result),
         next=next_action(verdict, spacing, result, diagnosis, str(run_info.get("folder") or "RUN")),
-        facts=_facts(result, run_info), fit=_fit(result), spacing=spacing, figures=_figures(result.get("verification")),
-        parameters=_parameters(result), accuracy=_accuracy(result.get("accuracy_map")), devices=run_info.get("devices"),
+        facts=_facts(result, run_info),
+        fit=_fit(result),
+        spacing=spacing,
+        figures=_figures(result.get("verification")),
+        parameters=_parameters(result),
+        accuracy=_accuracy(result.get("accuracy_map")),
+        devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else told(diagnosis, run_info.get("pictures")),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
-        noise=_noise(result), observability=_observability(result), correlation=_correlation(result),
+        noise=_noise(result),
+        observability=_observability(result),
+        correlation=_correlation(result),
         not_separable=[(" and ".join(c["parameters"]), float(c["correlation"])) for c in result.get("correlated", ())][:20],
         warnings=_warnings(result),
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
-        hashes=list(run_info.get("hashes") or ()), plan_yaml=str(run_info.get("plan_yaml") or ""), **found,
+        hashes=list(run_info.get("hashes") or ()),
+        plan_yaml=str(run_info.get("plan_yaml") or ""),
+        **found,
     )
 
 
@@ -73,13 +85,19 @@ def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacin
     more = []
     if verification.get("expected_mean_mm") is not None:
         more.append(("mean magnitude expected from the fit", f"{verification['expected_mean_mm']:.4f} mm"))
-    more += [(key.replace("_", " ").removesuffix(" mm"), f"{value:.4f} mm") for key, value in verification.items()
-             if key.endswith("_mm") and key not in ("limit_mm", "expected_mean_mm") and isinstance(value, float)]
+    more += [
+        (key.replace("_", " ").removesuffix(" mm"), f"{value:.4f} mm")
+        for key, value in verification.items()
+        if key.endswith("_mm") and key not in ("limit_mm", "expected_mean_mm") and isinstance(value, float)
+    ]
     return Spacing(
         [f"{p['station']}" + (f": {p['balls'][0]}–{p['balls'][1]}" if several else "") for p in places],
         *(np.array([p[key] for p in places], dtype=float) for key in ("certified_mm", "before_mm", "after_mm")),
-        sigma=None if any(e is None for e in expected) else np.array(expected, dtype=float), limit=verification.get("limit_mm"), more=more,
-        independent=not any(str(p["station"]) in fitted for p in places))
+        sigma=None if any(e is None for e in expected) else np.array(expected, dtype=float),
+        limit=verification.get("limit_mm"),
+        more=more,
+        independent=not any(str(p["station"]) in fitted for p in places),
+    )
 
 
 def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str, str, str]]:
@@ -92,8 +110,11 @@ def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str
     def name(figure: Mapping[str, Any]) -> str:
         return figure["name"] + (f", largest of {figure['count']}" if figure["count"] > 1 else "")
 
-    return [(name(f), mm(f["value_mm"]), mm(f["uncertainty_mm"]), mm(f["limit_mm"]), words[f["verdict"]])
-            for f in (verification or {}).get("figures", ()) if f["value_mm"] is not None]
+    return [
+        (name(f), mm(f["value_mm"]), mm(f["uncertainty_mm"]), mm(f["limit_mm"]), words[f["verdict"]])
+        for f in (verification or {}).get("figures", ())
+        if f["value_mm"] is not None
+    ]
 
 
 def _accuracy(data: Mapping[str, Any] | None) -> AccuracyGrid | None:
@@ -165,8 +186,10 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
 
 def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     noise = result["noise"]
-    out = [(f"{_instrument(result)}, one centre along x, y, z", ", ".join(f"{1e3 * v:.1f}" for v in noise["scanner_mm"]) + " µm"),
-           ("joint repeatability, A1 …", ", ".join(f"{1e6 * v:.1f}" for v in noise["joint_rad"]) + " µrad")]
+    out = [
+        (f"{_instrument(result)}, one centre along x, y, z", ", ".join(f"{1e3 * v:.1f}" for v in noise["scanner_mm"]) + " µm"),
+        ("joint repeatability, A1 …", ", ".join(f"{1e6 * v:.1f}" for v in noise["joint_rad"]) + " µrad"),
+    ]
     if noise.get("turn_rad") is not None:
         out.append(("orientation of the target", f"{1e6 * noise['turn_rad']:.1f} µrad"))
     if noise.get("check_factor"):
@@ -198,8 +221,10 @@ def _warnings(result: Mapping[str, Any]) -> list[str]:
     out = []
     factor = result["noise"].get("check_factor")
     if factor and max(factor) > SUSPICIOUS:
-        out.append(f"The residuals need {max(factor):.1f} times the noise that was stated for the {_instrument(result)}: "
-                   "something is not in the model. mbcacq diagnose looks for it.")
+        out.append(
+            f"The residuals need {max(factor):.1f} times the noise that was stated for the {_instrument(result)}: "
+            "something is not in the model. mbcacq diagnose looks for it."
+        )
     if gaps := result.get("gaps"):
         more = f"; and {len(gaps) - 2} more, under Devices and timing" if len(gaps) > 2 else ""
         out.append(f"The recording lacks something: {'; '.join(map(str, gaps[:2]))}{more}.")

@@ -11,8 +11,13 @@ from mbcacq.model.observations import Observations
 from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
-def residuals(observations: Observations, state: CellState, point_mm: np.ndarray | None, joint_rad: np.ndarray | None,
-              rejected: set[tuple[int, int | None]] = frozenset()) -> Residuals:
+def residuals(
+    observations: Observations,
+    state: CellState,
+    point_mm: np.ndarray | None,
+    joint_rad: np.ndarray | None,
+    rejected: set[tuple[int, int | None]] = frozenset(),
+) -> Residuals:
     """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
 
     point_mm: (3,) sigma of a centre; joint_rad: (n,) repeatability of each axis. rejected: (pose number, ball id or None for all).

@@ -150,16 +150,16 @@ class FakeModbus:
         table = _TABLE.get(function, "holding")
         memory = self.memory[table]
         if wanted:
-            memory[address:address + len(wanted)] = [int(v) for v in wanted]
+            memory[address : address + len(wanted)] = [int(v) for v in wanted]
             self._written(table, address, len(wanted))
             return None
         self._refresh()
         if table in ("coil", "discrete"):
             first = address // 16
             for word in range(first, first + count):
-                current[word - start] = sum(bit << k for k, bit in enumerate(memory[16 * word:16 * word + 16]))
+                current[word - start] = sum(bit << k for k, bit in enumerate(memory[16 * word : 16 * word + 16]))
         else:
-            current[address - start:address - start + count] = memory[address:address + count]
+            current[address - start : address - start + count] = memory[address : address + count]
         return None
 
     def _written(self, table: str, address: int, count: int) -> None:
@@ -181,4 +181,4 @@ class FakeModbus:
             elif register.bit is not None:
                 memory[at] = memory[at] & ~(1 << register.bit) | int(bool(value)) << register.bit
             else:
-                memory[at:at + register.count] = register.encode(value)
+                memory[at : at + register.count] = register.encode(value)

@@ -23,9 +23,18 @@ class SerialLine:
     Faults: ``silent`` says nothing; ``spoil(bytes)`` changes what is said, None breaks the connection. heard: lines that came.
     """
 
-    def __init__(self, answer: Callable[[str], str | None] = lambda line: None, speak: Callable[[], str | None] | None = None, *,
-                 period_s: float = 0.02, pty: bool = False, link: str | None = None, host: str = "127.0.0.1", port: int = 0,
-                 end: str = "\r\n") -> None:
+    def __init__(
+        self,
+        answer: Callable[[str], str | None] = lambda line: None,
+        speak: Callable[[], str | None] | None = None,
+        *,
+        period_s: float = 0.02,
+        pty: bool = False,
+        link: str | None = None,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        end: str = "\r\n",
+    ) -> None:
         self._answer, self._speak, self._period, self._end = answer, speak, period_s, end
         self.silent, self.heard = False, []
         self.spoil: Callable[[bytes], bytes | None] = lambda data: data
@@ -69,7 +78,7 @@ class SerialLine:
             raise OSError("there are no pseudo-terminals on Windows; use a TCP port")
         import tty
 
-        self._master, self._slave = os.openpty()    # ours stays open, so that a client may come and go
+        self._master, self._slave = os.openpty()  # ours stays open, so that a client may come and go
         tty.setraw(self._slave)
         self.url = os.ttyname(self._slave)
         if self._link is not None:
@@ -129,5 +138,5 @@ class SerialLine:
             return True
         data = self.spoil(f"{text}{self._end}".encode())
         while data:
-            data = data[os.write(descriptor, data):]
+            data = data[os.write(descriptor, data) :]
         return data is not None

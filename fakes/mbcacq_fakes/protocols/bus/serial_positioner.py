@@ -13,7 +13,7 @@ from mbcacq_fakes.protocols.bus.line_for import fill, names, template
 from mbcacq_fakes.protocols.bus.modbus import FakePositioner
 from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 
-IDLE = "BUSY"       # said where a pattern must not match
+IDLE = "BUSY"  # said where a pattern must not match
 
 
 class FakeSerialPositioner(SerialLine):

@@ -46,9 +46,18 @@ def main() -> None:
     done = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: done.set())
-    with FakeGocator(lambda exposure_us: frame, host=given.host, control_port=given.control_port, health_port=given.health_port,
-                     data_port=given.data_port, discovery=given.discovery, model=given.model, generation=given.generation,
-                     uniform=given.uniform, scan_time_s=given.scan_time) as sensor:
+    with FakeGocator(
+        lambda exposure_us: frame,
+        host=given.host,
+        control_port=given.control_port,
+        health_port=given.health_port,
+        data_port=given.data_port,
+        discovery=given.discovery,
+        model=given.model,
+        generation=given.generation,
+        uniform=given.uniform,
+        scan_time_s=given.scan_time,
+    ) as sensor:
         print(json.dumps({"host": given.host, **sensor.ports._asdict(), "model": given.model, "serial": sensor.serial}), flush=True)
         done.wait()
 

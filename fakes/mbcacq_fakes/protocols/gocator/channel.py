@@ -61,8 +61,8 @@ def _frame(identifier: int, status: int, payload: bytes = b"") -> bytes:
 
 def _streamed(identifier: int, data: bytes) -> bytes:
     frames = [_frame(identifier, OK, struct.pack("<II", len(data), 0))]
-    for start in range(0, len(data) + _PIECE, _PIECE):    # the last piece is empty and says so
-        piece = data[start:start + _PIECE]
+    for start in range(0, len(data) + _PIECE, _PIECE):  # the last piece is empty and says so
+        piece = data[start : start + _PIECE]
         frames.append(_frame(_CHUNK, OK, struct.pack("<III", len(data), min(start + _PIECE, len(data)), len(piece)) + piece))
     return b"".join(frames)
 

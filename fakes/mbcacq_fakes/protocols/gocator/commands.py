@@ -22,21 +22,46 @@ Handler = Callable[["FakeGocator", bytes], bytes]
 
 # No reply payload and no effect that a client could see: change password, buddies, alignment clearing, replay, seek, step,
 # statistics, outputs, log, date and time, address, factory restore, ping...
-ACCEPTED = frozenset({
-    0x4004, 0x4005, 0x4011, 0x4012, 0x4013, 0x101E, 0x3013, 0x100E, 0x4301, 0x1014, 0x4102, 0x4513, 0x4503, 0x4501, 0x4526, 0x4518,
-    0x4519, 0x4538, 0x460A, 0x4610, 0x101D, 0x4003,
-})
+ACCEPTED = frozenset(
+    {
+        0x4004,
+        0x4005,
+        0x4011,
+        0x4012,
+        0x4013,
+        0x101E,
+        0x3013,
+        0x100E,
+        0x4301,
+        0x1014,
+        0x4102,
+        0x4513,
+        0x4503,
+        0x4501,
+        0x4526,
+        0x4518,
+        0x4519,
+        0x4538,
+        0x460A,
+        0x4610,
+        0x101D,
+        0x4003,
+    }
+)
 # number of the setter, number of the getter, struct code, name among ``sensor.settings``
 _SETTINGS = (
-    (0x4103, 0x4104, "i", "alignment_reference"), (0x4516, 0x4517, "B", "recording"), (0x4523, 0x4524, "i", "playback_source"),
-    (0x452B, 0x452C, "B", "autostart"), (0x4540, 0x4541, "B", "quick_edit"),
+    (0x4103, 0x4104, "i", "alignment_reference"),
+    (0x4516, 0x4517, "B", "recording"),
+    (0x4523, 0x4524, "i", "playback_source"),
+    (0x452B, 0x452C, "B", "autostart"),
+    (0x4540, 0x4541, "B", "quick_edit"),
 )
 
 
 def name_at(payload: bytes, at: int = 0, size: int = 64) -> str:
     if len(payload) < at + size:
         raise CommandRefused(BAD_PARAMETER)
-    return payload[at:at + size].split(b"\0", 1)[0].decode("utf-8", "replace")
+    return payload[at : at + size].split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
 def block(data: bytes) -> bytes:
@@ -48,8 +73,15 @@ def name_list(names: list[str]) -> bytes:
 
 
 def _record(sensor: FakeGocator, names: bool) -> bytes:
-    fixed = struct.pack("<I4s32s4sii", sensor.serial, socket.inet_aton(sensor.address), sensor.part_number.encode(),
-                        bytes(sensor.firmware), 1 if sensor.running else 0, 0)
+    fixed = struct.pack(
+        "<I4s32s4sii",
+        sensor.serial,
+        socket.inet_aton(sensor.address),
+        sensor.part_number.encode(),
+        bytes(sensor.firmware),
+        1 if sensor.running else 0,
+        0,
+    )
     return fixed + struct.pack("32s32s", sensor.model.encode(), sensor.model.encode()) if names else fixed
 
 
@@ -65,8 +97,25 @@ def _system_info_2(sensor: FakeGocator, payload: bytes) -> bytes:
 def _states(sensor: FakeGocator, payload: bytes) -> bytes:
     seconds, microseconds = divmod(int(sensor.uptime_s * 1e6), 1_000_000)
     setting = sensor.settings
-    items = [1 if sensor.running else 0, 0, setting["alignment_reference"], 1, setting["recording"], setting["playback_source"],
-             seconds, microseconds, 0, 0, setting["autostart"], 0, 0, 0, setting["quick_edit"], 0, 0]
+    items = [
+        1 if sensor.running else 0,
+        0,
+        setting["alignment_reference"],
+        1,
+        setting["recording"],
+        setting["playback_source"],
+        seconds,
+        microseconds,
+        0,
+        0,
+        setting["autostart"],
+        0,
+        0,
+        0,
+        setting["quick_edit"],
+        0,
+        0,
+    ]
     items = items[:11] if sensor.generation < 5 else items
     return struct.pack(f"<I{len(items)}i", len(items), *items)
 
@@ -79,7 +128,7 @@ def _write_file(sensor: FakeGocator, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 64)
     if len(payload) < 68 + size:
         raise CommandRefused(BAD_PARAMETER)
-    sensor.files.write(name_at(payload), payload[68:68 + size])
+    sensor.files.write(name_at(payload), payload[68 : 68 + size])
     return b""
 
 
@@ -106,6 +155,7 @@ def _setter(code: str, name: str) -> Handler:
     def handle(sensor: FakeGocator, payload: bytes) -> bytes:
         (sensor.settings[name],) = struct.unpack_from("<" + code, payload)
         return b""
+
     return handle
 
 
@@ -117,7 +167,7 @@ def _set_variables(sensor: FakeGocator, payload: bytes) -> bytes:
     first, count = struct.unpack_from("<II", payload)
     if first + count > len(sensor.variables):
         raise CommandRefused(BAD_PARAMETER)
-    sensor.variables[first:first + count] = struct.unpack_from(f"<{count}i", payload, 8)
+    sensor.variables[first : first + count] = struct.unpack_from(f"<{count}i", payload, 8)
     return b""
 
 
@@ -125,14 +175,14 @@ def _get_variables(sensor: FakeGocator, payload: bytes) -> bytes:
     first, count = struct.unpack_from("<II", payload)
     if first + count > len(sensor.variables):
         raise CommandRefused(BAD_PARAMETER)
-    return struct.pack(f"<II{count}i", first, count, *sensor.variables[first:first + count])
+    return struct.pack(f"<II{count}i", first, count, *sensor.variables[first : first + count])
 
 
 def _set_flag(sensor: FakeGocator, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 256)
     if len(sensor.flags) >= 1000:
         raise CommandRefused(BAD_PARAMETER)
-    sensor.flags[name_at(payload, size=256)] = payload[260:260 + size]
+    sensor.flags[name_at(payload, size=256)] = payload[260 : 260 + size]
     return b""
 
 
@@ -145,9 +195,11 @@ def _get_flag(sensor: FakeGocator, payload: bytes) -> bytes:
 
 def _action(name: str) -> Handler:
     """A method of the sensor that takes nothing and gives nothing."""
+
     def handle(sensor: FakeGocator, payload: bytes) -> bytes:
         getattr(sensor, name)()
         return b""
+
     return handle
 
 
@@ -194,8 +246,4 @@ HANDLERS: dict[int, Handler] = {
 }
 
 # Answered by a total and progress, then pushed in pieces as replies numbered 0x5000.
-STREAMED: dict[int, Handler] = {
-    0x4529: lambda s, p: s.files.read(name_at(p)),
-    0x4507: lambda s, p: b"",
-    0x4508: lambda s, p: b"",
-}
+STREAMED: dict[int, Handler] = {0x4529: lambda s, p: s.files.read(name_at(p)), 0x4507: lambda s, p: b"", 0x4508: lambda s, p: b""}

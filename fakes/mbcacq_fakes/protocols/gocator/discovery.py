@@ -69,7 +69,7 @@ class Discovery:
         if length != len(request) or signature != SIGNATURE or serial not in (0, self._sensor.serial):
             return None
         if kind == GET_ADDRESS:
-            addresses = (self._ip, b"\xff\xff\xff\0", bytes(4), bytes(4))    # own, mask, gateway, spare
+            addresses = (self._ip, b"\xff\xff\xff\0", bytes(4), bytes(4))  # own, mask, gateway, spare
             body = struct.pack("<QQ", self._sensor.serial, 0) + b"".join(bytes(4) + a for a in addresses)
         elif kind == SET_ADDRESS:
             body = struct.pack("<Q", self._sensor.serial)
@@ -86,14 +86,37 @@ class Discovery:
     def _info(self) -> bytes:
         major, minor, release, build = self._sensor.firmware
         ports = self._sensor.ports
-        return struct.pack("<IIQBB4s12sIB4s12s5H", self._sensor.serial, major << 24 | minor << 16 | release << 8 | build,
-                           int(self._sensor.uptime_s * 1e6), 0, 4, self._ip, bytes(12), 24, 4, bytes(4), bytes(12),
-                           ports.control, _UPGRADE_PORT, ports.health, ports.data, _WEB_PORT)
+        return struct.pack(
+            "<IIQBB4s12sIB4s12s5H",
+            self._sensor.serial,
+            major << 24 | minor << 16 | release << 8 | build,
+            int(self._sensor.uptime_s * 1e6),
+            0,
+            4,
+            self._ip,
+            bytes(12),
+            24,
+            4,
+            bytes(4),
+            bytes(12),
+            ports.control,
+            _UPGRADE_PORT,
+            ports.health,
+            ports.data,
+            _WEB_PORT,
+        )
 
     def _properties(self) -> bytes:
         family = f"G{self._sensor.model[:1]}x00"
-        pairs = {"PartNumber": self._sensor.part_number, "ModelNumber": self._sensor.model, "ModelDisplayName": self._sensor.model,
-                 "Family": family, "OpMode": "1", "AccelSensorIpVersion": "4", "AccelSensorIp": "0.0.0.0"}
+        pairs = {
+            "PartNumber": self._sensor.part_number,
+            "ModelNumber": self._sensor.model,
+            "ModelDisplayName": self._sensor.model,
+            "Family": family,
+            "OpMode": "1",
+            "AccelSensorIpVersion": "4",
+            "AccelSensorIp": "0.0.0.0",
+        }
         return bytes([len(pairs)]) + b"".join(bytes([len(t)]) + t for pair in pairs.items() for t in (v.encode() for v in pair))
 
 

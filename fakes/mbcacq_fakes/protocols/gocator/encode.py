@@ -18,8 +18,19 @@ _INVALID_VALUE = -2147483648
 _MISSING = {4: 16, 5: 8, 6: 0}
 
 
-def data_set(frame: ScannerFrame, *, exposure_us: float, ticks: int, index: int, serial: int, encoder: int = 0, uniform: bool = False,
-             intensity: bool = True, generation: int = 6, volume: tuple[np.ndarray, np.ndarray] | None = None) -> list[bytearray]:
+def data_set(
+    frame: ScannerFrame,
+    *,
+    exposure_us: float,
+    ticks: int,
+    index: int,
+    serial: int,
+    encoder: int = 0,
+    uniform: bool = False,
+    intensity: bool = True,
+    generation: int = 6,
+    volume: tuple[np.ndarray, np.ndarray] | None = None,
+) -> list[bytearray]:
     """Stamp, surface, intensity if there is one, measurements; the last one marked. volume: measuring volume (low, high) mm or None."""
     messages = [stamp(index, ticks, encoder, serial, generation)]
     exposure_ns = min(int(round(exposure_us * 1000)), 2**32 - 1)
@@ -45,24 +56,27 @@ def stamp(index: int, ticks: int, encoder: int, serial: int, generation: int = 6
 
 
 def surface_points(xyz: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:
-    attributes = struct.pack("<II3I3iBIBiiii", *xyz.shape[:2], *scaling.resolution_nm, *scaling.offset_um, 0, exposure_ns, 0,
-                             _SURFACE_STEP, 0, 1, 0)
+    attributes = struct.pack(
+        "<II3I3iBIBiiii", *xyz.shape[:2], *scaling.resolution_nm, *scaling.offset_um, 0, exposure_ns, 0, _SURFACE_STEP, 0, 1, 0
+    )
     result, array = _with_array(SURFACE_POINTS, attributes, generation, xyz.shape, np.dtype("<i2"))
     quantise(xyz, scaling, array)
     return result
 
 
 def uniform_surface(raw: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:
-    attributes = struct.pack("<II3I3iBIi3siiii", *raw.shape, *scaling.resolution_nm, *scaling.offset_um, 0, exposure_ns, 0, bytes(3),
-                             _SURFACE_STEP, 0, 1, 0)
+    attributes = struct.pack(
+        "<II3I3iBIi3siiii", *raw.shape, *scaling.resolution_nm, *scaling.offset_um, 0, exposure_ns, 0, bytes(3), _SURFACE_STEP, 0, 1, 0
+    )
     result, array = _with_array(UNIFORM_SURFACE, attributes, generation, raw.shape, np.dtype("<i2"))
     array[...] = raw
     return result
 
 
 def surface_intensity(grey: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:
-    attributes = struct.pack("<II2I2iBI3siiii", *grey.shape, *scaling.resolution_nm[:2], *scaling.offset_um[:2], 0, exposure_ns, bytes(3),
-                             _SURFACE_STEP, 0, 1, 0)
+    attributes = struct.pack(
+        "<II2I2iBI3siiii", *grey.shape, *scaling.resolution_nm[:2], *scaling.offset_um[:2], 0, exposure_ns, bytes(3), _SURFACE_STEP, 0, 1, 0
+    )
     result, array = _with_array(INTENSITY, attributes, generation, grey.shape, np.dtype("u1"))
     array[...] = grey
     return result
@@ -98,11 +112,11 @@ def mark_last(data: bytearray) -> bytearray:
 
 
 def _with_array(kind: int, attributes: bytes, generation: int, shape: tuple[int, ...], dtype: np.dtype) -> tuple[bytearray, np.ndarray]:
-    attributes = attributes[:len(attributes) - _MISSING[generation]]
+    attributes = attributes[: len(attributes) - _MISSING[generation]]
     count = int(np.prod(shape))
     result = bytearray(8 + len(attributes) + count * dtype.itemsize)
     struct.pack_into("<IHH", result, 0, len(result), kind, len(attributes))
-    result[8:8 + len(attributes)] = attributes
+    result[8 : 8 + len(attributes)] = attributes
     return result, np.frombuffer(result, dtype, count, 8 + len(attributes)).reshape(shape)
 
 

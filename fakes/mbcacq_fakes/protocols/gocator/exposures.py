@@ -59,9 +59,17 @@ class Exposures:
         frame = sensor.source(exposure_us)
         ticks = int(frame.time_s * TICKS_PER_S) if sensor.clock and frame.time_s else sensor.ticks()
         messages = encode.data_set(
-            frame, exposure_us=exposure_us, ticks=0 if sensor.faults.use("old_stamp") else max(ticks, asked), index=self.made,
-            serial=sensor.serial, encoder=sensor.encoder, uniform=bool(sensor.files.number("Setup/UniformSpacingEnabled")),
-            intensity=bool(sensor.files.number("Setup/IntensityEnabled")), generation=sensor.generation, volume=sensor.volume)
+            frame,
+            exposure_us=exposure_us,
+            ticks=0 if sensor.faults.use("old_stamp") else max(ticks, asked),
+            index=self.made,
+            serial=sensor.serial,
+            encoder=sensor.encoder,
+            uniform=bool(sensor.files.number("Setup/UniformSpacingEnabled")),
+            intensity=bool(sensor.files.number("Setup/IntensityEnabled")),
+            generation=sensor.generation,
+            volume=sensor.volume,
+        )
         self.made += 1
         # A client asks right after connecting; its connection may still wait to be accepted.
         sensor.data.wait_for_client(0.5)

@@ -28,8 +28,12 @@ class Files:
         for path, value in settings.items():
             _assign(self._node(path), f"{value:g}")
         first = _serialise(self._tree)
-        self._stored = {LIVE_CFG: first, LIVE_TFM: package.joinpath("live.tfm").read_bytes().strip(),
-                        LIVE_LOG: b"fake sensor started\r\n", **dict.fromkeys(jobs, first)}
+        self._stored = {
+            LIVE_CFG: first,
+            LIVE_TFM: package.joinpath("live.tfm").read_bytes().strip(),
+            LIVE_LOG: b"fake sensor started\r\n",
+            **dict.fromkeys(jobs, first),
+        }
         self.loaded_job, self.default_job, self.modified = (jobs[0], jobs[0], False) if jobs else ("", "", False)
 
     def names(self, extension: str = "") -> list[str]:

@@ -27,7 +27,7 @@ class Listener:
         self._closing.set()
         if self._sock is not None:
             with suppress(OSError):
-                self._sock.shutdown(socket.SHUT_RDWR)    # wakes accept at once where the system does that, else it polls
+                self._sock.shutdown(socket.SHUT_RDWR)  # wakes accept at once where the system does that, else it polls
         if self._thread.is_alive():
             self._thread.join(2.0)
         if self._sock is not None:
@@ -59,7 +59,7 @@ class Listener:
                 connection, _ = self._sock.accept()
             except TimeoutError:
                 continue
-            except OSError:    # woken to close, or no descriptor left for a connection
+            except OSError:  # woken to close, or no descriptor left for a connection
                 self._closing.wait(_POLL_S)
                 continue
             connection.settimeout(None)

@@ -38,7 +38,7 @@ class Client:
         try:
             readable, _, _ = select.select([self.sock], [], [], 0)
             return not readable or bool(self.sock.recv(1, socket.MSG_PEEK))
-        except (OSError, ValueError):    # reset, or closed meanwhile
+        except (OSError, ValueError):  # reset, or closed meanwhile
             return False
 
     def close(self) -> None:

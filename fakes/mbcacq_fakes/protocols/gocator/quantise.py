@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 INVALID = -32768
-FINEST_NM = (3000, 3000, 2000)    # as over the measuring volume of a 3210: 154 mm and 110 mm in 16 bits
+FINEST_NM = (3000, 3000, 2000)  # as over the measuring volume of a 3210: 154 mm and 110 mm in 16 bits
 _BLOCK = 3 * 8192
-_ROW = np.dtype("V6")    # one point
+_ROW = np.dtype("V6")  # one point
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,15 @@ def quantise(xyz: np.ndarray, scaling: Scaling, out: np.ndarray) -> None:
     shift = np.tile(scaling.offset.astype(np.float32), _BLOCK // 3)
     factor = np.tile((1 / scaling.scale).astype(np.float32), _BLOCK // 3)
     buffer, nowhere = np.empty(_BLOCK, np.float32), np.full(3, INVALID, np.int16).view(_ROW)
-    with np.errstate(invalid="ignore"):    # casting NaN; those points are overwritten
+    with np.errstate(invalid="ignore"):  # casting NaN; those points are overwritten
         for start in range(0, source.size, _BLOCK):
-            piece, raw = source[start:start + _BLOCK], target[start:start + _BLOCK]
-            value = buffer[:piece.size]
-            np.subtract(piece, shift[:piece.size], out=value)
-            np.multiply(value, factor[:piece.size], out=value)
+            piece, raw = source[start : start + _BLOCK], target[start : start + _BLOCK]
+            value = buffer[: piece.size]
+            np.subtract(piece, shift[: piece.size], out=value)
+            np.multiply(value, factor[: piece.size], out=value)
             np.rint(value, out=value)
             raw[:] = value
-            good = np.abs(value, out=value) <= 32767    # false for NaN
+            good = np.abs(value, out=value) <= 32767  # false for NaN
             if not good.all():
                 raw.view(_ROW)[~(good[0::3] & good[1::3] & good[2::3])] = nowhere
 

@@ -40,11 +40,29 @@ class FakeGocator:
     firmware whose message layouts are used. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
     """
 
-    def __init__(self, source: Source, *, host: str = "127.0.0.1", control_port: int = 0, health_port: int = 0, data_port: int = 0,
-                 discovery: bool = False, discovery_port: int = PORT, broadcast: str = "255.255.255.255", model: str = "3210",
-                 serial: int = 12345, part_number: str = "", scan_time_s: float = 0.0, jobs: tuple[str, ...] = ("bench.job", "other.job"),
-                 generation: int = 6, intensity: bool = True, uniform: bool = False, clock: Callable[[], float] | None = None,
-                 volume: tuple[np.ndarray, np.ndarray] | None = None, health_period_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        source: Source,
+        *,
+        host: str = "127.0.0.1",
+        control_port: int = 0,
+        health_port: int = 0,
+        data_port: int = 0,
+        discovery: bool = False,
+        discovery_port: int = PORT,
+        broadcast: str = "255.255.255.255",
+        model: str = "3210",
+        serial: int = 12345,
+        part_number: str = "",
+        scan_time_s: float = 0.0,
+        jobs: tuple[str, ...] = ("bench.job", "other.job"),
+        generation: int = 6,
+        intensity: bool = True,
+        uniform: bool = False,
+        clock: Callable[[], float] | None = None,
+        volume: tuple[np.ndarray, np.ndarray] | None = None,
+        health_period_s: float = 1.0,
+    ) -> None:
         self.source, self.host, self.serial, self.scan_time_s = source, host, serial, scan_time_s
         self._model, self._part_number = model, part_number
         self.generation, self.firmware, self.protocol = generation, _FIRMWARE[generation], _PROTOCOL[generation]
@@ -54,7 +72,7 @@ class FakeGocator:
         self.settings = dict.fromkeys(("alignment_reference", "recording", "playback_source", "autostart", "quick_edit"), 0)
         self.variables, self.flags, self.encoder = [0, 0, 0, 0], {}, 0
         self.temperature_C = 41.0
-        self.indicators: dict[tuple[int, int], int] = {}    # further ones, by number and instance
+        self.indicators: dict[tuple[int, int], int] = {}  # further ones, by number and instance
         self.running = False
         self.ready = threading.Event()
         self.data, self.health = Publisher(), Publisher()
@@ -165,10 +183,12 @@ class FakeGocator:
 
     def reboot(self) -> None:
         """Three seconds after the reply all connections end and the sensor is ready again."""
+
         def later() -> None:
             if not self._closing.wait(3.0):
                 self.running = False
                 self.drop_connections()
+
         threading.Thread(target=later, name="fake-gocator-reboot", daemon=True).start()
 
     def operate(self, alignment: bool) -> int:
@@ -201,6 +221,7 @@ class FakeGocator:
                 channel.serve(self, sock)
             with self._lock:
                 self._controls.pop(sock, None)
+
         thread = threading.Thread(target=serve, name="fake-gocator-control", daemon=True)
         with self._lock:
             self._controls[sock] = thread
@@ -214,7 +235,15 @@ class FakeGocator:
         if self.faults.get("mute_health"):
             return []
         major, minor, release, build = self.firmware
-        values = {(20000, 0): int(self.running), (2000, 0): major << 24 | minor << 16 | release << 8 | build, (2017, 0): int(self.uptime_s),
-                  (2002, 0): round(self.temperature_C), (2404, 0): round(self.temperature_C) + 4, (1003, 0): self.encoder,
-                  (20005, 0): self.scans, (2007, 0): 12, **self.indicators}
+        values = {
+            (20000, 0): int(self.running),
+            (2000, 0): major << 24 | minor << 16 | release << 8 | build,
+            (2017, 0): int(self.uptime_s),
+            (2002, 0): round(self.temperature_C),
+            (2404, 0): round(self.temperature_C) + 4,
+            (1003, 0): self.encoder,
+            (20005, 0): self.scans,
+            (2007, 0): 12,
+            **self.indicators,
+        }
         return [encode.health(values)]

@@ -23,13 +23,13 @@ def spoil(messages: list[bytearray], faults: Faults) -> list[object]:
     if faults.use("stamp_only"):
         return [encode.mark_last(messages[0])]
     stamp, surface, *rest = messages
-    half = memoryview(surface)[:len(surface) // 2]
+    half = memoryview(surface)[: len(surface) // 2]
     if faults.use("close_in_message"):
         return [stamp, half, CLOSE]
     if faults.use("stall"):
         return [stamp, half, MUTE]
     if faults.use("short_message"):
-        short = bytearray(surface[:max(len(surface) * 3 // 4, 70)])
+        short = bytearray(surface[: max(len(surface) * 3 // 4, 70)])
         struct.pack_into("<I", short, 0, len(short))
         return [stamp, short, *rest]
     if faults.use("unknown_type"):

@@ -10,8 +10,12 @@ from types import TracebackType
 from typing import Self
 
 FAULTS = (
-    "", "controller stopped by its operator", "late packets: RSI stopped", "overspeed: command velocity",
-    "permissible overall correction exceeded", "software limit switch",
+    "",
+    "controller stopped by its operator",
+    "late packets: RSI stopped",
+    "overspeed: command velocity",
+    "permissible overall correction exceeded",
+    "software limit switch",
 )
 
 _COUNT = struct.Struct("<q")
@@ -58,8 +62,16 @@ class ArmState:
         state._count = _COUNT.unpack_from(state._memory.buf, 0)[0]
         return state
 
-    def write(self, time_s: float, q: tuple[float, ...], qd: tuple[float, ...], direction: tuple[float, ...], standstill: bool,
-              arrivals: int, fault: int = 0) -> None:
+    def write(
+        self,
+        time_s: float,
+        q: tuple[float, ...],
+        qd: tuple[float, ...],
+        direction: tuple[float, ...],
+        standstill: bool,
+        arrivals: int,
+        fault: int = 0,
+    ) -> None:
         """Publish a state (one writer only). ``fault`` indexes FAULTS."""
         count = self._count + 1
         _SLOT.pack_into(self._memory.buf, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)

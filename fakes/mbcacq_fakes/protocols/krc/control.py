@@ -56,14 +56,14 @@ class Control:
 
     def faults(self) -> dict[str, float]:
         first = _FAULTS_AT // 8
-        return dict(zip(FAULTS, self._double[first:first + len(FAULTS)], strict=True))
+        return dict(zip(FAULTS, self._double[first : first + len(FAULTS)], strict=True))
 
     def count(self, name: str, value: int) -> None:
         self._int[_COUNTERS_AT // 8 + COUNTERS.index(name)] = value
 
     def counters(self) -> dict[str, int]:
         first = _COUNTERS_AT // 8
-        return dict(zip(COUNTERS, self._int[first:first + len(COUNTERS)], strict=True))
+        return dict(zip(COUNTERS, self._int[first : first + len(COUNTERS)], strict=True))
 
     def log(self, *row: float) -> None:
         head = self._int[_HEAD_AT // 8]

@@ -25,9 +25,17 @@ class FakeEki:
     the SDK pads its own). ``pause_s``: the submit interpreter's 12 ms.
     """
 
-    def __init__(self, *, host: str = "127.0.0.1", port: int = 0, model: str = "#KR16R2010_2 C4 FLR", answer: str = "plain",
-                 pause_s: float = 0.012, on_start: Callable[[int, int], None] | None = None,
-                 on_cancel: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        model: str = "#KR16R2010_2 C4 FLR",
+        answer: str = "plain",
+        pause_s: float = 0.012,
+        on_start: Callable[[int, int], None] | None = None,
+        on_cancel: Callable[[], None] | None = None,
+    ) -> None:
         self._host, self._port, self._model, self._answer, self._pause_s = host, port, model, answer, pause_s
         self._on_start, self._on_cancel = on_start, on_cancel
         self._closing = threading.Event()
@@ -83,7 +91,7 @@ class FakeEki:
                 return
             buffer += data
             while (request := _ROOT.search(buffer)) is not None:
-                buffer = buffer[request.end():]
+                buffer = buffer[request.end() :]
                 values = {name.decode(): int(value) for name, value in _ATTRIBUTE.findall(request[1])}
                 time.sleep(self._pause_s)
                 self._handle(client, values.get("REQTYPE", 5), values.get("ControlMode", -1), values.get("CycleTime", -1))
@@ -123,9 +131,11 @@ class FakeEki:
         return _EVENTS.get(request, _INVALID), " "
 
     def _status(self, control_mode: int, cycle_time: int) -> str:
-        return (f'<Robot><Status ControlMode="{control_mode}" CycleTime="{cycle_time}" DrivesPowered="{self.drives:d}" '
-                f'EmergencyStop="{self.emergency_stop:d}" GuardStop="0" InMotion="0" MotionPossible="{self.drives:d}" OperationMode="4" '
-                f'RobotStopped="{not self.running:d}"></Status></Robot>')
+        return (
+            f'<Robot><Status ControlMode="{control_mode}" CycleTime="{cycle_time}" DrivesPowered="{self.drives:d}" '
+            f'EmergencyStop="{self.emergency_stop:d}" GuardStop="0" InMotion="0" MotionPossible="{self.drives:d}" OperationMode="4" '
+            f'RobotStopped="{not self.running:d}"></Status></Robot>'
+        )
 
     def _send(self, client: socket.socket, telegram: str) -> None:
         data = telegram.encode()
@@ -134,7 +144,7 @@ class FakeEki:
         if self._answer == "split":
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             for i in range(len(data)):
-                client.sendall(data[i:i + 1])
+                client.sendall(data[i : i + 1])
         else:
             client.sendall(data)
             time.sleep(0.002)  # SDK clients read one telegram a segment

@@ -17,8 +17,15 @@ class EkiChannel:
     A buffer that is full takes one more element and then the connection is closed, as EKI does. Elements stay until EKI_Clear.
     """
 
-    def __init__(self, name: str, config: EkiConfig, host: str, port: int, set_flag: Callable[[int, bool], None],
-                 outlet: Callable[[socket.socket, bytes], None]) -> None:
+    def __init__(
+        self,
+        name: str,
+        config: EkiConfig,
+        host: str,
+        port: int,
+        set_flag: Callable[[int, bool], None],
+        outlet: Callable[[socket.socket, bytes], None],
+    ) -> None:
         self.name, self.config, self.host, self.port = name, config, host, port
         self._set_flag, self.outlet = set_flag, outlet
         self.refusing = False

@@ -64,9 +64,18 @@ def _kss(root) -> EkiConfig:
     limit = int(buffering.get("Limit", "16")) if buffering is not None else 16
     if not 1 <= limit <= 512:
         raise ValueError(f"a buffer of {limit} elements is not possible (1..512)")
-    return EkiConfig("kss", port, roots.pop(), received, dict.fromkeys(sent, ""), flags, limit,
-                     int(size.get("Limit", "16384")) if size is not None else 16384,
-                     alive=int(alive.get("Set_Flag")) if alive is not None and alive.get("Set_Flag") else None, order=tuple(sent))
+    return EkiConfig(
+        "kss",
+        port,
+        roots.pop(),
+        received,
+        dict.fromkeys(sent, ""),
+        flags,
+        limit,
+        int(size.get("Limit", "16384")) if size is not None else 16384,
+        alive=int(alive.get("Set_Flag")) if alive is not None and alive.get("Set_Flag") else None,
+        order=tuple(sent),
+    )
 
 
 def _iiqka(root) -> EkiConfig:
@@ -85,5 +94,14 @@ def _iiqka(root) -> EkiConfig:
     event = re.fullmatch(r"\$FLAG\[(\d+)\]", receive.get("Event", ""))
     management = root.find("Behavior/ConnectionManagement")
     lost = re.fullmatch(r"\$FLAG\[(\d+)\]", management.get("CommErrorEvent", "") if management is not None else "")
-    return EkiConfig("iiqka", int(server.get("Port", "0")), separator, received, sent, {separator: int(event[1])} if event else {},
-                     int(root.find("Buffering").get("Size", "16")), lost=int(lost[1]) if lost else None, template=message)
+    return EkiConfig(
+        "iiqka",
+        int(server.get("Port", "0")),
+        separator,
+        received,
+        sent,
+        {separator: int(event[1])} if event else {},
+        int(root.find("Buffering").get("Size", "16")),
+        lost=int(lost[1]) if lost else None,
+        template=message,
+    )

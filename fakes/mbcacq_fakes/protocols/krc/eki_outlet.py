@@ -38,10 +38,10 @@ class Outlet:
         if self.use("close"):
             raise ConnectionResetError
         if self.use("close_inside"):
-            client.sendall(data[:len(data) // 2])
+            client.sendall(data[: len(data) // 2])
             raise ConnectionResetError
         if self.use("truncate"):
-            data = data[:len(data) // 2]
+            data = data[: len(data) // 2]
         if self.use("duplicate"):
             data += data
         if self.use("malformed"):
@@ -57,6 +57,6 @@ class Outlet:
             data, self._held = b"".join(self._held), []
         if self.active["split"]:
             for i in range(len(data)):
-                client.sendall(data[i:i + 1])
+                client.sendall(data[i : i + 1])
         else:
             client.sendall(data)

@@ -22,10 +22,10 @@ from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.eki_system import TICK_S, System, built_in
 from mbcacq_fakes.protocols.krc.krl import Interpreter, KrlError, Program
 
-_SUBMIT_TICKS = 3        # 12 ms
-_AHEAD_MS = 240          # fast: the robot's clock may run so far ahead of the client's last sign of life
-_PATIENCE_S = 0.25       # fast: or so long without one
-_IDLE_S = 1.0            # fast: after standing so long the clock is everybody's
+_SUBMIT_TICKS = 3  # 12 ms
+_AHEAD_MS = 240  # fast: the robot's clock may run so far ahead of the client's last sign of life
+_PATIENCE_S = 0.25  # fast: or so long without one
+_IDLE_S = 1.0  # fast: after standing so long the clock is everybody's
 _SOFT_LIMIT, _OPERATOR = 5, 1  # indices into arm_state.FAULTS
 
 
@@ -82,9 +82,17 @@ class EkiController:
     def report(self) -> dict[str, Any]:
         """What a test may ask: the program's variables and the channel's counts."""
         known = {k: v for k, v in vars(self.program.globals).items() if isinstance(v, int | float | bool)}
-        return {**known, "opened": self.channel.opened, "overflowed": self.channel.overflowed, "received": self.channel.received,
-                "message": self.system.machine.message, "running": self.system.pro_act, "time_ms": self.system.rob_timer,
-                "moving": self.system.machine.moving, "port": self.channel.port}
+        return {
+            **known,
+            "opened": self.channel.opened,
+            "overflowed": self.channel.overflowed,
+            "received": self.channel.received,
+            "message": self.system.machine.message,
+            "running": self.system.pro_act,
+            "time_ms": self.system.rob_timer,
+            "moving": self.system.machine.moving,
+            "port": self.channel.port,
+        }
 
     def _set_flag(self, number: int, value: bool) -> None:
         self.system.flag[number] = value

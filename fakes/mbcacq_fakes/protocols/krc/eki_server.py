@@ -34,8 +34,9 @@ class FakeEkiController:
             return self
         if self.state is None:
             self.state = ArmState.create(tuple(np.radians(self.settings.start_deg)))
-        self._process = subprocess.Popen([sys.executable, "-m", "mbcacq_fakes.protocols.krc.eki_process"], stdin=subprocess.PIPE,
-                                         stdout=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "mbcacq_fakes.protocols.krc.eki_process"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         answer = self._exchange({"settings": self.settings.to_json(), "state": self.state.name})
         if "error" in answer:
             self.stop()

@@ -9,16 +9,7 @@ from typing import Any
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, Struct
-from mbcacq_fakes.protocols.krc.motion import (
-    Path,
-    Unreachable,
-    angles,
-    flange_for,
-    frame,
-    lin,
-    ptp,
-    tool_in_base,
-)
+from mbcacq_fakes.protocols.krc.motion import Path, Unreachable, angles, flange_for, frame, lin, ptp, tool_in_base
 
 TICK_S = 0.004
 _MODES = ("", "#T1", "#T2", "#AUT", "#EX")

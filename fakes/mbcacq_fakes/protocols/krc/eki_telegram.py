@@ -31,13 +31,13 @@ class Intake:
         self._buffer += data
         found = []
         while (match := self._telegram.search(self._buffer)) is not None:
-            self._buffer = self._buffer[match.end():]
+            self._buffer = self._buffer[match.end() :]
             try:
                 found.append(fromstring(match[0], forbid_dtd=True))
             except (ParseError, DefusedXmlException, ValueError):
                 continue  # EKI logs an error and goes on
         if self._begin.search(self._buffer) is None:
-            self._buffer = self._buffer[-self._longest:]
+            self._buffer = self._buffer[-self._longest :]
         self.too_much = len(self._buffer) > self._limit
         return found
 

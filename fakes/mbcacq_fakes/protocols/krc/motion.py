@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq_fakes.dynamics.ideal_arm import Kinematics
 from mbcacq_fakes.world.rigid import invert, rigid, turn
 
-_RAMP_S = 0.3          # to an axis' largest speed at 100 % acceleration
+_RAMP_S = 0.3  # to an axis' largest speed at 100 % acceleration
 _ORIENTATION_DEG_S = 100.0
 
 
@@ -59,8 +59,9 @@ class Path:
         return self._at(self._s)
 
 
-def ptp(start: Sequence[float], target: Sequence[float], speed: Sequence[float],
-        percent: tuple[Sequence[float], Sequence[float]]) -> Path | None:
+def ptp(
+    start: Sequence[float], target: Sequence[float], speed: Sequence[float], percent: tuple[Sequence[float], Sequence[float]]
+) -> Path | None:
     """All axes start and stop together. speed: (6,) deg/s at 100 %. percent: of speed and of acceleration, per axis. None: no way to go."""
     a = np.asarray(start, dtype=float)
     way = np.asarray(target, dtype=float) - a
@@ -72,8 +73,14 @@ def ptp(start: Sequence[float], target: Sequence[float], speed: Sequence[float],
     return Path(lambda s: tuple((a + s * way).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
 
 
-def lin(start: Sequence[float], target: np.ndarray, kinematics: Kinematics, limits: Sequence[tuple[float, float]], speed: float,
-        acceleration: float) -> Path | None:
+def lin(
+    start: Sequence[float],
+    target: np.ndarray,
+    kinematics: Kinematics,
+    limits: Sequence[tuple[float, float]],
+    speed: float,
+    acceleration: float,
+) -> Path | None:
     """The flange straight to ``target`` (4, 4) mm in the robot's root, turning evenly. speed mm/s, acceleration mm/s^2."""
     T0 = frame(kinematics.pose(start))
     shift, axis, angle = target[:3, 3] - T0[:3, 3], *_rotation(T0[:3, :3].T @ target[:3, :3])

@@ -212,12 +212,26 @@ class RsiController:
 
     def _publish(self) -> None:
         arm, control = self._arm, self._control
-        self._state.write(self._ipoc * 1e-3, [radians(v) for v in arm.q], [radians(v) for v in arm.qd], arm.direction, arm.standstill,
-                          arm.arrivals, self._fault_code)
+        self._state.write(
+            self._ipoc * 1e-3,
+            [radians(v) for v in arm.q],
+            [radians(v) for v in arm.qd],
+            arm.direction,
+            arm.standstill,
+            arm.arrivals,
+            self._fault_code,
+        )
         if self._cycles % 25 and not arm.standstill:
             return
-        for name, value in (("cycles", self._cycles), ("sessions", self._sessions), ("answers", self._answers), ("late", self._late),
-                            ("rejected", self._rejected), ("active", self._session.active), ("ended", self._fault_code)):
+        for name, value in (
+            ("cycles", self._cycles),
+            ("sessions", self._sessions),
+            ("answers", self._answers),
+            ("late", self._late),
+            ("rejected", self._rejected),
+            ("active", self._session.active),
+            ("ended", self._fault_code),
+        ):
             control.count(name, value)
 
 

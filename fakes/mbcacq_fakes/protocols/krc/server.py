@@ -78,8 +78,13 @@ class FakeKrc:
     def log(self) -> dict[str, np.ndarray]:
         """What came and went, a row a cycle (needs ``log=True``): ipoc, latency_s, accepted, q (k, 6) deg, correction (k, 6) deg."""
         rows = np.array(self._control.read_log()).reshape(-1, len(LOG_COLUMNS))
-        return {"ipoc": rows[:, 0].astype(np.int64), "latency_s": rows[:, 1], "accepted": rows[:, 2] != 0.0, "q": rows[:, 3:9],
-                "correction": rows[:, 9:15]}
+        return {
+            "ipoc": rows[:, 0].astype(np.int64),
+            "latency_s": rows[:, 1],
+            "accepted": rows[:, 2] != 0.0,
+            "q": rows[:, 3:9],
+            "correction": rows[:, 9:15],
+        }
 
     def __enter__(self) -> Self:
         return self.start()

@@ -16,20 +16,20 @@ PROFILES = {
 ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
 COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign")
 FAULTS = (
-    "silence",       # no telegram leaves the controller
-    "drop",          # probability that a telegram is lost on its way
+    "silence",  # no telegram leaves the controller
+    "drop",  # probability that a telegram is lost on its way
     "drop_answers",  # probability that an answer is lost on its way
-    "delay_ms",      # a telegram leaves so much later in its cycle
-    "malformed",     # that many telegrams are broken XML
-    "wrong_ipoc",    # that many telegrams carry an IPOC out of step
-    "no_aipos",      # that many telegrams lack AIPos
-    "foreign",       # that many telegrams come from another port
-    "clamp_deg",     # AXISCORR limits the correction to this, silently
-    "ignore",        # corrections are accepted and not carried out
-    "stop",          # the operator stops the program
-    "swap",          # the elements come in reverse order
-    "spaced",        # 1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them
-    "upper_type",    # TYPE instead of Type
+    "delay_ms",  # a telegram leaves so much later in its cycle
+    "malformed",  # that many telegrams are broken XML
+    "wrong_ipoc",  # that many telegrams carry an IPOC out of step
+    "no_aipos",  # that many telegrams lack AIPos
+    "foreign",  # that many telegrams come from another port
+    "clamp_deg",  # AXISCORR limits the correction to this, silently
+    "ignore",  # corrections are accepted and not carried out
+    "stop",  # the operator stops the program
+    "swap",  # the elements come in reverse order
+    "spaced",  # 1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them
+    "upper_type",  # TYPE instead of Type
 )
 
 

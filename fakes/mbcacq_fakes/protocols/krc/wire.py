@@ -9,8 +9,18 @@ from dataclasses import dataclass
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _POSE = ("X", "Y", "Z", "A", "B", "C")
-_ATTRIBUTES = {"RIst": _POSE, "RSol": _POSE, "AIPos": _AXES, "ASPos": _AXES, "EIPos": _EXTERNAL, "ESPos": _EXTERNAL, "MACur": _AXES,
-               "MECur": _EXTERNAL, "GearTorque": _AXES, "AJPos": _AXES}
+_ATTRIBUTES = {
+    "RIst": _POSE,
+    "RSol": _POSE,
+    "AIPos": _AXES,
+    "ASPos": _AXES,
+    "EIPos": _EXTERNAL,
+    "ESPos": _EXTERNAL,
+    "MACur": _AXES,
+    "MECur": _EXTERNAL,
+    "GearTorque": _AXES,
+    "AJPos": _AXES,
+}
 _MAX_ANSWER = 16384
 _SPACING = (("", "/>", "="), ("\r\n", " />", "="), ("\n", "/>", "="), ("  ", "  />", " = "))  # between elements, end of one, around =
 

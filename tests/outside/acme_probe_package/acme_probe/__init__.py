@@ -15,7 +15,7 @@ LONGEST = 80
 class AcmeProbe:
     """A sensor with one value, air_C. Options: address, port, timeout_s. ``model``: what the thermometer must call itself."""
 
-    verified_on_hardware = "T-1000, by the author"     # what `mbcacq drivers` shows; leave it out until you have tried
+    verified_on_hardware = "T-1000, by the author"  # what `mbcacq drivers` shows; leave it out until you have tried
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         """Only checks; nothing is opened before ``connect``."""

@@ -7,14 +7,29 @@ from collections.abc import Callable
 
 from mbcacq_fakes.protocols.krc.krl.values import KrlError
 
-_TOKEN = re.compile(r"""\s*(?:
+_TOKEN = re.compile(
+    r"""\s*(?:
     (?P<text>"[^"]*") | (?P<enum>\#\w+) | (?P<number>\d+\.\d*(?:[eE][-+]?\d+)?|\.\d+|\d+) | (?P<system>\$\w+) | (?P<name>[A-Za-z_]\w*)
     | (?P<op><>|==|<=|>=|[-+*/()\[\],.{}<>:])
-)""", re.X)
-_COMPARE = {"==": "V.equal({}, {})", "<>": "not V.equal({}, {})",
-            "<": "({} < {})", ">": "({} > {})", "<=": "({} <= {})", ">=": "({} >= {})"}
-_LEVELS = (_COMPARE, {"OR": "V.either({}, {})"}, {"EXOR": "V.differ({}, {})"}, {"AND": "V.both({}, {})"},
-           {"+": "({} + {})", "-": "({} - {})"}, {"*": "({} * {})", "/": "V.divide({}, {})"})
+)""",
+    re.X,
+)
+_COMPARE = {
+    "==": "V.equal({}, {})",
+    "<>": "not V.equal({}, {})",
+    "<": "({} < {})",
+    ">": "({} > {})",
+    "<=": "({} <= {})",
+    ">=": "({} >= {})",
+}
+_LEVELS = (
+    _COMPARE,
+    {"OR": "V.either({}, {})"},
+    {"EXOR": "V.differ({}, {})"},
+    {"AND": "V.both({}, {})"},
+    {"+": "({} + {})", "-": "({} - {})"},
+    {"*": "({} * {})", "/": "V.divide({}, {})"},
+)
 
 
 def tokens(text: str) -> list[tuple[str, str]]:

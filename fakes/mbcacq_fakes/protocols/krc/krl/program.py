@@ -11,8 +11,11 @@ from mbcacq_fakes.protocols.krc.krl.expression import ExpressionReader
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, fit
 
 _DEF = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)$", re.I)
-_DECLARE = re.compile(r"(?:DECL\s+)?(?:GLOBAL\s+)?(INT|REAL|BOOL|CHAR|AXIS|FRAME|EKI_STATUS)\s+(\w+)\s*(?:\[\s*(\d*)\s*\])?"
-                      r"\s*(?:=\s*(.+))?$", re.I)
+_DECLARE = re.compile(
+    r"(?:DECL\s+)?(?:GLOBAL\s+)?(INT|REAL|BOOL|CHAR|AXIS|FRAME|EKI_STATUS)\s+(\w+)\s*(?:\[\s*(\d*)\s*\])?"
+    r"\s*(?:=\s*(.+))?$",
+    re.I,
+)
 _ASSIGN = re.compile(r"([$A-Za-z_][\w$.]*(?:\[[^=]*?\])?(?:\.\w+)*)\s*=(?!=)\s*(.+)$")
 _EKI_GET = re.compile(r"(EKI_GET\w+)\s*\((.*),\s*([\w.\[\]]+)\s*\)$", re.I)
 _INTERRUPT = re.compile(r"(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+(.+?)\s+DO\s+(\w+)\s*\(\s*\)$", re.I)
@@ -38,8 +41,16 @@ class Program:
         self._types: dict[str, str] = {}
         self._functions: dict[str, Any] = dict(functions)
         self.called: dict[str, None] = {}
-        self._space = {"V": V, "G": self.globals, "S": system, "F": self._functions, "fit": fit, "Cells": Cells, "Resume": Resume,
-                       "EkiOk": 0}
+        self._space = {
+            "V": V,
+            "G": self.globals,
+            "S": system,
+            "F": self._functions,
+            "fit": fit,
+            "Cells": Cells,
+            "Resume": Resume,
+            "EkiOk": 0,
+        }
         self._given = frozenset(functions)
         for name, text in sorted(sources.items(), key=lambda s: not s[0].lower().endswith(".dat")):
             self._read_data(name, text) if name.lower().endswith(".dat") else self._read_program(name, text)
