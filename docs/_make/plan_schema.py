@@ -77,6 +77,15 @@ def models_in(annotation) -> list[type[BaseModel]]:
 def kind(annotation) -> str:
     """A type in words."""
     origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is not None:
+        return compound(origin, parts)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation.__name__
+    return {float: "number", int: "integer", str: "text", bool: "true or false"}.get(annotation, "any")
+
+
+def compound(origin, parts: tuple) -> str:
+    """A type made of others, in words."""
     if origin is typing.Annotated:
         return kind(parts[0])
     if origin is typing.Literal:
@@ -86,11 +95,7 @@ def kind(annotation) -> str:
     if origin is tuple:
         inner = kind(parts[0]) if parts else ""
         return f"list of {inner}" if len(parts) == 2 and parts[1] is ... else f"{len(parts)} x {inner}"
-    if origin is dict:
-        return "keys and values"
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation.__name__
-    return {float: "number", int: "integer", str: "text", bool: "true or false"}.get(annotation, "any")
+    return "keys and values" if origin is dict else "any"
 
 
 def limits(field) -> list[str]:

@@ -41,3 +41,11 @@ def test_generated_reference_is_current(page, monkeypatch):
     import reference
 
     assert (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8") == reference.PAGES[page](), "run python docs/_make/reference.py"
+
+
+def test_picture_of_the_architecture_is_current(monkeypatch):
+    monkeypatch.syspath_prepend(str(MAKE))
+    import architecture_figure
+
+    drawn = (ROOT / "docs" / "explanation" / "architecture.svg").read_text(encoding="utf-8")
+    assert drawn == architecture_figure.draw(), "run python docs/_make/architecture_figure.py"

@@ -1,0 +1,78 @@
+"""The structure of the code: no circles, one class of a name, the field's terms where a reader looks for them."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import grimp
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("mbcacq", "drivers", "fakes")
+PACKAGES = ("mbcacq", "mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq_fakes")
+REPLACED = {
+    "told",
+    "chance",
+    "crew",
+    "atlas",
+    "ledger",
+    "worth",
+    "envelope",
+    "envelopes",
+    "readmit",
+    "leftover",
+    "wiggle",
+    "prospect",
+    "foreseen",
+}
+
+
+@cache
+def sources() -> dict[Path, ast.Module]:
+    return {p: ast.parse(p.read_text(encoding="utf-8")) for folder in FOLDERS for p in (ROOT / folder).rglob("*.py")}
+
+
+def defined() -> set[str]:
+    """Names of modules, classes and functions."""
+    kinds = ast.ClassDef | ast.FunctionDef
+    return {p.stem for p in sources()} | {n.name for tree in sources().values() for n in ast.walk(tree) if isinstance(n, kinds)}
+
+
+def test_no_circle_of_imports_between_files():
+    graph = grimp.build_graph(*PACKAGES)
+    modules = sorted(graph.modules)
+    index = {m: i for i, m in enumerate(modules)}
+    arrows = [(index[m], index[n]) for m in modules for n in graph.find_modules_directly_imported_by(m)]
+    rows, columns = np.array(arrows).T
+    count, label = connected_components(csr_array((np.ones(len(rows)), (rows, columns)), (len(modules),) * 2), connection="strong")
+    circles = [[m for m in modules if label[index[m]] == k] for k, size in Counter(label.tolist()).items() if size > 1]
+    assert count == len(modules), circles
+
+
+def test_no_two_classes_have_one_name():
+    names = Counter(n.name for tree in sources().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_name_uses_a_word_that_the_terms_replace():
+    found = set()
+    for path, tree in sources().items():
+        for node in ast.walk(tree):
+            name = getattr(node, "name", None) or getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", None)
+            words = re.findall(r"[A-Z]?[a-z]+", name) if isinstance(name, str) else ()
+            found |= {f"{path.relative_to(ROOT)}: {name}" for word in words if word.lower() in REPLACED}
+    assert sorted(found) == []
+
+
+@pytest.mark.parametrize(
+    "term", ["reml", "bayes_factor", "beam_search", "false_alarm_rate", "whiten", "gauss_newton", "inverse_kinematics", "d_optimal"]
+)
+def test_a_reader_finds_the_term_by_name(term):
+    assert any(term in name.lower() for name in defined())
