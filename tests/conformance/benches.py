@@ -6,6 +6,7 @@ from functools import partial
 
 from bench_bus import modbus_positioner, modbus_sensor, serial_positioner, serial_sensor
 from bench_gocator import gocator
+from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
 
@@ -17,6 +18,7 @@ BENCHES = {
     for bench in (
         TestStand("gocator", "scanner", gocator),
         TestStand("gocator trigger", "scanner", partial(gocator, mode="trigger")),
+        TestStand("gopxl", "scanner", gopxl),
         TestStand("kuka_rsi", "robot", kuka_rsi, excused=NO_IDENTITY),
         TestStand("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
         TestStand("kuka_eki", "robot", kuka_eki),

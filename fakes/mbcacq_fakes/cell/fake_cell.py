@@ -17,7 +17,7 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
 from mbcacq_fakes.cell.controller import CLOCK_START_MS, EKI, RSI, check_options, normal, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
-from mbcacq_fakes.cell.ports import scanner_place
+from mbcacq_fakes.cell.ports import SCANNERS, scanner_place
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world import options as fake_options
@@ -38,8 +38,10 @@ class FakeCell:
         self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0, ports: Literal["free", "plan"] = "free"
     ) -> None:
         plan = loaded.plan
-        if normal(plan.robot.driver) not in (RSI, EKI) or plan.scanner.driver != "gocator":
-            raise ConfigError("the fake cell plays a KUKA controller and a Gocator; for other drivers use their makers' simulators")
+        if normal(plan.robot.driver) not in (RSI, EKI) or plan.scanner.driver not in SCANNERS:
+            raise ConfigError(
+                "the fake cell plays a KUKA controller and an LMI sensor (gocator, gopxl); for other drivers use their makers' simulators"
+            )
         self._loaded, self._plan, self._realtime, self._ports = loaded, plan, realtime, ports
         self._options = fake_options.parse(plan.fake)
         self._seed = seed if self._options.seed is None else self._options.seed
@@ -154,7 +156,8 @@ class FakeCell:
             "ports": self._ports,
             "realtime": self._realtime,
             "scanner_options": dict(plan.scanner.options),
-            "scanner": scanner_place(plan.scanner.options, self._ports),
+            "scanner_driver": plan.scanner.driver,
+            "scanner": scanner_place(plan.scanner.driver, plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }

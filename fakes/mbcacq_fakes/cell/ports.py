@@ -13,6 +13,10 @@ from mbcacq.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
 ANY = ("0.0.0.0", "", "::")
+SCANNERS = {  # driver -> its options that are ports, with where the sensor listens as delivered
+    "gocator": {"control_port": 3190, "health_port": 3194, "data_port": 3196},
+    "gopxl": {"control_port": 3600, "data_port": 3601},
+}
 
 
 def udp_port() -> int:
@@ -27,25 +31,21 @@ def ipv4(host: str) -> str:
     return LOOPBACK if host in ANY else host
 
 
-def scanner_place(options: Mapping[str, Any], ports: str) -> dict[str, Any]:
-    """Host and ports (0: any free) of the fake Gocator. Raises ConfigError where the plan's address is not this computer's."""
+def scanner_place(driver: str, options: Mapping[str, Any], ports: str) -> dict[str, Any]:
+    """Host and ports (0: any free) of the fake sensor. Raises ConfigError where the plan's address is not this computer's."""
+    usual = SCANNERS[driver]
     if ports == "free":
-        return {"host": LOOPBACK, "control_port": 0, "health_port": 0, "data_port": 0}
+        return {"host": LOOPBACK, **dict.fromkeys(usual, 0)}
     host = str(options.get("address", LOOPBACK))
     try:
         with socket.create_server((host, 0)):
             pass
     except OSError as error:
         raise ConfigError(
-            f"the fake Gocator cannot listen at the plan's address {host} ({error.strerror}); "
+            f"the fake sensor cannot listen at the plan's address {host} ({error.strerror}); "
             "set the scanner's address to 127.0.0.1 to try the plan against fakes"
         ) from error
-    return {
-        "host": host,
-        "control_port": int(options.get("control_port", 3190)),
-        "health_port": int(options.get("health_port", 3194)),
-        "data_port": int(options.get("data_port", 3196)),
-    }
+    return {"host": host, **{name: int(options.get(name) or port) for name, port in usual.items()}}
 
 
 def line_place(port: str) -> dict[str, Any]:

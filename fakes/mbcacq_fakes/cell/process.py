@@ -54,10 +54,10 @@ class Servers:
         self._camera.mishap(mishap)
 
     def scanner_fault(self, fault: str, value: Any, times: int | None) -> None:
-        self._gocator.faults.set(fault, value, times)
+        self._sensor.faults.set(fault, value, times)
 
     def clear_scanner_fault(self, fault: str | None) -> None:
-        self._gocator.faults.clear(fault)
+        self._sensor.faults.clear(fault)
 
     def positioner_fault(self, **values: Any) -> None:
         if self._positioner is None:
@@ -70,29 +70,35 @@ class Servers:
             setattr(self._sensors[number], name, value)
 
     def _start_scanner(self, options: FakeOptions) -> dict[str, Any]:
-        from mbcacq_fakes.protocols.gocator import FakeGocator
-
         place, given = self._job["scanner"], self._job["scanner_options"]
-        jobs = tuple(filter(None, (given.get("job", ""),))) + ("bench.job", "other.job")
+        default = "3504" if self._job["scanner_driver"] == "gopxl" else "3210"
         settings = {
-            "model": self._job["model"] or "3210",
-            "jobs": jobs,
+            "model": self._job["model"] or default,
+            "jobs": tuple(filter(None, (given.get("job", ""),))) + ("bench.job", "other.job"),
             "scan_time_s": 0.15 if self._job["realtime"] else 0.0,
             "volume": _volume(self._job["facts"].view),
             **place,
             **options.scanner,
         }
         try:
-            self._gocator = FakeGocator(self._camera, **settings)
+            self._sensor = self._make_sensor(settings)
         except TypeError as error:
             raise ConfigError(f"fake.scanner: {error}; correct the plan") from error
         try:
-            self._gocator.start()
+            self._sensor.start()
         except OSError as error:
-            raise ConnectError(f"the fake Gocator cannot listen on {place['host']}: {error}; is another one running?") from error
-        self._stack.callback(self._gocator.stop)
-        ports = self._gocator.ports
-        return {"address": place["host"], "control_port": ports.control, "health_port": ports.health, "data_port": ports.data}
+            raise ConnectError(f"the fake sensor cannot listen on {place['host']}: {error}; is another one running?") from error
+        self._stack.callback(self._sensor.stop)
+        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}}
+
+    def _make_sensor(self, settings: dict[str, Any]) -> Any:
+        if self._job["scanner_driver"] == "gopxl":
+            from mbcacq_fakes.protocols.gopxl import FakeGoPxL, GoPxLSettings
+
+            return FakeGoPxL(self._camera, GoPxLSettings(**settings), clock=lambda: 0.0)
+        from mbcacq_fakes.protocols.gocator import FakeGocator
+
+        return FakeGocator(self._camera, **settings)
 
     def _start_positioner(self) -> dict[str, Any]:
         driver, given = self._job["positioner"]

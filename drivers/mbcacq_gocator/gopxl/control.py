@@ -1,0 +1,143 @@
+"""The control channel of a GoPxL sensor: requests on resource paths, answered in order, with notifications in between."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, ProtocolError
+from mbcacq_gocator import wire
+from mbcacq_gocator.gopxl import frames
+from mbcacq_gocator.status import OK, meaning
+
+REPLY_S, STATE_S, JOB_S = 5.0, 15.0, 20.0  # limits of the vendor's own client: resources, start and stop, jobs
+NOT_FOUND = -999
+MAX_BETWEEN = 10_000  # notifications before a reply
+
+
+class Refused(DeviceFault):
+    """GoPxL answered, and said no. status: its code."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class GoPxLControl:
+    """Requests carry no number: a reply belongs to the oldest request. So there is one request at a time, and after anything
+    that leaves a reply outstanding the connection is closed.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        port: int,
+        connect_timeout_s: float,
+        reply_limit_s: float | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._address, self._port = address, port
+        self._connect_timeout_s, self._reply_limit_s, self._cancelled = connect_timeout_s, reply_limit_s, cancelled
+        self._sock: socket.socket | None = None
+        self._one_request = threading.Lock()
+
+    def open(self) -> None:
+        """Raises ConnectError."""
+        self._sock = wire.connect(self._address, self._port, "GoPxL control", self._connect_timeout_s)
+
+    @property
+    def is_open(self) -> bool:
+        return self._sock is not None
+
+    def close(self) -> None:
+        """Idempotent; a request under way ends at once."""
+        sock, self._sock = self._sock, None
+        wire.shut(sock)
+
+    def read(self, path: str, limit_s: float = REPLY_S, **args: Any) -> dict[str, Any]:
+        return self.ask("read", path, None, args, limit_s)
+
+    def read_if_there(self, path: str, **args: Any) -> dict[str, Any]:
+        """As ``read``, but {} where this firmware has no such resource."""
+        try:
+            return self.read(path, **args)
+        except Refused as error:
+            if error.status != NOT_FOUND:
+                raise
+            return {}
+
+    def update(self, path: str, payload: dict[str, Any]) -> dict[str, Any]:
+        return self.ask("update", path, payload)
+
+    def call(self, path: str, payload: dict[str, Any] | None = None, limit_s: float = REPLY_S) -> dict[str, Any]:
+        return self.ask("call", path, payload, None, limit_s)
+
+    def ask(
+        self,
+        method: str,
+        path: str,
+        payload: dict[str, Any] | None = None,
+        args: dict[str, Any] | None = None,
+        limit_s: float = REPLY_S,
+        may_be_cancelled: bool = True,
+    ) -> dict[str, Any]:
+        """The payload of the reply. Raises Refused, ConnectError, DeviceTimeout, ProtocolError, Aborted."""
+        limit_s = min(limit_s, self._reply_limit_s or limit_s)
+        with self._one_request:
+            sock = self._sock
+            if sock is None:
+                raise ConnectError("the connection to the GoPxL sensor is closed; connect again")
+            deadline = time.monotonic() + limit_s
+            cancelled = self._cancelled if may_be_cancelled else lambda: False
+            try:
+                self._send(sock, frames.request(method, path, payload, args), limit_s)
+                return self._answer(sock, path, deadline, cancelled)
+            except Refused:
+                raise
+            except BaseException:
+                self.close()  # a late reply would be taken for that to the next request
+                raise
+
+    def _send(self, sock: socket.socket, data: bytes, limit_s: float) -> None:
+        try:
+            sock.settimeout(limit_s)
+            sock.sendall(data)
+        except TimeoutError:
+            raise DeviceTimeout("the GoPxL sensor takes no more requests; check the network and that it is not overloaded") from None
+        except OSError as error:
+            raise wire.Dropped(f"the connection to the GoPxL sensor broke ({error.strerror or error}); check the cable") from None
+
+    def _answer(self, sock: socket.socket, path: str, deadline: float, cancelled: Callable[[], bool]) -> dict[str, Any]:
+        for _ in range(MAX_BETWEEN):
+            header = bytearray(frames.REPLY.size)
+            wire.receive_exactly(sock, memoryview(header), "reply", deadline, cancelled)
+            status, count = frames.reply_size(bytes(header))
+            body = bytearray(count)
+            wire.receive_exactly(sock, memoryview(body), "reply", deadline, cancelled, started=True)
+            found = frames.content(bytes(body))
+            if found["type"] not in (frames.NOTIFICATION, frames.STREAM):
+                return self._accepted(found, status, path)
+        raise ProtocolError(f"GoPxL sends notifications without end instead of an answer to {path}")
+
+    @staticmethod
+    def _accepted(found: dict[str, Any], outer: int, path: str) -> dict[str, Any]:
+        answered = found.get("path", path)
+        if isinstance(answered, str) and answered.rstrip("/") != path.rstrip("/"):
+            raise ProtocolError(f"GoPxL answered {answered} when it was asked for {path}; the stream is out of step")
+        inner, payload = found.get("status", OK), found.get("payload", {})
+        status = outer if outer != OK else inner
+        if not isinstance(status, int) or not isinstance(payload, dict):
+            raise ProtocolError(f"the answer of GoPxL to {path} has no status or no payload")
+        if status != OK:
+            raise Refused(f"GoPxL refuses {path}: {meaning(status)}{_described(payload)}", status)
+        return payload
+
+
+def _described(payload: dict[str, Any]) -> str:
+    errors = payload.get("errors")
+    first = errors[0] if isinstance(errors, list) and errors else None
+    text = first.get("description") if isinstance(first, dict) else None
+    return f", '{text}'" if isinstance(text, str) and text else ""

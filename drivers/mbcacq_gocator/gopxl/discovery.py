@@ -1,0 +1,113 @@
+"""Discovery of GoPxL sensors: a broadcast on udp 3320, answered with JSON behind a header."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mbcacq.devices import ConnectError, ProtocolError
+from mbcacq_gocator.gopxl.options import GoPxLOptions
+
+SIGNATURE = int.from_bytes(b"LMIGOPXL", "little")
+ASK, ANNOUNCE = 1, 0x1001
+MAX_DATAGRAM = 1536
+_REQUEST = struct.Struct("<QQQ")
+_HEADER = struct.Struct("<QQQQ")
+_LOOK_S, _TRIES = 0.5, 3
+
+
+@dataclass(frozen=True)
+class FoundInstance:
+    """What a GoPxL instance announces. remote: another instance controls this sensor. conflict: its address is taken twice."""
+
+    serial: int
+    model: str
+    build: str
+    address: str
+    control_port: int
+    data_port: int
+    remote: bool = False
+    conflict: bool = False
+
+
+def request() -> bytes:
+    return _REQUEST.pack(_REQUEST.size, ASK, SIGNATURE)
+
+
+def parse(data: bytes, sender: str) -> FoundInstance:
+    """One announcement; ``sender`` stands for an address that it leaves empty. Raises ProtocolError."""
+    try:
+        _, kind, signature, _ = _HEADER.unpack_from(data)
+        if kind != ANNOUNCE or signature != SIGNATURE or len(data) > MAX_DATAGRAM:
+            raise ProtocolError(f"a datagram of {len(data)} bytes is no announcement of GoPxL")
+        content = json.loads(data[_HEADER.size :].split(b"\0")[0].decode("utf-8"))
+        if not isinstance(content, dict):
+            raise ProtocolError("an announcement of GoPxL holds no JSON object")
+        serial = str(content.get("SerialNumber", ""))
+        return FoundInstance(
+            int(serial) if serial.isdigit() else 0,
+            str(content.get("DeviceModel", "")),
+            str(content.get("AppVersion", "")),
+            str(content.get("Address") or sender),
+            _port(content, "ControlPort", 3600),
+            _port(content, "GdpPort", 3601),
+            bool(content.get("IsRemote")),
+            bool(content.get("AddressConflict")),
+        )
+    except (struct.error, ValueError, RecursionError):
+        raise ProtocolError(f"a datagram of {len(data)} bytes cannot be read as an announcement of GoPxL") from None
+
+
+def _port(content: dict[str, Any], key: str, usual: int) -> int:
+    value = content.get(key, usual)
+    return value if isinstance(value, int) and 0 < value < 65536 else usual
+
+
+def find(wait_s: float, broadcast: str, port: int, listen_port: int) -> list[FoundInstance]:
+    """All that announce themselves within ``wait_s``, by serial number. Raises ConnectError where nothing can be sent.
+
+    The vendor's client hears only what comes to its own port 3320, and sensors may answer there; so the request is sent from
+    it (0: from any port, where another program has it).
+    """
+    found: dict[tuple[int, str, int], FoundInstance] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            sock.bind(("", listen_port))
+            sock.sendto(request(), (broadcast, port))
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            where = f"{broadcast}:{port}"
+            raise ConnectError(f"no discovery request can be sent to {where} ({reason}); check this computer's network") from None
+        deadline = time.monotonic() + wait_s
+        while (left := deadline - time.monotonic()) > 0:
+            sock.settimeout(left)
+            try:
+                data, sender = sock.recvfrom(MAX_DATAGRAM + 1)
+                instance = parse(data, sender[0])
+            except (TimeoutError, ProtocolError):
+                continue
+            found[instance.serial, instance.address, instance.control_port] = instance
+    return [found[key] for key in sorted(found)]
+
+
+def located(options: GoPxLOptions) -> GoPxLOptions:
+    """The options with an address. Raises ConnectError if no sensor with that serial number answers."""
+    if options.address.strip():
+        return options
+    found: list[FoundInstance] = []
+    for _ in range(_TRIES):
+        found = find(_LOOK_S, options.broadcast, options.discovery_port, options.discovery_listen_port)
+        mine = [one for one in found if one.serial == options.serial and not one.remote]
+        if mine:
+            return replace(options, address=mine[0].address, control_port=mine[0].control_port, data_port=mine[0].data_port)
+    others = ", ".join(f"{one.model or 'a sensor'} serial {one.serial} at {one.address}" for one in found[:8]) or "none does"
+    raise ConnectError(
+        f"no GoPxL sensor with serial {options.serial} answers a broadcast ({others}); check its power and cable, that "
+        f"the firewall lets udp port {options.discovery_port} in, or give its address"
+    )

@@ -1,0 +1,160 @@
+"""A snapshot sensor that runs GoPxL as an mbcacq scanner, by software trigger."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+from mbcacq.devices import Aborted, ConnectError, Description, DeviceTimeout, Field, IdentityError, MbcacqError, ProtocolError, Scan
+from mbcacq_gocator.generation import classic_answers
+from mbcacq_gocator.gopxl import tree
+from mbcacq_gocator.gopxl.discovery import located
+from mbcacq_gocator.gopxl.options import GoPxLOptions
+from mbcacq_gocator.gopxl.session import Found, GoPxLSession
+from mbcacq_gocator.guard import HealthGuard
+
+_FIELDS = (
+    Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, right-handed, float32"),
+    Field("intensity", "1", (-1,), meaning="grey value of each point"),
+    Field("pixel", "1", (-1,), meaning="row * columns + column of each point"),
+    Field("time_s", "s", meaning="the sensor's system time at the exposure, 0 where it sends no stamp"),
+    Field("health", "", rate_hz=1.0, meaning="temperatures and counters by name"),
+)
+_BACKOFF_S = 0.2
+_log = logging.getLogger("mbcacq.gopxl")
+
+
+class GoPxL:
+    """Driver ``gopxl``. ``model`` is what the sensor must call itself ('3504'; '' for any).
+
+    Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
+    """
+
+    def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
+        self.name, self.model = name, model
+        self.options = GoPxLOptions.read(name, options or {})
+        self._cancel = threading.Event()
+        self._one_capture = threading.Lock()
+        self._session: GoPxLSession | None = None
+        self._found: Found | None = None
+        self._wanted = False
+        self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
+        self._exposure_us = self.options.exposure_us
+        self._description = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
+
+    def connect(self) -> None:
+        """Raises ConnectError, IdentityError, ConfigError (job, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""
+        self._cancel.clear()
+        self._wanted = True
+        self._connect()
+
+    def describe(self) -> Description:
+        return self._description
+
+    def capture(self, exposure_us: float | None = None) -> Scan:
+        """Expose once. Connects anew after a dropped connection, a few times.
+
+        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the sensor stays away), Aborted (``stop`` was called).
+        """
+        if not self._wanted:
+            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+        with self._one_capture:
+            if exposure_us is not None:
+                self._exposure_us = exposure_us
+            for attempt in range(self.options.retries + 1):
+                if self._cancel.is_set():
+                    raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
+                try:
+                    return self._expose()
+                except IdentityError:
+                    self._drop()
+                    raise
+                except ConnectError as error:
+                    self._drop()
+                    if self._cancel.wait(_BACKOFF_S * 2**attempt if attempt < self.options.retries else 0):
+                        raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
+                    if attempt == self.options.retries:
+                        raise
+                except (Aborted, DeviceTimeout, ProtocolError):
+                    self._drop()  # what is still under way must not be taken for the next scan
+                    raise
+        raise AssertionError("unreachable")
+
+    def stop(self) -> None:
+        """No scan goes on; the sensor itself is brought to rest by ``close``, or by the next ``connect``."""
+        self._cancel.set()
+
+    def close(self) -> None:
+        """Stop, put settings and outputs back as they were found, release everything."""
+        self.stop()
+        self._wanted = False
+        with self._one_capture:
+            session = self._session
+            if session is not None and session.control.is_open:
+                self._cancel.clear()
+                try:
+                    if self.options.restore:
+                        session.restore()
+                    else:
+                        session.rest()
+                except MbcacqError as error:
+                    _log.warning("scanner '%s': its settings could not be put back as they were: %s", self.name, error)
+                finally:
+                    self._cancel.set()
+            self._found = None
+            self._drop()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _expose(self) -> Scan:
+        session = self._connect()
+        with _named(self.name):
+            scan = session.expose(self._exposure_us)
+            return replace(scan, warnings=self._guard.look(scan.health))
+
+    def _connect(self) -> GoPxLSession:
+        if self._session is not None:
+            return self._session
+        with _named(self.name):
+            place = located(self.options)
+            session = GoPxLSession(place, self.model, self._cancel.is_set, self._found)
+            try:
+                session.open()
+            except IdentityError:
+                raise
+            except ConnectError as error:
+                if "GoPxL control" in str(error) and classic_answers(place.address):
+                    raise ConnectError(f"the sensor at {place.address} runs classic Gocator firmware; use driver: gocator") from None
+                raise
+        self._session, self._found = session, session.found
+        info = session.info or tree.SensorInfo(0, "", "")
+        firmware = f"GoPxL {info.build}".strip() + f", API {info.api}"
+        self._description = Description("scanner", info.model, _FIELDS, str(info.serial), firmware)
+        return session
+
+    def _drop(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Puts the device's name in front of the messages of errors that pass."""
+    prefix = f"scanner '{name}'"
+    try:
+        yield
+    except MbcacqError as error:
+        if error.args and not str(error.args[0]).startswith(prefix):
+            error.args = (f"{prefix}: {error.args[0]}", *error.args[1:])
+        raise

@@ -1,0 +1,5 @@
+"""A fake LMI sensor that runs GoPxL: control over MessagePack, data over GDP, discovery."""
+
+from mbcacq_fakes.protocols.gopxl.server import FakeGoPxL, GoPxLSettings
+
+__all__ = ["FakeGoPxL", "GoPxLSettings"]

@@ -1,0 +1,59 @@
+"""A frame of the world to the GDP messages of one data set."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, quantise, uniform_grid
+from mbcacq_fakes.world.frame import ScannerFrame
+
+STAMP, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 14, 15, 19, 10
+
+
+def common(source: str, set_id: int, last: bool, output: int, space: int = 1) -> bytes:
+    """The common section, without transform and bounding box, not arrayed."""
+    name, stamp_name = source.encode(), b"scanner-0"
+    body = bytes([space, 0, 0]) + struct.pack("<IIH", 0, 0, len(name)) + name + struct.pack("<H", len(stamp_name)) + stamp_name
+    body += struct.pack("<QBH", set_id, last, output)
+    return struct.pack("<I", 4 + len(body)) + body
+
+
+def message(kind: int, section: bytes, body: bytes) -> bytes:
+    return struct.pack("<IH", 6 + len(section) + len(body), kind) + section + body
+
+
+def stamp(index: int, time_s: float) -> bytes:
+    """Body of a stamp: seven attributes."""
+    whole = int(time_s)
+    nanoseconds = round((time_s - whole) * 1e9)
+    return struct.pack("<HQQqqQQQ", 58, index, round(time_s * 1.024e9), 0, 0, 0, whole, nanoseconds)
+
+
+def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: float, new_form: bool, volume=None) -> bytes:
+    """Body of a surface. The world's frame is right-handed, the sensor's is not: its x runs the other way."""
+    mirrored = frame.xyz * np.array([-1, 1, 1], np.float32)
+    grey = frame.intensity
+    if uniform:
+        raw, grey, scaling = uniform_grid(mirrored, frame.intensity)
+    else:
+        low, high = volume if volume is not None else extent(mirrored)
+        if volume is not None:
+            low, high = np.array([-high[0], *low[1:]]), np.array([-low[0], *high[1:]])
+        scaling = Scaling.over(low, high)
+        raw = np.empty(frame.xyz.shape, "<i2")
+        quantise(mirrored, scaling, raw)
+    rows, columns = raw.shape[0], raw.shape[1]
+    sends_grey = intensity and grey is not None
+    size = 74 + (not uniform) + 4 * new_form
+    section = struct.pack("<HIIII", size, rows, columns, rows * sends_grey, columns * sends_grey)
+    section += struct.pack("<3d3dIf", *scaling.scale, *scaling.offset, 1, exposure_us * 1e3)
+    section += (b"" if uniform else b"\0") + (struct.pack("<i", 1) if new_form else b"")
+    return section + np.ascontiguousarray(raw, "<i2").tobytes() + (np.ascontiguousarray(grey).tobytes() if sends_grey else b"")
+
+
+def measurement(value: float, new_form: bool) -> bytes:
+    valid = bool(np.isfinite(value))
+    body = struct.pack("<dB", value if valid else -1.7976931348623157e308, 1 if valid else 2)
+    return body + (struct.pack("<3d", 0, 0, 0) if new_form else b"")

@@ -1,0 +1,248 @@
+"""The fake sensor: its resources, its exposures, and the channels in front of it."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from mbcacq_fakes.protocols.gocator.listener import Listener
+from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
+from mbcacq_fakes.protocols.gopxl import control, encode, resources
+from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
+from mbcacq_fakes.protocols.gopxl.faults import GoPxLFaults
+from mbcacq_fakes.protocols.gopxl.resources import Resources
+from mbcacq_fakes.world.frame import ScannerFrame
+
+Source = Callable[[float], ScannerFrame]
+_GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
+_POLL_S, _WAITING = 0.02, 16
+_log = logging.getLogger("mbcacq.fakes.gopxl")
+
+
+class GoPxLPorts(NamedTuple):
+    control: int
+    data: int
+
+
+@dataclass(frozen=True)
+class GoPxLSettings:
+    """Where the sensor listens (0: any free port), and what it is.
+
+    scan_time_s: how long an exposure takes. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
+    new_form: messages as release 1.5 writes them, with a pixel format and label positions. stamps: whether it offers stamps.
+    discovery_port: None for none.
+    """
+
+    host: str = "127.0.0.1"
+    control_port: int = 0
+    data_port: int = 0
+    model: str = "3504"
+    serial: int = 12345
+    build: str = "1.5.12.3"
+    scan_time_s: float = 0.0
+    jobs: tuple[str, ...] = ("bench", "other")
+    volume: tuple[np.ndarray, np.ndarray] | None = None
+    new_form: bool = True
+    discovery_port: int | None = None
+    discovery_reply_port: int = 0
+
+
+class FakeGoPxL:
+    """``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the world's frame.
+
+    clock: the world's time in s; without it the sensor counts from its start.
+    """
+
+    def __init__(self, source: Source, settings: GoPxLSettings | None = None, clock: Callable[[], float] | None = None) -> None:
+        self.source, self.settings, self._clock = source, settings or GoPxLSettings(), clock
+        self.faults = GoPxLFaults()
+        self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
+        self.data = Publisher()
+        self._asked: queue.Queue[None] = queue.Queue(_WAITING)
+        self._made, self._born = 0, time.monotonic()
+        self._closing = threading.Event()
+        self._lock = threading.Lock()
+        self._controls: dict[socket.socket, threading.Thread] = {}
+        self._listeners: list[Listener] = []
+        self._discovery: GoPxLDiscovery | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> Self:
+        """Returns when the ports listen. Raises OSError where one cannot be taken."""
+        s = self.settings
+        try:
+            for port, take in ((s.control_port, self._accept_control), (s.data_port, self.data.add)):
+                self._listeners.append(Listener(s.host, port, take, lambda: bool(self.faults.get("refuse_connections"))))
+            self.ports = GoPxLPorts(*(listener.port for listener in self._listeners))
+            self.resources.gdp_port = self.ports.data
+            if s.discovery_port is not None:
+                self._discovery = GoPxLDiscovery(s.host, s.discovery_port, s.discovery_reply_port, self._announced)
+                self._discovery.start()
+        except OSError:
+            self.stop()
+            raise
+        self._thread = threading.Thread(target=self._run, name="fake-gopxl", daemon=True)
+        for starter in (*self._listeners, self._thread):
+            starter.start()
+        return self
+
+    def stop(self) -> None:
+        """Idempotent; returns when all threads and sockets are gone."""
+        self._closing.set()
+        for listener in self._listeners:
+            listener.close()
+        if self._discovery is not None:
+            self._discovery.close()
+        self.drop_connections()
+        with self._lock:
+            threads = [*self._controls.values(), *filter(None, [self._thread])]
+        for thread in threads:
+            thread.join(5.0)
+        self._listeners, self._discovery, self._thread = [], None, None
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.stop()
+
+    @property
+    def discovery_port(self) -> int | None:
+        return self._discovery.port if self._discovery else None
+
+    @property
+    def scans(self) -> int:
+        """Exposures made so far."""
+        return self._made
+
+    def drop_connections(self) -> None:
+        """Close every connection of every client; new ones are welcome."""
+        with self._lock:
+            controls = list(self._controls)
+        for sock in controls:
+            try:
+                sock.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass
+        self.data.close()
+
+    def _announced(self) -> dict[str, Any]:
+        s = self.settings
+        return {
+            "AppId": "fake",
+            "AppName": "GoPxL",
+            "AppVersion": s.build,
+            "DeviceModel": s.model,
+            "SerialNumber": str(s.serial),
+            "Address": s.host,
+            "Mask": "255.255.255.0",
+            "Gateway": "",
+            "ControlPort": self.ports.control,
+            "GdpPort": self.ports.data,
+            "WebPort": 8100,
+            "HMIStatus": 0,
+            "Dhcp": False,
+            "IsRemote": False,
+            "AddressConflict": False,
+        }
+
+    def _accept_control(self, sock: socket.socket) -> None:
+        def serve() -> None:
+            with sock:
+                control.serve(sock, self.resources.handle, self.faults)
+            with self._lock:
+                self._controls.pop(sock, None)
+
+        thread = threading.Thread(target=serve, name="fake-gopxl-control", daemon=True)
+        with self._lock:
+            self._controls[sock] = thread
+        thread.start()
+
+    def _ask(self) -> None:
+        try:
+            self._asked.put_nowait(None)
+        except queue.Full:
+            raise resources.Refused(-981, "too many triggers wait") from None
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self._asked.get(timeout=_POLL_S)
+            except queue.Empty:
+                continue
+            try:
+                self._expose()
+            except Exception:
+                _log.exception("the exposure failed; no data set is sent")
+
+    def _expose(self) -> None:
+        if self.settings.scan_time_s and self._closing.wait(self.settings.scan_time_s):
+            return
+        frame = self.source(self.resources.exposure_us)
+        self._made += 1
+        self.resources.scan_count = self._made
+        self.data.wait_for_client(0.5)
+        if self.resources.gdp_enabled:
+            self.data.publish(self._spoiled(self._messages(frame)))
+
+    def _messages(self, frame: ScannerFrame) -> list[bytes]:
+        """What the outputs ask for: stamp, surface, measurements, in the order of their ids; the last one marked."""
+        modes, s = self.resources.group["scanModeSettings"], self.settings
+        time_s = frame.time_s if self._clock and frame.time_s else time.monotonic() - self._born
+        index = 0 if self.faults.use("old_frame") else self._made
+        parts: list[tuple[int, str, int, bytes]] = []
+        for output in sorted(self.resources.outputs, key=lambda o: (o["source"] != resources.STAMP, o["outputId"])):
+            source, number = output["source"], output["outputId"]
+            uniform = source == resources.UNIFORM
+            if source == resources.STAMP:
+                parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
+            elif uniform == bool(modes["uniformSpacingEnabled"]):
+                body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
+                parts.append((encode.UNIFORM_SURFACE if uniform else encode.SURFACE_POINTS, source, number, body))
+        for number, value in frame.measurements.items():
+            parts.append((encode.MEASUREMENT, f"tools:Height-{number}:outputs:Z", 100 + number, encode.measurement(value, s.new_form)))
+        last = len(parts) - 1
+        return [encode.message(k, encode.common(src, self._made, i == last, n), body) for i, (k, src, n, body) in enumerate(parts)]
+
+    def _spoiled(self, messages: list[bytes]) -> list[object]:
+        """The messages as the active faults let them out."""
+        faults = self.faults
+        whole: dict[str, list[object]] = {"no_data": [], "close_data": [CLOSE], "garbage": [_GARBAGE]}
+        for fault, instead in whole.items():
+            if faults.use(fault):
+                return instead
+        at = next((i for i, m in enumerate(messages) if m[4] in (encode.UNIFORM_SURFACE, encode.SURFACE_POINTS)), None)
+        if at is None:
+            return list(messages)
+        before, body, after = messages[:at], messages[at], messages[at + 1 :]
+        replaced: dict[str, Callable[[Any], list[object]]] = {
+            "stamp_only": lambda _: [encode.message(encode.NULL, encode.common("", self._made, True, 0), b"\6\0\1\0\0\0")],
+            "null_surface": lambda status: [self._null(status), *after],
+            "close_in_message": lambda _: [body[: len(body) // 2], CLOSE],
+            "stall": lambda _: [body[: len(body) // 2], MUTE],
+            "short_message": lambda _: [_shortened(body), *after],
+            "unknown_type": lambda _: [encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this"), body, *after],
+        }
+        for fault, make in replaced.items():
+            if (value := faults.use(fault)) is not None:
+                return [*before, *make(value)]
+        return list(messages)
+
+    def _null(self, status: int) -> bytes:
+        body = b"\6\0" + int(status).to_bytes(4, "little", signed=True)
+        return encode.message(encode.NULL, encode.common(resources.POINTS, self._made, True, 1), body)
+
+
+def _shortened(message: bytes) -> bytes:
+    short = bytearray(message[: max(len(message) * 3 // 4, 70)])
+    short[:4] = len(short).to_bytes(4, "little")
+    return bytes(short)

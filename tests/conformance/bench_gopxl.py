@@ -1,0 +1,52 @@
+"""The GoPxL driver in front of a fake sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import numpy as np
+from bench_gocator import tilted_plane
+from mbcacq_fakes.protocols.gopxl import FakeGoPxL
+from mbcacq_fakes.world.frame import ScannerFrame
+from mbcacq_gocator.gopxl.driver import GoPxL
+
+from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted
+
+
+@contextmanager
+def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
+    """Every scan is of another plane, so that an old one cannot pass for a new one."""
+    plane, asked = tilted_plane(), []
+    note = trace.note if trace else (lambda *_: None)
+
+    def source(exposure_us: float) -> ScannerFrame:
+        asked.append(exposure_us)
+        return ScannerFrame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
+
+    with ExitStack() as stack:
+        sensor = stack.enter_context(FakeGoPxL(source))
+        proxies = {
+            name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
+            for name, port in sensor.ports._asdict().items()
+        }
+        ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
+        given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
+        hasty = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
+
+        def use(scanner: GoPxL) -> None:
+            before = len(asked)
+            scan = scanner.capture(900.0 + 10 * before)
+            assert len(scan.points) == 228, f"{len(scan.points)} points instead of 228"
+            away = (scan.points - plane.xyz.reshape(-1, 3)[scan.pixel].astype(float)) / [1, 1, 0.5]
+            of_these = [number for number in range(before + 1, len(asked) + 1) if np.abs(away - [0, 0, number]).max() < 0.01]
+            assert of_these, f"the points are those of no exposure after {before}"
+
+        def begin(scanner: GoPxL) -> None:
+            sensor.faults.set("no_data", times=1)
+            scanner.capture()
+
+        yield Stand(
+            lambda **o: GoPxL("scanner", "3504", {**given, **o}), use, proxies, lambda: GoPxL("scanner", "3210", given), begin, hasty=hasty
+        )
