@@ -44,7 +44,7 @@ def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: fl
         scaling = Scaling.over(low, high)
         raw = np.empty(frame.xyz.shape, "<i2")
         quantise(mirrored, scaling, raw)
-    rows, columns = raw.shape[0], raw.shape[1]
+    rows, columns = frame.xyz.shape[0], frame.xyz.shape[1]
     sends_grey = intensity and grey is not None
     size = 74 + (not uniform) + 4 * new_form
     section = struct.pack("<HIIII", size, rows, columns, rows * sends_grey, columns * sends_grey)
