@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
@@ -32,7 +32,7 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
         return ScannerFrame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
 
     with ExitStack() as stack:
-        sensor = stack.enter_context(FakeGocator(source, health_period_s=0.1))
+        sensor = stack.enter_context(FakeGocator(source, FakeGocatorOptions(health_period_s=0.1)))
         proxies = {
             name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()

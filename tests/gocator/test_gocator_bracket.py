@@ -59,7 +59,7 @@ def test_the_exposure_of_before_is_put_back(sensor):
 def test_a_bracket_that_the_sensor_cannot_do_is_refused_on_connecting(sensor):
     with pytest.raises(ConfigError, match="an exposure of 5e\\+06 us is outside"):
         Gocator("eye", "", options(sensor, exposures_us=[500, 5e6])).connect()
-    assert sensor.scans == 0
+    assert sensor.state.exposures == 0
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import struct
 
 import pytest
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.discovery import Discovery
+from mbcacq_fakes.protocols.gocator.options import Ports
+from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_gocator.discovery import find_sensors, parse_reply
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.locate import elsewhere
@@ -22,16 +24,9 @@ PORTS = bytes.fromhex("76 0c 78 0c 7a 0c 7c 0c 50 00 07 0a") + b"PartNumber" + b
 
 
 @pytest.fixture
-def sensor(frame):
-    # Ports of a real sensor, but nothing is opened: only the datagrams are looked at.
-    made = FakeGocator(lambda e: frame, model="3504", serial=12345)
-    made.ports = type(made).__init__.__globals__["Ports"](3190, 3194, 3196)
-    return made
-
-
-@pytest.fixture
-def discovery(sensor):
-    made = Discovery(sensor, port=0)
+def discovery():
+    # Ports of a real sensor, but no channel is opened: only the datagrams are looked at.
+    made = Discovery(SensorState(FakeGocatorOptions(model="3504", serial=12345)), Ports(3190, 3194, 3196), port=0)
     yield made
     made.close()
 
@@ -99,7 +94,9 @@ def test_datagrams_for_others_are_not_answered(discovery, request_bytes):
 
 
 def test_sensor_is_found_with_its_own_ports_by_a_broadcast_reply(frame):
-    with FakeGocator(lambda e: frame, discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777) as sensor:
+    with FakeGocator(
+        lambda e: frame, FakeGocatorOptions(discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777)
+    ) as sensor:
         found = find_sensors(1.0, "127.0.0.1", sensor.discovery_port, serial=777)
         assert find_sensors(0.2, "127.0.0.1", sensor.discovery_port, serial=778) == []
     assert [(f.serial, f.model, f.address) for f in found] == [(777, "3210", "127.0.0.1")]
@@ -122,7 +119,9 @@ def test_firmware_before_5_1_tells_its_address_only():
 @pytest.fixture
 def network(frame):
     """Options that look for sensors on the loopback's own broadcast address, where two answer."""
-    with FakeGocator(lambda e: frame, discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777) as sensor:
+    with FakeGocator(
+        lambda e: frame, FakeGocatorOptions(discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777)
+    ) as sensor:
         yield {"broadcast": "127.0.0.1", "discovery_port": sensor.discovery_port}
 
 

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions, actions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
@@ -46,7 +46,7 @@ def test_two_megapixel_frames_arrive_within_half_a_step(mode):
 @pytest.mark.parametrize(("generation", "mode", "uniform"), [(4, "trigger", True), (5, "snapshot", False), (6, "snapshot", True)])
 def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mode, uniform):
     with (
-        FakeGocator(lambda e: frame, generation=generation, uniform=uniform) as sensor,
+        FakeGocator(lambda e: frame, FakeGocatorOptions(generation=generation, uniform=uniform)) as sensor,
         Gocator("eye", "3210", options(sensor, mode=mode)) as scanner,
     ):
         scan = scanner.capture()
@@ -59,7 +59,7 @@ def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mo
 
 def test_scan_carries_time_exposure_measurements_and_health(frame):
     moment = ScannerFrame(frame.xyz, frame.intensity, time_s=3.25, measurements={7: 12.3456, 9: float("nan")})
-    with FakeGocator(lambda e: moment, clock=lambda: 3.0) as sensor, Gocator("eye", "", options(sensor)) as scanner:
+    with FakeGocator(lambda e: moment, FakeGocatorOptions(clock=lambda: 3.0)) as sensor, Gocator("eye", "", options(sensor)) as scanner:
         for _ in range(100):
             scan = scanner.capture(2750)
             if scan.health:
@@ -94,14 +94,14 @@ def test_exposure_changes_while_running_in_trigger_mode(frame):
 
     with FakeGocator(source) as sensor, Gocator("eye", "", options(sensor, mode="trigger")) as scanner:
         scanner.capture(500)
-        assert sensor.running
+        assert sensor.state.running
         scanner.capture(700)
         scanner.stop()
-        assert not sensor.running
+        assert not sensor.state.running
         scanner.connect()
         scanner.capture()
     assert asked == [500, 700, 700]
-    assert not sensor.running
+    assert not sensor.state.running
 
 
 def test_job_is_loaded_by_name_with_or_without_suffix(fake, driver):
@@ -126,7 +126,7 @@ def test_another_model_is_refused_with_both_names(driver, model):
 
 
 def test_old_part_number_alone_identifies(frame):
-    with FakeGocator(lambda e: frame, generation=4, model="2330") as sensor:
+    with FakeGocator(lambda e: frame, FakeGocatorOptions(generation=4, model="2330")) as sensor:
         with Gocator("eye", "2330", options(sensor, mode="trigger")) as scanner:
             assert scanner.describe().model == "2330"
         with pytest.raises(devices.IdentityError):
@@ -145,10 +145,10 @@ def test_unsuitable_job_is_named(fake, driver, path, value, words):
 
 
 def test_a_sensor_left_running_is_stopped_first(fake, driver):
-    fake.begin()
+    actions.start(fake.state)
     scanner = driver()
     scanner.connect()
-    assert not fake.running
+    assert not fake.state.running
     scanner.capture()
 
 
@@ -195,7 +195,7 @@ def test_stop_from_another_thread_ends_a_waiting_capture(fake, driver):
 
     thread = threading.Thread(target=capture)
     thread.start()
-    while not fake.scans:
+    while not fake.state.exposures:
         thread.join(0.01)
     for _ in range(3):
         scanner.stop()
@@ -213,6 +213,6 @@ def test_several_clients_share_one_sensor(fake, driver):
     one, two = driver(), driver()
     one.connect()
     two.connect()
-    eventually(lambda: fake.data.count == 2, 10.0, "both are accepted")  # what is sent before a connection is accepted is lost to it
+    eventually(lambda: fake.state.data.count == 2, 10.0, "both are accepted")  # what is sent before a connection is accepted is lost to it
     times = [s.capture().time_s for s in (one, two, one, two)]
     assert times == sorted(times)  # sets that another client asked for earlier are passed over

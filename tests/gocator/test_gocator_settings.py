@@ -70,7 +70,7 @@ def test_they_are_put_back_after_ctrl_c_and_from_trigger_mode(fake, driver):
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert live(fake) == found
-    assert not fake.running
+    assert not fake.state.running
 
 
 def test_a_refused_plan_changes_nothing(fake, driver):
@@ -84,7 +84,7 @@ def test_a_reconnect_within_a_run_does_not_take_the_changed_state_for_the_old_on
     found = live(fake)
     with driver(job="other") as scanner:
         scanner.capture(2750)
-        fake.drop_connections()
+        fake.state.drop_connections()
         scanner.capture(2750)
     assert live(fake) == found
 
