@@ -70,7 +70,7 @@ class Servers:
             setattr(self._sensors[number], name, value)
 
     def _start_scanner(self, options: FakeOptions) -> dict[str, Any]:
-        from mbcacq_fakes.protocols.gocator import FakeGocator
+        from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 
         place, given = self._job["scanner"], self._job["scanner_options"]
         jobs = tuple(filter(None, (given.get("job", ""),))) + ("bench.job", "other.job")
@@ -83,7 +83,7 @@ class Servers:
             **options.scanner,
         }
         try:
-            self._gocator = FakeGocator(self._camera, **settings)
+            self._gocator = FakeGocator(self._camera, FakeGocatorOptions(**settings))
         except TypeError as error:
             raise ConfigError(f"fake.scanner: {error}; correct the plan") from error
         try:

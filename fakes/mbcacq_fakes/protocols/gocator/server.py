@@ -75,11 +75,8 @@ class FakeGocator:
 
     def _listen(self) -> None:
         o = self.options
-        for port, accept in (
-            (o.control_port, self._accept_control),
-            (o.health_port, self._accept_health),
-            (o.data_port, self.state.data.add),
-        ):
+        channels = ((o.control_port, self._accept_control), (o.health_port, self._accept_health), (o.data_port, self.state.data.add))
+        for port, accept in channels:
             self._listeners.append(Listener(o.host, port, accept, self._refusing))
         self.ports = Ports(*(listener.port for listener in self._listeners))
         if o.discovery:

@@ -28,7 +28,7 @@ class SensorState:
         self.firmware, self.protocol = _FIRMWARE[options.generation], _PROTOCOL[options.generation]
         switches = {"Setup/IntensityEnabled": options.intensity, "Setup/UniformSpacingEnabled": options.uniform}
         self.files, self.faults = Files(tuple(options.jobs), switches), Faults()
-        self.settings = {"alignment_reference": 0, "recording": 0, "playback_source": 0, "autostart": 0, "quick_edit": 0}
+        self.settings: dict[str, int] = {"alignment_reference": 0, "recording": 0, "playback_source": 0, "autostart": 0, "quick_edit": 0}
         self.variables: list[int] = [0, 0, 0, 0]
         self.flags: dict[str, bytes] = {}
         self.encoder, self.temperature_C = 0, 41.0
