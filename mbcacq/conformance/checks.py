@@ -125,7 +125,8 @@ def stop_and_close_are_always_allowed(bench: TestStand, stand: Stand) -> None:
 
 
 def stop_ends_what_is_under_way(bench: TestStand, stand: Stand) -> None:
-    if stand.begin is None:
+    begin, at_rest = stand.begin, stand.at_rest
+    if begin is None:
         raise Skip("nothing of this device takes long")
     driver = stand.make()
     bounded("connect", driver.connect, bench.limit_s)
@@ -134,15 +135,15 @@ def stop_ends_what_is_under_way(bench: TestStand, stand: Stand) -> None:
 
     def long() -> None:
         try:
-            stand.begin(driver)
+            begin(driver)
         except BaseException as error:
             raised.append(error)
         finally:
             ended.set()
 
     threading.Thread(target=long, name="under-way", daemon=True).start()
-    if stand.at_rest is not None:
-        eventually(lambda: not stand.at_rest() or bool(raised), bench.limit_s, "the device never began")
+    if at_rest is not None:
+        eventually(lambda: not at_rest() or bool(raised), bench.limit_s, "the device never began")
     else:
         ended.wait(0.1)
     for _ in range(2):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mbcacq.conformance.bounded import Hang, bounded, outcome
-from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER
+from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER, Sender
 from mbcacq.conformance.steps import comes_back, rests
 from mbcacq.conformance.test_stand import Stand, TestStand
 
@@ -18,7 +18,7 @@ RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"
 @dataclass(frozen=True)
 class Case:
     link: str
-    sender: str
+    sender: Sender
     index: int
     action: str
 
@@ -40,14 +40,14 @@ class InjectionVerdict:
         return self.result in (RECOVERED, NAMED, UNREACHED)
 
 
-def survey(bench: TestStand) -> dict[tuple[str, str], int]:
+def survey(bench: TestStand) -> dict[tuple[str, Sender], int]:
     """Messages by (link, sender) of the undisturbed work. Raises what the work raises."""
     with bench.open() as stand:
         _work(stand)
         return {(name, sender): proxy.channel.count[sender] for name, proxy in stand.proxies.items() for sender in (DEVICE, DRIVER)}
 
 
-def cases(counts: dict[tuple[str, str], int], most: int = 24, actions: tuple[str, ...] = ACTIONS) -> Iterator[Case]:
+def cases(counts: dict[tuple[str, Sender], int], most: int = 24, actions: tuple[str, ...] = ACTIONS) -> Iterator[Case]:
     """All messages of a link and sender, or ``most`` of them: the first half one by one, the rest spread over what follows."""
     for (link, sender), count in sorted(counts.items()):
         indices = list(range(min(count, most)))

@@ -16,7 +16,7 @@ def frames(rng, runs):
     from mbcacq_fakes.world.rays import Grid
 
     mbc = clouds.artefact()
-    scanner = world.Scanner(Grid.with_pitch(ScannerView(), 0.25), ScannerNoise.for_centres(np.zeros(3)))
+    scanner = world.FringeScanner(Grid.with_pitch(ScannerView(), 0.25), ScannerNoise.for_centres(np.zeros(3)))
     facts = ArtefactFacts(mbc.id, mbc.ball_ids, mbc.centres, mbc.diameters, 0.0)
     for _ in range(runs):
         T = np.eye(4)

@@ -85,8 +85,8 @@ class FakeCell:
             except (subprocess.TimeoutExpired, ValueError, BrokenPipeError):
                 process.kill()
                 process.wait()
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):  # of what was still to be said to it
+            for pipe in filter(None, (process.stdin, process.stdout)):
+                with suppress(OSError):  # a message to a process that has ended
                     pipe.close()
         krc, self._krc = self._krc, None
         if krc is not None:
@@ -160,6 +160,7 @@ class FakeCell:
         }
 
     def _start_controller(self) -> dict[str, Any]:
+        assert self._state is not None, "the arm's state is made before its controller"
         self._krc, options = start_controller(
             self._loaded,
             self._state,
@@ -178,17 +179,23 @@ class FakeCell:
         return tuple(map(tuple, np.column_stack([self._facts.sign, rows]).tolist()))
 
     def _send(self, message: Any) -> None:
+        pipe = None if self._process is None else self._process.stdin
+        if pipe is None:
+            raise ConnectError("the fake cell's process has ended; start the cell again")
         try:
-            pickle.dump(message, self._process.stdin)
-            self._process.stdin.flush()
-        except (BrokenPipeError, ValueError, AttributeError) as error:
+            pickle.dump(message, pipe)
+            pipe.flush()
+        except (BrokenPipeError, ValueError) as error:
             raise ConnectError("the fake cell's process has ended; start the cell again") from error
 
     def _receive(self) -> Any:
+        pipe = None if self._process is None else self._process.stdout
+        if pipe is None:
+            raise ConnectError("the fake cell's process has ended; start the cell again")
         try:
-            kind, value = pickle.load(self._process.stdout)
-        except (EOFError, AttributeError, pickle.UnpicklingError) as error:
-            raise ConnectError("the fake cell's process has ended; its last words are above") from error
+            kind, value = pickle.load(pipe)
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise ConnectError("the fake cell's process has ended; its last messages are above") from error
         if kind == "error":
             raise value
         return value

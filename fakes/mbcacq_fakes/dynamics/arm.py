@@ -57,6 +57,7 @@ class Links:
         M, h = self._bodies.at(self.q, self.qd)
         h = h - self._spring_torque() + d.link_coulomb * self._link_sense
         qdd = acceleration * ratio
+        pull = np.zeros(0)
         if len(e):
             rate = self.qd[e] + self._ahead
             pull = self._stiff * ((motor * ratio)[e] - self.q[e]) + self._damp * ((speed * ratio)[e] - rate)

@@ -123,7 +123,7 @@ def follow(drives: Drives, clock: np.ndarray, time: np.ndarray, command) -> tupl
         values = [v[::finer] for v in values]
         for o, v in zip(out, values, strict=True):
             o[:, j] = v
-    return tuple(out)
+    return out[0], out[1], out[2]
 
 
 def fourier(robot: Any, seconds: float, speed: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, CubicSpline]:

@@ -17,7 +17,7 @@ class BaseCompliance(Hidden):
 
     def draw(self) -> None:
         given = self.given["compliance_rad_per_Nm"]
-        moment = np.linalg.norm(self._moment(np.zeros((1, self.cell.n)), np.zeros((1, 3))))
+        moment = float(np.linalg.norm(self._moment(np.zeros((1, self.cell.n)), np.zeros((1, 3)))))
         self.compliance = abs(self.size(2e-4 / max(moment, 1.0))) if given is None else float(given)
 
     def _moment(self, q: np.ndarray, tilt: np.ndarray) -> np.ndarray:

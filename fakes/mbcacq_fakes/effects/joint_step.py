@@ -21,7 +21,7 @@ class JointStep(Hidden):
 
     def displace(self, at: Moments, moved: Moved) -> None:
         after = self.pose_number(at) >= self.at_pose
-        moved.joint[np.ix_(after, self._axes)] += self.step
+        moved.joint[np.ix_(after, np.array(self._axes))] += self.step
 
     def truth(self) -> dict[str, Any]:
         return {"where": names(self._axes), "at_pose": self.at_pose, "step_deg": float(np.degrees(self.step))}

@@ -21,7 +21,7 @@ class MountCompliance(Hidden):
         self.mass = masses.payload_mass if masses.payload_mass > 0 else 1.0
         self.com = masses.payload_com if np.any(masses.payload_com) else self.cell.hand_eye[:3, 3] / 2
         weight = self.mass * STANDARD_GRAVITY
-        self.tilt = 0.0 if kind == "shift" else abs(self.size(3e-4 / max(weight * np.linalg.norm(self.com) * 1e-3, 0.05)))
+        self.tilt = 0.0 if kind == "shift" else abs(self.size(3e-4 / max(weight * float(np.linalg.norm(self.com)) * 1e-3, 0.05)))
         self.shift = 0.0 if kind == "tilt" else abs(self.size(0.06 / weight))
 
     def displace(self, at: Moments, moved: Moved) -> None:

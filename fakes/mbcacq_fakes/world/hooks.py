@@ -57,6 +57,7 @@ class ConcealedEffect(Protocol):
 
     def alter(self, cell: CellFacts) -> CellFacts:
         """What is true of the cell in place of what is believed, e.g. another payload; called before any ``begin``."""
+        ...
 
     def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         """Called once before the first moment; draws what is to be drawn. ``arm`` is the true arm."""
@@ -66,9 +67,11 @@ class ConcealedEffect(Protocol):
 
     def warp(self, points: np.ndarray, pose: np.ndarray, at: Moments) -> np.ndarray:
         """What the scanner reports for true points (N, 3) mm in its frame; ``pose`` (N,) indexes the moments."""
+        ...
 
     def truth(self) -> dict[str, Any]:
         """The drawn parameters under the names of the observation-set contract, and 'where'."""
+        ...
 
 
 class Quiet:

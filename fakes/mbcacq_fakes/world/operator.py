@@ -48,4 +48,4 @@ class Operator:
         """Index of the artefact that stands there, NOBODY if none."""
         if self.empty or station == NOBODY:
             return NOBODY
-        return int(self.wrong.get(station, self.station_artefact[station]))
+        return self.wrong[station] if station in self.wrong else int(self.station_artefact[station])

@@ -102,6 +102,7 @@ class FringeScanner:
             _nearer(depth, label, pixel, rays.sphere(*self.grid.rays(pixel), centre, radius)[0], k)
         if scene.carrier is not None:
             carrier, T = scene.carrier, scene.T_scanner_artefact
+            assert T is not None, "a carrier comes with its pose"
             for low, high in carry(T, carrier.rods):
                 ends = np.stack([low, high])
                 pixel = self.grid.window(np.stack([ends.min(axis=0), ends.max(axis=0)]) + carrier.rod_radius * np.array([[-1], [1]]))
@@ -119,6 +120,7 @@ class FringeScanner:
         on = ball >= 0
         normal[on] = (xyz[on] - scene.centres[ball[on]]) / scene.radii[ball[on], None]
         if scene.carrier is not None:
+            assert scene.T_scanner_artefact is not None, "a carrier comes with its pose"
             up = scene.T_scanner_artefact[:3, 2]
             normal[~on] = up if up[2] > 0 else -up
             normal[rod] = _unit(np.array([0, 0, 1.0]) - up[2] * up + 1e-9)
