@@ -138,7 +138,7 @@ class SerialSensor:
         if self._identity is None:
             return
         identity, expected = self._identity
-        # A line has no connections: half a question of whoever asked before may spoil ours, so it is asked again.
+        # A line has no connections: half a question of whoever asked before may garble ours, so it is asked again.
         timeout_s, began, asked, heard, pending = self._options.timeout_s, time.monotonic(), 0, "", b""
         while (elapsed := time.monotonic() - began) < timeout_s:
             if elapsed >= asked * timeout_s / ASKED:

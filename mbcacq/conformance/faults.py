@@ -20,7 +20,7 @@ Cut = Callable[[bytes], int]
 
 @dataclass(frozen=True)
 class Fault:
-    """What befalls message ``index`` (from 0, of those that ``sender`` sends) and, with ``lasting``, all later ones.
+    """What happens to message ``index`` (from 0, of those that ``sender`` sends) and, with ``lasting``, all later ones.
 
     drop; delay by ``seconds``; truncate: the first half arrives; duplicate; garbage: random bytes of the same length; close: the first
     half arrives, then the connection ends (a datagram is lost); split: byte by byte; join: in one segment with the next.

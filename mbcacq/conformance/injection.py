@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mbcacq.conformance.bounded import Hang, bounded, outcome
+from mbcacq.conformance.driver_bench import DriverBench, Stand
 from mbcacq.conformance.faults import ACTIONS, DEVICE, DRIVER, Sender
 from mbcacq.conformance.steps import comes_back, rests
-from mbcacq.conformance.test_stand import Stand, TestStand
 
 _CALM_S = 0.05  # a fault at the very last message takes effect after the work
 RECOVERED, NAMED, UNREACHED = "recovered", "named error", "not reached"
@@ -40,7 +40,7 @@ class InjectionVerdict:
         return self.result in (RECOVERED, NAMED, UNREACHED)
 
 
-def survey(bench: TestStand) -> dict[tuple[str, Sender], int]:
+def survey(bench: DriverBench) -> dict[tuple[str, Sender], int]:
     """Messages by (link, sender) of the undisturbed work. Raises what the work raises."""
     with bench.open() as stand:
         _work(stand)
@@ -60,7 +60,7 @@ def cases(counts: dict[tuple[str, Sender], int], most: int = 24, actions: tuple[
                 yield Case(link, sender, index, action)
 
 
-def inject(bench: TestStand, case: Case, delay_s: float = 1.0) -> InjectionVerdict:
+def inject(bench: DriverBench, case: Case, delay_s: float = 1.0) -> InjectionVerdict:
     """Connect, use twice, close, with that one fault; then look whether the device rests and the next driver works."""
     began = time.monotonic()
 
@@ -71,7 +71,7 @@ def inject(bench: TestStand, case: Case, delay_s: float = 1.0) -> InjectionVerdi
         proxy = stand.proxies[case.link]
         proxy.channel.set(case.action, case.sender, index=case.index, seconds=delay_s)
         try:
-            error = outcome(str(case), lambda: _work(stand, **stand.hasty), 3 * bench.limit_s)
+            error = outcome(str(case), lambda: _work(stand, **stand.short_limits), 3 * bench.limit_s)
         except Hang as hang:
             return verdict("hang", str(hang))
         except AssertionError as wrong:

@@ -189,7 +189,7 @@ def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
 
 
 def _coverage(u: np.ndarray, view: np.ndarray, max_incidence: float) -> float:
-    """Share of the cells of the disk, as seen along ``view``, that hold a point; fewer cells where there are few points."""
+    """Share of the cells of the disk, along ``view``, that hold a point; fewer cells where there are few points."""
     cells = int(np.clip(np.sqrt(len(u) / 4), 4, 12))
     side = np.cross(view, np.eye(3)[np.argmin(np.abs(view))])
     side /= np.linalg.norm(side)

@@ -97,7 +97,7 @@ def test_stop_from_another_thread_ends_the_wait_and_writes_halt():
         assert server.memory["coil"][5] == 1
 
 
-def test_silent_device_and_absent_device_are_told_apart():
+def test_silent_device_and_absent_device_are_different_errors():
     with fake() as server:
         positioner = ModbusPositioner("p", "", options(server))
         positioner.connect()

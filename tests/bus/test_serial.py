@@ -1,4 +1,5 @@
 import socket
+import sys
 import threading
 import time
 
@@ -10,6 +11,8 @@ from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout
 
 LINE = r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)"
 
+needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+
 
 def test_streamed_lines_become_named_values():
     with FakeSerialSensor(lambda: "T=21.5 R=28.0") as fake:
@@ -18,6 +21,7 @@ def test_streamed_lines_become_named_values():
             assert [(f.name, f.unit) for f in sensor.describe().fields] == [("air_C", "C"), ("robot_C", "")]
 
 
+@needs_terminal
 def test_raw_numbers_are_scaled_and_a_broken_probe_is_named_on_a_terminal_device():
     spec = {
         "line": r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)",

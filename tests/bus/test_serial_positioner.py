@@ -1,5 +1,6 @@
 """A lift or turntable on a serial line, described by its words; on a real terminal device, and on a TCP port."""
 
+import sys
 import threading
 
 import pytest
@@ -23,6 +24,8 @@ WORDS = {
     "identity": {"ask": "*IDN?\r\n", "expect": "LIFT 3000"},
 }
 
+needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+
 
 def fake(pty=True, travel_s=0.05, **changes):
     options = parse(SerialPositionerOptions, "x", {"port": "x", **WORDS, **changes})
@@ -33,7 +36,7 @@ def driver(line, **changes):
     return SerialPositioner("p", "lift", {"port": line.url, **WORDS, **changes})
 
 
-@pytest.mark.parametrize("pty", [True, False], ids=["terminal", "tcp"])
+@pytest.mark.parametrize("pty", [pytest.param(True, marks=needs_terminal), False], ids=["terminal", "tcp"])
 def test_drives_there_in_the_devices_own_units(pty):
     with fake(pty) as line, driver(line) as positioner:
         positioner.go_to("2", "")
@@ -46,12 +49,14 @@ def test_drives_there_in_the_devices_own_units(pty):
     assert isinstance(create("positioners", "serial", "lift", {"port": "x", **WORDS}), Positioner)
 
 
+@needs_terminal
 def test_waits_until_it_stands_there():
     with fake(travel_s=0.4) as line, driver(line) as positioner:
         positioner.go_to("2", "")
         assert line.motion.arrived
 
 
+@needs_terminal
 def test_a_ready_flag_that_is_not_lowered_yet_is_not_believed():
     """Without a position to compare, the flag of the motion before must not pass for that of this one."""
     with fake(travel_s=0.3, position=None) as line:
@@ -61,6 +66,7 @@ def test_a_ready_flag_that_is_not_lowered_yet_is_not_believed():
             assert line.motion.arrived
 
 
+@needs_terminal
 def test_stuck_it_says_where_it_is():
     with fake() as line:
         line.motion.stuck = True
@@ -69,7 +75,8 @@ def test_stuck_it_says_where_it_is():
                 positioner.go_to("2", "")
 
 
-def test_a_fault_is_told_with_its_code():
+@needs_terminal
+def test_a_fault_is_reported_with_its_code():
     with fake() as line, driver(line) as positioner:
         line.motion.fault = 17
         with pytest.raises(DeviceFault, match="fault 17 on the way to station 2"):
@@ -77,6 +84,7 @@ def test_a_fault_is_told_with_its_code():
         assert not any(heard.startswith("MA") for heard in line.heard)  # noticed before it was sent anywhere
 
 
+@needs_terminal
 def test_a_refused_order_is_no_arrival():
     with SerialLine(lambda heard: {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "ERR range"), pty=True) as line:
         with driver(line, fault=None) as positioner:
@@ -84,6 +92,7 @@ def test_a_refused_order_is_no_arrival():
                 positioner.go_to("2", "")
 
 
+@needs_terminal
 def test_stop_halts_and_ends_the_wait():
     with fake(travel_s=30.0) as line, driver(line) as positioner:
         timer = threading.Timer(0.2, positioner.stop)
@@ -100,7 +109,8 @@ def test_stop_halts_and_ends_the_wait():
         assert line.halted >= 1
 
 
-def test_the_wrong_device_silence_and_absence_are_told_apart():
+@needs_terminal
+def test_the_wrong_device_silence_and_absence_are_different_errors():
     with fake(identity={"ask": "*IDN?\r\n", "expect": "OTHER 1"}) as line:
         with pytest.raises(IdentityError, match="answered 'OTHER 1' where 'LIFT 3000' was expected"):
             driver(line).connect()
@@ -113,7 +123,7 @@ def test_the_wrong_device_silence_and_absence_are_told_apart():
 
 
 @pytest.mark.parametrize(
-    ("spoil", "error", "words"),
+    ("corrupt", "error", "words"),
     [
         (lambda data: data[:-2], DeviceTimeout, "half a line"),
         (lambda data: b"\xff\x00#", DeviceTimeout, "half a line"),
@@ -122,13 +132,14 @@ def test_the_wrong_device_silence_and_absence_are_told_apart():
         (lambda data: None, DeviceTimeout, "was lost|answered nothing"),
     ],
 )
-def test_noise_on_the_line_is_an_error_and_never_a_position(spoil, error, words):
+def test_noise_on_the_line_is_an_error_and_never_a_position(corrupt, error, words):
     with fake(pty=False) as line, driver(line, fault=None) as positioner:
-        line.spoil = spoil
+        line.corrupt = corrupt
         with pytest.raises(error, match=words):
             positioner.go_to("2", "")
 
 
+@needs_terminal
 def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
     replies = iter(["P=15250", None])
     held = threading.Event()

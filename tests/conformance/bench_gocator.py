@@ -39,7 +39,7 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
         given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
-        hasty = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
+        short_limits = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
 
         def use(scanner: Gocator) -> None:
             before = len(asked)
@@ -54,5 +54,10 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             scanner.capture()
 
         yield Stand(
-            lambda **o: Gocator("eye", "3210", {**given, **o}), use, proxies, lambda: Gocator("eye", "3504", given), begin, hasty=hasty
+            lambda **o: Gocator("eye", "3210", {**given, **o}),
+            use,
+            proxies,
+            lambda: Gocator("eye", "3504", given),
+            begin,
+            short_limits=short_limits,
         )

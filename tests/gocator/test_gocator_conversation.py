@@ -154,7 +154,7 @@ def test_runtime_variables_flags_and_settings(talk):
     assert talk("06 00 00 00 17 45")[10:] == b"\x01"
 
 
-def test_old_firmware_tells_its_version_in_the_probe(frame):
+def test_old_firmware_sends_its_version_in_the_probe(frame):
     with (
         FakeGocator(lambda e: frame, FakeGocatorOptions(generation=4)) as sensor,
         socket.create_connection(("127.0.0.1", sensor.ports.control)) as sock,

@@ -103,7 +103,7 @@ def test_sensor_is_found_with_its_own_ports_by_a_broadcast_reply(frame):
     assert (found[0].control_port, found[0].health_port, found[0].data_port) == sensor.ports
 
 
-def test_firmware_before_5_1_tells_its_address_only():
+def test_firmware_before_5_1_sends_its_address_only():
     reply = bytes.fromhex(
         "50 00 00 00 00 00 00 00 01 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00"
         "39 30 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 0a 00 00 07 00 00 00 00 ff ff fe 00"
@@ -131,7 +131,7 @@ def test_a_plan_may_name_the_serial_number_instead_of_an_address(network):
         assert len(scanner.capture().points) == 228
 
 
-def test_a_sensor_that_does_not_answer_is_told_with_those_that_do(network):
+def test_a_sensor_that_does_not_answer_is_reported_with_those_that_do(network):
     with pytest.raises(ConnectError, match="no Gocator with serial 778 answers a broadcast .found: 3210 serial 777 at 127.0.0.1"):
         Gocator("eye", "", {"serial": 778, **network}).connect()
 

@@ -31,9 +31,9 @@ def until(scanner: Gocator, wanted: str) -> str:
     raise AssertionError(f"no warning says '{wanted}'")
 
 
-def test_a_warm_sensor_is_told_once_and_a_hot_one_ends_the_run(sensor):
+def test_a_warm_sensor_is_reported_once_and_a_hot_one_ends_the_run(sensor):
     with Gocator("eye", "", options(sensor, temperature_warning_C=50, temperature_stop_C=60)) as scanner:
-        assert scanner.capture().warnings in ((), ("the Gocator tells no temperature, so the limits of the plan are not watched",))
+        assert scanner.capture().warnings in ((), ("the Gocator reports no temperature, so the limits of the plan are not watched",))
         sensor.state.temperature_C = 52.0
         assert until(scanner, "temperature is 52 C, above 50 C")
         assert not any("temperature is" in w and "projector" not in w for w in scanner.capture().warnings)
@@ -61,7 +61,7 @@ def test_scans_that_the_sensor_drops_are_counted(sensor):
 
 def test_limits_nobody_watches_are_said_once():
     guard = HealthGuard(50, None)
-    assert [guard.look({}) for _ in range(2)] == [("the Gocator tells no temperature, so the limits of the plan are not watched",), ()]
+    assert [guard.look({}) for _ in range(2)] == [("the Gocator reports no temperature, so the limits of the plan are not watched",), ()]
     assert guard.look({"temperature_C": 49}) == ()
     assert len(guard.look({})) == 1
     assert HealthGuard(None, None).look({}) == ()

@@ -4,7 +4,7 @@ import clouds
 import numpy as np
 import pytest
 
-from mbcacq.spheres import find_balls
+from mbcacq.spheres import find_spheres
 
 world = pytest.importorskip("mbcacq_fakes.world.scanner")
 
@@ -30,7 +30,7 @@ def frames(rng, runs):
 def test_centres_are_unbiased_and_their_covariance_holds():
     errors, scaled = [], []
     for mbc, centres, points in frames(np.random.default_rng(0), 25):
-        found = find_balls(points, mbc)
+        found = find_spheres(points, mbc)
         assert len(found) >= 6
         error = found.xyz - centres[[mbc.ball_ids.index(b) for b in found.ball]]
         errors.append(error)

@@ -6,8 +6,8 @@ import pytest
 
 from mbcacq.errors import DeviceFault
 from mbcacq.spheres.fit import SphereFit
-from mbcacq.spheres.found import BallOptions
-from mbcacq.spheres.naming import name_balls
+from mbcacq.spheres.found import SphereOptions
+from mbcacq.spheres.naming import identify_spheres
 from mbcacq.spheres.recognise import similarity_rms
 
 
@@ -25,7 +25,7 @@ def seen(rng, artefact, balls, shift=0.0, stray=0):
 
 
 def named(fits, artefact, **more):
-    found = name_balls(fits, [], artefact, None, None, BallOptions(), **more)
+    found = identify_spheres(fits, [], artefact, None, None, SphereOptions(), **more)
     return {tuple(x): b for x, b in zip(found.xyz, found.ball, strict=True)}
 
 

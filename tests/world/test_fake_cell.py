@@ -25,6 +25,8 @@ LIMITS = MotionLimits(np.full(6, 2.0), np.full(6, 8.0), np.full(6, 80.0), settle
 LINKS = [(-1, 0, 400, 25, -90), (1, 0, 0, 560, 0), (1, -90, 0, 25, -90), (-1, 0, 515, 0, 90), (1, 0, 0, 0, -90), (-1, 180, 90, 0, 0)]
 VIEW = {"near_z_mm": 55, "far_z_mm": -55, "near_half_mm": (35.5, 49), "far_half_mm": (50, 77)}
 
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL and no /proc")
+
 
 def loaded(**plan):
     places = facts().station_pose
@@ -180,6 +182,7 @@ def children(process_id):
     return found
 
 
+@needs_signals
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc to see processes")
 def test_a_killed_parent_leaves_no_orphans():
     code = (
@@ -196,6 +199,7 @@ def test_a_killed_parent_leaves_no_orphans():
     assert gone(family)
 
 
+@needs_signals
 def test_a_dead_world_is_a_named_error_and_stop_still_works():
     plan, poses = loaded()
     with FakeCell(plan, poses) as cell:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.world.hooks import Quiet
+from mbcacq_fakes.world.hooks import NoEffect
 from mbcacq_fakes.world.options import FakeOptions, Mishap, parse
 from mbcacq_fakes.world.rigid import carry, invert
 from mbcacq_fakes.world.world import World
@@ -88,7 +88,7 @@ def test_rendered_balls_stand_where_the_true_arm_says(cell_facts):
 
 
 def test_effects_act_where_they_say(cell_facts, deviations):
-    class Bent(Quiet):
+    class Bent(NoEffect):
         name = "bent"
 
         def displace(self, at, moved):

@@ -17,7 +17,7 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
 from mbcacq_fakes.cell.controller import CLOCK_START_MS, EKI, RSI, check_options, normal, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
-from mbcacq_fakes.cell.ports import scanner_place
+from mbcacq_fakes.cell.ports import scanner_address
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world import options as fake_options
@@ -30,8 +30,8 @@ class FakeCell:
     """Context manager. loaded, poses: the plan and its expansion (mbcacq.plan.LoadedPlan, list of PlannedPose; read only by name).
 
     realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
-    127.0.0.1, which ``overrides()`` tells to the drivers; 'plan' listens where the plan's drivers will look. Everything the
-    world draws follows from ``seed``. The plan's ``fake:`` section says what the world conceals (docs/fakes.md).
+    127.0.0.1, which ``overrides()`` gives to the drivers; 'plan' listens where the plan's drivers will look. Everything the
+    world draws follows from ``seed``. The plan's ``fake:`` section says which effects are injected (docs/fakes.md).
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class FakeCell:
             "ports": self._ports,
             "realtime": self._realtime,
             "scanner_options": dict(plan.scanner.options),
-            "scanner": scanner_place(plan.scanner.options, self._ports),
+            "scanner": scanner_address(plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }

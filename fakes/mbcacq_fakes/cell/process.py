@@ -1,7 +1,7 @@
 """The process of the world: scanner, positioner and sensors, fed by one camera. Started by cell.FakeCell, ends with it.
 
 Messages are pickled on standard input and output: first the job, answered by the addresses; then (command, arguments), answered
-by ('ok', value) or ('error', exception). The end of the input, also by the parent's death, is the sign to leave.
+by ('ok', value) or ('error', exception). The end of the input, also by the parent's death, is the sign to end.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.cell.ports import line_place
+from mbcacq_fakes.cell.ports import line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
@@ -129,7 +129,7 @@ class Servers:
 
         options = parse(SerialPositionerOptions, "the serial positioner", given)
         try:
-            line = FakeSerialPositioner(options, travel_s=self._travel_s(), **self._line_place(options.port))
+            line = FakeSerialPositioner(options, travel_s=self._travel_s(), **self._line_address(options.port))
         except ValueError as error:
             raise ConfigError(f"the fake serial positioner cannot play these patterns: {error}; simplify them for the dry run") from error
         self._positioner, self._bus = line.motion, line
@@ -150,10 +150,10 @@ class Servers:
 
         self._camera.follow(stand)
 
-    def _line_place(self, port: str) -> dict[str, Any]:
+    def _line_address(self, port: str) -> dict[str, Any]:
         """Where a serial fake stands: on a pseudo-terminal (a port of this computer where there are none), or at the plan's own place."""
         if self._job["ports"] == "plan":
-            return line_place(port)
+            return line_address(port)
         return {"pty": sys.platform != "win32"}
 
     def _start_sensor(self, number: int, driver: str, given: dict[str, Any]) -> dict[str, Any]:
@@ -194,7 +194,7 @@ class Servers:
 
         asked = options.ask.strip() if options.ask else None
         sensor = SerialLine(
-            lambda heard: say() if heard == asked else answers.get(heard), None if asked else say, **self._line_place(options.port)
+            lambda heard: say() if heard == asked else answers.get(heard), None if asked else say, **self._line_address(options.port)
         )
         self._sensors[number] = sensor
         self._stack.callback(sensor.stop)
@@ -202,7 +202,7 @@ class Servers:
         return {"port": sensor.url}
 
     def _serve(self, bus: Any, options: Any) -> dict[str, Any]:
-        """Start a Modbus server where the plan, or chance, wants it; RTU on a pseudo-terminal."""
+        """Start a Modbus server at the plan's port or a free one; RTU on a pseudo-terminal."""
         bus.rtu = options.serial is not None and self._job["ports"] == "free"
         if self._job["ports"] == "plan":
             if options.host not in ("127.0.0.1", "localhost"):

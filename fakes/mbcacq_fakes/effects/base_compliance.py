@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 from mbcacq_fakes.world.hooks import Moments, Moved
-from mbcacq_fakes.world.rigid import carry, rigid, turn
+from mbcacq_fakes.world.rigid import carry, rigid, rotation_about
 
 
-class BaseCompliance(Hidden):
+class BaseCompliance(InjectedEffect):
     options = {"compliance_rad_per_Nm": None}
 
     def draw(self) -> None:
@@ -24,7 +24,7 @@ class BaseCompliance(Hidden):
         """(P, 3) N m about the base origin, of an arm already tilted by rotation vectors (P, 3)."""
         centres, mass = self.cell.masses.weights(self.arm, q)
         angle = np.linalg.norm(tilt, axis=1)
-        T = rigid(turn(tilt / np.where(angle > 0, angle, 1)[:, None], angle), np.zeros(3))
+        T = rigid(rotation_about(tilt / np.where(angle > 0, angle, 1)[:, None], angle), np.zeros(3))
         force = STANDARD_GRAVITY * mass[:, None] * self.cell.masses.gravity
         return np.cross(carry(T, centres), force).sum(axis=1) * 1e-3
 

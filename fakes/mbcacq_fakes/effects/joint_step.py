@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class JointStep(Hidden):
+class JointStep(InjectedEffect):
     options = {"where": None, "at_pose": None, "step_deg": None}
 
     def draw(self) -> None:

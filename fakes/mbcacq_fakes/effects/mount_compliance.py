@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class MountCompliance(Hidden):
+class MountCompliance(InjectedEffect):
     options = {"kind": None}
 
     def draw(self) -> None:
@@ -26,7 +26,7 @@ class MountCompliance(Hidden):
 
     def displace(self, at: Moments, moved: Moved) -> None:
         flange = self.arm.flange(at.q + moved.joint)
-        # As a row vector times R: gravity seen in the flange frame.
+        # As a row vector times R: gravity in the flange frame.
         force = self.mass * STANDARD_GRAVITY * np.einsum("c,pcd->pd", self.cell.masses.gravity, flange[:, :3, :3])
         moved.frame[:, -1, :3] += self.shift * force
         moved.frame[:, -1, 3:] += self.tilt * np.cross(self.com, force) * 1e-3

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class ShortMemory(Hidden):
+class ShortMemory(InjectedEffect):
     options = {"where": None}
 
     def draw(self) -> None:

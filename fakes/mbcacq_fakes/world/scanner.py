@@ -64,17 +64,17 @@ class FringeScanner:
         xyz = foot + z[:, None] * along
         normal = self._normals(scene, xyz, ball, rod)
         to_lamp = _unit(self.optics.lamp - xyz)
-        seen = -np.einsum("nc,nc->n", normal, _unit(along) * -1)
+        facing = -np.einsum("nc,nc->n", normal, _unit(along) * -1)
         lit = np.einsum("nc,nc->n", normal, to_lamp)
         steepest = np.cos(np.radians(self.optics.grazing_deg))
         albedo = np.where(ball >= 0, self.optics.ball, np.where(rod, 0.3, self.optics.plate))
         signal = exposure * albedo * np.clip(lit, 0, None)
         # Fringe contrast fades towards grazing light; below a few grey levels the phase is lost.
-        odds = np.clip((np.minimum(seen, lit) - steepest) / 0.12, 0, 1) * np.clip(signal / 0.04, 0, 1)
+        odds = np.clip((np.minimum(facing, lit) - steepest) / 0.12, 0, 1) * np.clip(signal / 0.04, 0, 1)
         keep = (rng.random(len(xyz)) < odds) & (signal < 1.3)
         keep &= ~rays.in_shadow(xyz, self.optics.lamp, scene.centres, scene.radii, ball)
         pixel, xyz, ball, along = pixel[keep], xyz[keep], ball[keep], along[keep]
-        contrast = np.minimum(seen, lit)[keep] * np.clip(signal[keep] / (self.optics.ball * 0.5), 0.1, 1)
+        contrast = np.minimum(facing, lit)[keep] * np.clip(signal[keep] / (self.optics.ball * 0.5), 0.1, 1)
         grain = self.noise.speckle_mm * np.minimum(1 / np.maximum(contrast, 0.1), 6) ** 0.5 * rng.standard_normal(len(xyz))
         intensity = np.clip(255 * signal[keep] * (1 + 0.03 * rng.standard_normal(len(xyz))), 1, 255)
         xyz += grain[:, None] * along

@@ -40,7 +40,7 @@ class SerialLine:
     ``period_s`` of silence.
 
     pty: on a pseudo-terminal, whose name is ``url`` (``link``: a path to make that leads there); else on a TCP port. end: ends each line.
-    Faults: ``silent`` says nothing; ``spoil(bytes)`` changes what is said, None breaks the connection. heard: lines that came.
+    Faults: ``silent`` says nothing; ``corrupt(bytes)`` changes what is said, None breaks the connection. heard: lines that came.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class SerialLine:
         self._answer, self._speak, self._period, self._end = answer, speak, period_s, end
         self.silent = False
         self.heard: list[str] = []
-        self.spoil: Callable[[bytes], bytes | None] = lambda data: data
+        self.corrupt: Callable[[bytes], bytes | None] = lambda data: data
         self._quit = threading.Event()
         self._threads: list[threading.Thread] = []
         self._listener: socket.socket | None = None
@@ -162,7 +162,7 @@ class SerialLine:
         """False: the connection was to be broken."""
         if self._muted:
             return True
-        data = self.spoil(f"{text}{self._end}".encode())
+        data = self.corrupt(f"{text}{self._end}".encode())
         if data is None:
             return False
         line.sendall(data)

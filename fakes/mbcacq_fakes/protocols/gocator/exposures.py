@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable
 
 from mbcacq_fakes.protocols.gocator import encode
+from mbcacq_fakes.protocols.gocator.data_faults import apply_fault
 from mbcacq_fakes.protocols.gocator.files import EXPOSURE, Files
-from mbcacq_fakes.protocols.gocator.spoil import spoil
 from mbcacq_fakes.protocols.gocator.state import TICKS_PER_S, SensorState
 from mbcacq_fakes.world.frame import ScannerFrame
 
@@ -57,7 +57,7 @@ def _expose(state: SensorState, source: Source, requested: int) -> None:
     state.exposures += 1
     # A client asks right after connecting; its connection may still wait to be accepted.
     state.data.wait_for_client(0.5)
-    state.data.publish(spoil(messages, state.faults))
+    state.data.publish(apply_fault(messages, state.faults))
 
 
 class _FrameTimer:

@@ -1,4 +1,4 @@
-"""A data set as the active faults let it out: pieces to send, or what to do with the connection."""
+"""A data set as the active faults change it: bytes to send, or what to do with the connection."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
 _UNKNOWN_TYPE = 0x3FF
 
 
-def spoil(messages: list[bytearray], faults: Faults) -> list[object]:
+def apply_fault(messages: list[bytearray], faults: Faults) -> list[object]:
     """messages: stamp, surface, then the rest, the last one marked. At most one fault is used up."""
     for fault, spoiled in _SPOILED.items():
         if faults.use(fault):
