@@ -9,13 +9,14 @@ from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptio
 from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
+from mbcacq.conformance.bounded import eventually
 from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, ProtocolError, create
 
 WORDS = {
     "stations": {1: 0.0, 2: 152.5},
     "unit": "mm",
     "scale": 0.01,
-    "timeout_s": 0.5,
+    "timeout_s": 20.0,
     "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
     "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"},
     "ready": {"send": "?S\r\n", "reply": "S=READY"},
@@ -117,7 +118,7 @@ def test_the_wrong_device_silence_and_absence_are_different_errors():
     with fake() as line:
         line.silent = True
         with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):
-            driver(line).connect()
+            driver(line, timeout_s=0.5).connect()
     with pytest.raises(ConnectError, match="cannot be opened"):
         SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
 
@@ -133,7 +134,7 @@ def test_the_wrong_device_silence_and_absence_are_different_errors():
     ],
 )
 def test_noise_on_the_line_is_an_error_and_never_a_position(corrupt, error, words):
-    with fake(pty=False) as line, driver(line, fault=None) as positioner:
+    with fake(pty=False) as line, driver(line, fault=None, timeout_s=2.0) as positioner:
         line.corrupt = corrupt
         with pytest.raises(error, match=words):
             positioner.go_to("2", "")
@@ -147,16 +148,16 @@ def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
     def answer(heard):
         if heard == "?P":
             if next(replies, None):
-                held.wait(1.0)  # later than the driver waits
+                held.wait()  # until the driver has given up
                 return "P=15250"
             return "P=0"
         return {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "OK")
 
-    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=0.3, move_timeout_s=0.5) as positioner:
+    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=2.0, move_timeout_s=0.5) as positioner:
         with pytest.raises(DeviceTimeout, match="answered nothing"):
             positioner.go_to("2", "")
         held.set()
-        threading.Event().wait(0.3)
+        eventually(lambda: positioner._link._port.in_waiting > 0, 20.0, "the late answer has come")
         with pytest.raises(DeviceTimeout, match="at 0 mm"):
             positioner.go_to("2", "")
 

@@ -38,7 +38,7 @@ CHOSEN = [
     ids=lambda value: str(value).replace(" ", "-") if not isinstance(value, set) else "",
 )
 def test_one_faulty_message_is_recovered_or_a_named_error(name, case, expected):
-    verdict = inject(BENCHES[name], case)
+    verdict = inject(BENCHES[name], case, waiting=expected != {RECOVERED})
     assert verdict.result in expected, f"{case}: {verdict.result}: {verdict.detail}"
 
 

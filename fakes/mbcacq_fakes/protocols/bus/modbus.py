@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import cast
 
 from mbcacq_bus.registers import Register
 from pymodbus import FramerType
@@ -98,7 +98,8 @@ class FakeModbus:
         self.sent: list[bytes] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server: _Server | None = None
-        self._ready, self._error = threading.Event(), None
+        self._ready = threading.Event()
+        self._error: Exception | None = None
 
     @property
     def address(self) -> tuple[str, int]:
@@ -106,13 +107,9 @@ class FakeModbus:
 
     def start(self) -> FakeModbus:
         """Returns when it listens. Raises OSError if the port is taken."""
-        if self.port == 0:
-            with socket.socket() as probe:
-                probe.bind((self.host, 0))
-                self.port = probe.getsockname()[1]
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="fake-modbus", daemon=True)
         self._thread.start()
-        self._ready.wait(10)
+        self._ready.wait()
         if self._error is not None:
             raise OSError(f"fake Modbus server cannot listen on {self.host}:{self.port}: {self._error}")
         return self
@@ -137,6 +134,8 @@ class FakeModbus:
             framer = FramerType.RTU if self.rtu else FramerType.SOCKET
             self._server = _Server(device, framer=framer, address=self.address, trace_packet=self._trace)
             await self._server.serve_forever(background=True)
+            listener = cast(asyncio.Server, self._server.transport)  # of a server, whatever pymodbus declares
+            self.port = listener.sockets[0].getsockname()[1]
         except Exception as error:
             self._error = error
             return
