@@ -54,10 +54,10 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             scanner.capture()
 
         yield Stand(
-            lambda **o: Gocator("eye", "3210", {**given, **o}),
+            lambda **o: Gocator("front", "3210", {**given, **o}),
             use,
             proxies,
-            lambda: Gocator("eye", "3504", given),
+            lambda: Gocator("front", "3504", given),
             begin,
             short_limits=short_limits,
         )

@@ -311,11 +311,11 @@ text: |
 """
 
 
-def in_file(name: str, read: Callable[[Path], object], beside: dict[str, bytes] | None = None) -> Callable[[bytes], object]:
+def in_file(name: str, read: Callable[[Path], object], other_files: dict[str, bytes] | None = None) -> Callable[[bytes], object]:
     """A parser that reads a file, in memory where the system has it. The file stands alone, or in a folder with others."""
     made = tempfile.TemporaryDirectory(prefix="fuzz-", dir=MEMORY)
     atexit.register(made.cleanup)
-    for other, data in (beside or {}).items():
+    for other, data in (other_files or {}).items():
         (Path(made.name) / other).write_bytes(data)
     path = Path(made.name) / name
 

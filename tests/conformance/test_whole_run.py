@@ -1,4 +1,4 @@
-"""One hurt message in a whole run: a good end or a named error, a readable recording, and never a wrong centre in it."""
+"""One faulty message in a whole run: a good end or a named error, a readable recording, and never a wrong centre in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole run of a small plan, its robot and scanner behind proxies: what one hurt message does to the recording and its centres."""
+"""A whole run of a small plan, its robot and scanner behind proxies: what one faulty message does to the recording and its centres."""
 
 from __future__ import annotations
 

@@ -126,14 +126,14 @@ def network(frame):
 
 
 def test_a_plan_may_name_the_serial_number_instead_of_an_address(network):
-    with Gocator("eye", "3210", {"serial": 777, **network}) as scanner:
+    with Gocator("front", "3210", {"serial": 777, **network}) as scanner:
         assert scanner.describe().serial == "777"
         assert len(scanner.capture().points) == 228
 
 
 def test_a_sensor_that_does_not_answer_is_reported_with_those_that_do(network):
     with pytest.raises(ConnectError, match="no Gocator with serial 778 answers a broadcast .found: 3210 serial 777 at 127.0.0.1"):
-        Gocator("eye", "", {"serial": 778, **network}).connect()
+        Gocator("front", "", {"serial": 778, **network}).connect()
 
 
 def test_another_serial_at_the_plans_address_is_refused(fake, driver):
@@ -142,6 +142,6 @@ def test_another_serial_at_the_plans_address_is_refused(fake, driver):
 
 
 def test_a_wrong_address_is_answered_with_what_is_there(network):
-    options = GocatorOptions.read("eye", {"address": "192.0.2.7", **network})
+    options = GocatorOptions.read("front", {"address": "192.0.2.7", **network})
     error = elsewhere(ConnectError("cannot be reached"), options)
     assert str(error) == "cannot be reached; found: 3210 serial 777 at 127.0.0.1"

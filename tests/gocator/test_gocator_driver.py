@@ -1,4 +1,4 @@
-"""The driver against the fake: what a user gets, and what he is told when the sensor is not what the plan says."""
+"""The driver against the fake: what a user gets, and what the errors say when the sensor is not what the plan says."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def truth_at(frame: ScannerFrame, scan: devices.Scan) -> tuple[np.ndarray, np.nd
 @pytest.mark.parametrize("mode", ["snapshot", "trigger"])
 def test_two_megapixel_frames_arrive_within_half_a_step(mode):
     frame = big_frame()
-    with FakeGocator(lambda e: frame) as sensor, Gocator("eye", "3210", options(sensor, mode=mode)) as scanner:
+    with FakeGocator(lambda e: frame) as sensor, Gocator("front", "3210", options(sensor, mode=mode)) as scanner:
         scans = [scanner.capture() for _ in range(2)]
     for scan in scans:
         assert scan.shape == (1250, 1650)
@@ -47,7 +47,7 @@ def test_two_megapixel_frames_arrive_within_half_a_step(mode):
 def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mode, uniform):
     with (
         FakeGocator(lambda e: frame, FakeGocatorOptions(generation=generation, uniform=uniform)) as sensor,
-        Gocator("eye", "3210", options(sensor, mode=mode)) as scanner,
+        Gocator("front", "3210", options(sensor, mode=mode)) as scanner,
     ):
         scan = scanner.capture()
         assert scanner.describe().firmware.startswith(f"{generation}.")
@@ -59,7 +59,7 @@ def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mo
 
 def test_scan_carries_time_exposure_measurements_and_health(frame):
     moment = ScannerFrame(frame.xyz, frame.intensity, time_s=3.25, measurements={7: 12.3456, 9: float("nan")})
-    with FakeGocator(lambda e: moment, FakeGocatorOptions(clock=lambda: 3.0)) as sensor, Gocator("eye", "", options(sensor)) as scanner:
+    with FakeGocator(lambda e: moment, FakeGocatorOptions(clock=lambda: 3.0)) as sensor, Gocator("front", "", options(sensor)) as scanner:
         for _ in range(100):
             scan = scanner.capture(2750)
             if scan.health:
@@ -79,7 +79,7 @@ def test_exposure_reaches_the_world_and_stays(frame):
         asked.append(exposure_us)
         return frame
 
-    with FakeGocator(source) as sensor, Gocator("eye", "", options(sensor, exposure_us=1800)) as scanner:
+    with FakeGocator(source) as sensor, Gocator("front", "", options(sensor, exposure_us=1800)) as scanner:
         for exposure in (None, 900.5, None):
             scanner.capture(exposure)
     assert asked == [1800, 900.5, 900.5]
@@ -92,7 +92,7 @@ def test_exposure_changes_while_running_in_trigger_mode(frame):
         asked.append(exposure_us)
         return frame
 
-    with FakeGocator(source) as sensor, Gocator("eye", "", options(sensor, mode="trigger")) as scanner:
+    with FakeGocator(source) as sensor, Gocator("front", "", options(sensor, mode="trigger")) as scanner:
         scanner.capture(500)
         assert sensor.state.running
         scanner.capture(700)
@@ -127,12 +127,12 @@ def test_another_model_is_refused_with_both_names(driver, model):
 
 def test_old_part_number_alone_identifies(frame):
     with FakeGocator(lambda e: frame, FakeGocatorOptions(generation=4, model="2330")) as sensor:
-        with Gocator("eye", "2330", options(sensor, mode="trigger")) as scanner:
+        with Gocator("front", "2330", options(sensor, mode="trigger")) as scanner:
             assert scanner.describe().model == "2330"
         with pytest.raises(devices.IdentityError):
-            Gocator("eye", "3210", options(sensor, mode="trigger")).connect()
+            Gocator("front", "3210", options(sensor, mode="trigger")).connect()
         with pytest.raises(devices.ConfigError, match="no snapshot; set the scanner option mode: trigger"):
-            Gocator("eye", "2330", options(sensor)).connect()
+            Gocator("front", "2330", options(sensor)).connect()
 
 
 @pytest.mark.parametrize(

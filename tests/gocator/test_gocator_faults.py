@@ -45,7 +45,7 @@ def scanner(driver) -> Gocator:
 def test_fault_while_scanning(fake, scanner, fault, value, error, words):
     assert len(scanner.capture().points)
     fake.faults.set(fault, value)
-    with pytest.raises(error, match=f"scanner 'eye': .*{words}"):
+    with pytest.raises(error, match=f"scanner 'front': .*{words}"):
         scanner.capture()
     fake.faults.clear()
     scan = scanner.capture()

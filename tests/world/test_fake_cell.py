@@ -1,4 +1,4 @@
-"""The fake cell as a whole, through its sockets: the drivers' way, its faults, and that it leaves nothing behind."""
+"""The fake cell as a whole, through its sockets: as drivers reach it, its faults, and that nothing remains after it."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has 
 
 
 def loaded(**plan):
-    places = facts().station_pose
+    stations = facts().station_pose
     document = {
         "format": "mbcacq-plan/1",
         "name": "small",
@@ -49,7 +49,7 @@ def loaded(**plan):
                 "artefact": "mbc" if k < 2 else "bar",
                 "pose_in_base": {"rotation": T[:3, :3].tolist(), "translation_mm": T[:3, 3].tolist()},
             }
-            for k, T in enumerate(places)
+            for k, T in enumerate(stations)
         ],
         "steps": [{"name": "s", "phase": "position", "do": "joints", "station": 1, "poses_deg": [[0.0] * 6]}],
     }

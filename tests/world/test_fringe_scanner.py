@@ -63,7 +63,7 @@ def test_a_12_mm_ball_has_about_1500_points_and_fades_at_grazing_incidence(scann
         assert height.min() > np.cos(np.radians(80))
     foot, along = scanner.grid.rays(scanner.grid.window(view.centres[0] + np.array([[-6.0] * 3, [6.0] * 3])))
     met = np.isfinite(rays.sphere(foot, along, view.centres[0], 6.0)[0]).sum()
-    assert (points.ball == 0).sum() < 0.9 * met  # rays that meet the ball, but at too steep a place
+    assert (points.ball == 0).sum() < 0.9 * met  # rays that meet the ball, but at too steep an incidence
 
 
 def test_noise_grows_with_incidence(scanner):

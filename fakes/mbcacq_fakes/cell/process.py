@@ -10,6 +10,7 @@ import pickle
 import signal
 import sys
 from contextlib import ExitStack
+from dataclasses import fields
 from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError
@@ -82,10 +83,10 @@ class Servers:
             **place,
             **options.scanner,
         }
-        try:
-            self._gocator = FakeGocator(self._camera, FakeGocatorOptions(**settings))
-        except TypeError as error:
-            raise ConfigError(f"fake.scanner: {error}; correct the plan") from error
+        known = [f.name for f in fields(FakeGocatorOptions)]
+        if unknown := sorted(set(options.scanner) - set(known)):
+            raise ConfigError(f"fake.scanner: unknown option {', '.join(unknown)}; known are {', '.join(known)}; correct the plan")
+        self._gocator = FakeGocator(self._camera, FakeGocatorOptions(**settings))
         try:
             self._gocator.start()
         except OSError as error:
