@@ -79,7 +79,7 @@ def captures(repetitions: int) -> float:
     with (
         FakeGocator(lambda exposure_us: seen) as sensor,
         Gocator(
-            "eye",
+            "front",
             "",
             {
                 "address": "127.0.0.1",

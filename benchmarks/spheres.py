@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "spheres"))
 import clouds  # noqa: E402
 
 from mbcacq.lazy import open3d  # noqa: E402
-from mbcacq.spheres import find_balls  # noqa: E402
+from mbcacq.spheres import find_spheres  # noqa: E402
 from mbcacq.spheres.fit import rough_fits, sphere_fits  # noqa: E402
 
 LIMIT = np.radians(65.0)
@@ -64,8 +64,8 @@ def timing(runs: int) -> list[dict]:
     rows = []
     for spacing, with_peer in ((0.25, True), (0.17, True), (0.084, False)):
         artefact, centres, points = scene(spacing)
-        find_balls(points, artefact)
-        ours, found = best_of(lambda p=points, a=artefact: find_balls(p, a), runs)
+        find_spheres(points, artefact)
+        ours, found = best_of(lambda p=points, a=artefact: find_spheres(p, a), runs)
         worst = 1e3 * float(np.abs(found.xyz - centres).max())
         row = {"points": len(points), "balls": len(found), "ours_ms": 1e3 * ours, "ours_worst_um": worst}
         if with_peer:

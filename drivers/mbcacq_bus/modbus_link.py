@@ -79,7 +79,7 @@ class ModbusLink:
         client = (
             ModbusTcpClient(o.host, port=o.port, **common)
             if o.host
-            else ModbusSerialClient(o.serial, baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, **common)
+            else ModbusSerialClient(str(o.serial), baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, **common)
         )
         try:
             reached = client.connect()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import threading
 import time
 from collections.abc import Mapping
@@ -15,16 +14,11 @@ from pydantic import Field as Option
 
 from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
 from mbcacq_bus.options import BusOptions, parse
+from mbcacq_bus.serial_link import SerialIdentity, compiled
 
 MAX_LINE = 1024
+DEVICE = "the serial sensor"
 ASKED = 3  # times, for its identity
-
-
-class SerialIdentity(BusOptions):
-    """Send ``ask`` on connecting; a line must match ``expect`` as a whole."""
-
-    ask: str
-    expect: str
 
 
 class SerialOptions(BusOptions):
@@ -49,16 +43,19 @@ class SerialSensor:
     """Keeps the latest line in a thread, so that a reading is never older than ``timeout_s`` and never waits without need."""
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._options = parse(SerialOptions, "the serial sensor", options)
-        self._pattern = _compile(self._options.line, "line")
+        self._options = parse(SerialOptions, DEVICE, options)
+        self._pattern = compiled(self._options.line, DEVICE, "line")
         if not self._pattern.groupindex:
             raise ConfigError("options of the serial sensor: line needs named groups, e.g. T=(?P<air_C>[-+0-9.]+); correct the plan")
         for option in ("units", "scale", "offset", "valid"):
             if unknown := getattr(self._options, option).keys() - self._pattern.groupindex.keys():
                 raise ConfigError(f"options of the serial sensor: {option} names '{min(unknown)}', which line does not; correct the plan")
-        self._identity = None if self._options.identity is None else _compile(self._options.identity.expect, "identity.expect")
+        identity = self._options.identity
+        self._identity = None if identity is None else (identity, compiled(identity.expect, DEVICE, "identity.expect"))
         self._device = f"sensor {model}".strip() + f" at {self._options.port}"
-        self._model, self._port, self._thread = model, None, None
+        self._model = model
+        self._port: Any = None
+        self._thread: threading.Thread | None = None
         self._news = threading.Condition()
         self._values: dict[str, float] = {}
         self._stamp, self._failure, self._quit = -math.inf, "", threading.Event()
@@ -140,11 +137,12 @@ class SerialSensor:
     def _identify(self) -> None:
         if self._identity is None:
             return
-        # A line has no connections: half a question of whoever asked before may spoil ours, so it is asked again.
+        identity, expected = self._identity
+        # A line has no connections: half a question of whoever asked before may garble ours, so it is asked again.
         timeout_s, began, asked, heard, pending = self._options.timeout_s, time.monotonic(), 0, "", b""
         while (elapsed := time.monotonic() - began) < timeout_s:
             if elapsed >= asked * timeout_s / ASKED:
-                self._send(self._options.identity.ask)
+                self._send(identity.ask)
                 asked += 1
             try:
                 pending += self._port.read_until(b"\n", MAX_LINE)
@@ -154,12 +152,10 @@ class SerialSensor:
                 pending = pending[-MAX_LINE:]
                 continue
             line, pending = pending.decode("ascii", "replace").strip(), b""
-            if self._identity.fullmatch(line):
+            if expected.fullmatch(line):
                 return
             heard = line or heard
-        raise IdentityError(
-            f"{self._device} answered '{heard[:60]}' where '{self._options.identity.expect}' was expected; is this the right sensor?"
-        )
+        raise IdentityError(f"{self._device} answered '{heard[:60]}' where '{identity.expect}' was expected; is this the right sensor?")
 
     def _listen(self) -> None:
         # A line that was already under way when we came may be cut, and a cut number is a wrong number.
@@ -200,10 +196,3 @@ class SerialSensor:
         with self._news:
             self._values, self._stamp, self._failure = values, time.monotonic(), ""
             self._news.notify_all()
-
-
-def _compile(pattern: str, option: str) -> re.Pattern[str]:
-    try:
-        return re.compile(pattern)
-    except re.error as error:
-        raise ConfigError(f"options of the serial sensor: {option} is not a regular expression: {error}; correct the plan") from error

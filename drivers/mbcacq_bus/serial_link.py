@@ -43,8 +43,11 @@ class SerialLink:
 
     def __init__(self, device: str, options: SerialConnection) -> None:
         self.name, self._options = f"{device} at {options.port}", options
-        self._identity = None if options.identity is None else compiled(options.identity.expect, device, "identity.expect")
-        self._lock, self._port = threading.Lock(), None
+        self._identity = None
+        if options.identity is not None:
+            self._identity = options.identity, compiled(options.identity.expect, device, "identity.expect")
+        self._lock = threading.Lock()
+        self._port: Any = None
 
     @property
     def connected(self) -> bool:
@@ -71,7 +74,7 @@ class SerialLink:
             ) from error
         if self._identity is not None:
             try:
-                self._identify()
+                self._identify(*self._identity)
             except BaseException:
                 self.close()
                 raise
@@ -96,19 +99,18 @@ class SerialLink:
             self._write(text)
             return self._line(text.strip())
 
-    def _identify(self) -> None:
+    def _identify(self, identity: SerialIdentity, expected: re.Pattern[str]) -> None:
         """A line has no connections: the first thing heard may be a late reply to whoever asked before us, so it is asked again."""
+        line = ""
         for _ in range(_TRIES):
             try:
-                line = self.ask(self._options.identity.ask)
+                line = self.ask(identity.ask)
             except (DeviceTimeout, ProtocolError) as error:
                 raise IdentityError(f"{self.name} cannot be identified: {error}") from error
-            if self._identity.fullmatch(line):
+            if expected.fullmatch(line):
                 return
             time.sleep(min(_QUIET_S, self._options.timeout_s))
-        raise IdentityError(
-            f"{self.name} answered '{line[:60]}' where '{self._options.identity.expect}' was expected; is this the right device?"
-        )
+        raise IdentityError(f"{self.name} answered '{line[:60]}' where '{identity.expect}' was expected; is this the right device?")
 
     def _write(self, text: str) -> None:
         port = self._opened()

@@ -37,7 +37,7 @@ class Query(BusOptions):
 class SerialPositionerOptions(SerialConnection):
     """stations: station id -> position in ``unit``. ``move.send`` holds {raw} or {value}, value = raw * scale + offset, with a format if
     need be ({raw:.0f}). ready: it stands where it should. position: a pattern with the named group raw or value. fault: a pattern whose
-    match is a fault; what its groups hold is told. halt: stops the motion.
+    match is a fault; its groups are reported. halt: stops the motion.
     """
 
     stations: dict[str | int, float] = Option(min_length=1)
@@ -150,7 +150,7 @@ class SerialPositioner:
             elapsed = time.monotonic() - began
             arrived = o.ready is None or bool(self._patterns["ready.reply"].fullmatch(self._link.ask(o.ready.send)))
             if o.position is not None:
-                actual = self._position()
+                actual = self._position(o.position)
                 where = f"at {actual:g} {o.unit}"
                 arrived = arrived and abs(actual - target) <= o.tolerance
             elif elapsed < o.ready_delay_s:  # it may not have lowered its flag yet
@@ -168,18 +168,19 @@ class SerialPositioner:
         if self._options.fault is None:
             return
         if match := self._patterns["fault.reply"].fullmatch(self._link.ask(self._options.fault.send)):
-            told = " ".join(filter(None, match.groups())) or match[0]
-            raise DeviceFault(f"{self._link.name} reports fault {told} on the way to station {station}; clear it at its controller")
+            code = " ".join(filter(None, match.groups())) or match[0]
+            raise DeviceFault(f"{self._link.name} reports fault {code} on the way to station {station}; clear it at its controller")
 
-    def _position(self) -> float:
-        o, line = self._options, self._link.ask(self._options.position.send)
+    def _position(self, query: Query) -> float:
+        o, line = self._options, self._link.ask(query.send)
         match = self._patterns["position.reply"].fullmatch(line)
         try:
             found = match.groupdict() if match else {}
             value = float(found["raw"]) * o.scale + o.offset if found.get("raw") is not None else float(found["value"])
         except (KeyError, TypeError, ValueError):
-            wanted = o.position.reply
-            raise ProtocolError(f"{self._link.name} answered '{line[:60]}' where '{wanted}' was expected; is the pattern right?") from None
+            raise ProtocolError(
+                f"{self._link.name} answered '{line[:60]}' where '{query.reply}' was expected; is the pattern right?"
+            ) from None
         if not math.isfinite(value):
             raise ProtocolError(f"{self._link.name} reports {value} as its position; is it referenced?")
         return value

@@ -32,30 +32,31 @@ def merged(scans: Sequence[Scan]) -> Scan:
     Time and frame are those of the first exposure, ``exposure_us`` that of the exposure that gave most points. Raises ProtocolError.
     """
     shapes = {scan.shape for scan in scans}
-    if len(shapes) != 1 or any(scan.pixel is None for scan in scans):
+    pixels = [scan.pixel for scan in scans if scan.pixel is not None]
+    if len(shapes) != 1 or len(pixels) != len(scans):
         raise ProtocolError(f"exposures of one pose came in different sizes {sorted(shapes)}; merging needs one pixel grid")
     rows, columns = scans[0].shape
     size = rows * columns
     rank = np.argsort(np.argsort([-len(scan.points) for scan in scans], kind="stable"))
     worst = np.full(size, np.inf, np.float32)
     owner = np.full(size, -1, np.int8 if len(scans) < 128 else np.int32)
-    for number, scan in enumerate(scans):
+    for number, (scan, own) in enumerate(zip(scans, pixels, strict=True)):
         grey = scan.intensity
-        cost = np.abs(grey.astype(np.float32) - _MIDDLE) if grey is not None else np.full(len(scan.points), rank[number], np.float32)
-        better = cost < worst[scan.pixel]
-        owner[scan.pixel[better]] = number
-        worst[scan.pixel[better]] = cost[better]
-    place = np.full(size, -1, np.int64)
+        distance = np.abs(grey.astype(np.float32) - _MIDDLE) if grey is not None else np.full(len(scan.points), rank[number], np.float32)
+        better = distance < worst[own]
+        owner[own[better]] = number
+        worst[own[better]] = distance[better]
+    row_of = np.full(size, -1, np.int64)
     pixel = np.flatnonzero(owner >= 0).astype(np.int32)
     points = np.empty((len(pixel), 3), np.float32)
     intensity = np.empty(len(pixel), np.uint8) if all(scan.intensity is not None for scan in scans) else None
     share = []
-    for number, scan in enumerate(scans):
+    for number, (scan, own) in enumerate(zip(scans, pixels, strict=True)):
         mine = owner[pixel] == number
-        place[scan.pixel] = np.arange(len(scan.pixel))
-        index = place[pixel[mine]]
+        row_of[own] = np.arange(len(own))
+        index = row_of[pixel[mine]]
         points[mine] = scan.points[index]
-        if intensity is not None:
+        if intensity is not None and scan.intensity is not None:
             intensity[mine] = scan.intensity[index]
         share.append(len(index))
     return replace(

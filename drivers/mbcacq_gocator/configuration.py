@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+from typing import overload
 from xml.etree import ElementTree
 
 from defusedxml import ElementTree as SafeTree
@@ -17,10 +18,10 @@ from mbcacq.devices import ConfigError, ProtocolError
 
 TRIGGER_SOURCES = {0: "time", 1: "encoder", 2: "input", 3: "software"}
 SCAN_MODES = {0: "video", 1: "range", 2: "profile", 3: "surface"}
-EXPOSURE_MODES = {0: "single", 1: "multiple", 2: "dynamic"}
+EXPOSURE_MODES: dict[float, str] = {0: "single", 1: "multiple", 2: "dynamic"}
 SOFTWARE, SURFACE, SINGLE = 3, 3, 0
 _DEVICE = "Setup/Devices/Device[@role='0']"
-_TOLD_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "value"}
+_ADDED_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "value"}
 _MAX_SIZE = 16 * 2**20
 
 
@@ -52,7 +53,7 @@ class Configuration:
 
     def check_exposure(self, exposure_us: float) -> None:
         """Raises ConfigError outside the limits that the sensor states, or if the job chooses its exposure by itself."""
-        mode = _float(self._root.findtext(_DEVICE + "/ExposureMode"), 0)
+        mode = _float(self._root.findtext(_DEVICE + "/ExposureMode"), 0.0)
         if mode != SINGLE:
             kind = EXPOSURE_MODES.get(mode, "another kind of")
             raise ConfigError(
@@ -75,7 +76,7 @@ class Configuration:
         """The file to write back."""
         root = copy.deepcopy(self._root)
         for node in root.iter():
-            for name in _TOLD_BY_SENSOR & node.attrib.keys():
+            for name in _ADDED_BY_SENSOR & node.attrib.keys():
                 del node.attrib[name]
         return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True).replace(b"\n", b"\r\n")
 
@@ -91,6 +92,14 @@ class Configuration:
         if value is None:
             raise ProtocolError(f"the sensor's configuration says '{node.text}' for {path} instead of a number")
         return value
+
+
+@overload
+def _float(value: str | None, default: float) -> float: ...
+
+
+@overload
+def _float(value: str | None, default: None) -> float | None: ...
 
 
 def _float(value: str | None, default: float | None) -> float | None:

@@ -41,7 +41,7 @@ class ControlChannel:
         self._connect_timeout_s, self._reply_limit_s = connect_timeout_s, reply_limit_s
         self._sock: socket.socket | None = None
         self._turn = threading.Lock()
-        self.version = (0, 0)
+        self.version: tuple[int, int] = (0, 0)
 
     @property
     def is_open(self) -> bool:
@@ -106,7 +106,7 @@ class ControlChannel:
         return body
 
     def _probe(self) -> tuple[int, int] | None:
-        """The version, if firmware old enough to answer in 64-bit fields tells it here."""
+        """The version, if firmware old enough to answer in 64-bit fields reports it here."""
         assert self._sock is not None
         limit = self._limit(commands.PROTOCOL_VERSION)
         _send(self._sock, _PROBE, "version probe", limit)

@@ -73,7 +73,7 @@ Message = Stamp | ArrayMessage | Measurement | Health | Unknown
 
 def decode(message: np.ndarray | bytes | bytearray | memoryview) -> tuple[Message, bool]:
     """One whole message, header included, and whether it is the last of its data set. Raises ProtocolError."""
-    view = memoryview(message)
+    view = message.data if isinstance(message, np.ndarray) else memoryview(message)
     if view.nbytes < layouts.HEADER.size:
         raise ProtocolError(f"a Gocator message of {view.nbytes} bytes is shorter than its header")
     size, control = layouts.HEADER.unpack_from(view)

@@ -28,7 +28,7 @@ _MAX_SENSORS = 1000
 class FoundSensor:
     """A sensor's answer. ``properties`` are its own words: PartNumber, ModelNumber, ModelDisplayName, Family, OpMode...
 
-    Firmware before 5.1 tells serial and addresses only: its firmware is then (0, 0, 0, 0), its ports are the usual ones.
+    Firmware before 5.1 sends serial and addresses only: its firmware is then (0, 0, 0, 0), its ports are the usual ones.
     """
 
     serial: int

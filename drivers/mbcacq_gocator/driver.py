@@ -92,26 +92,7 @@ class Gocator:
         with self._one_capture:
             if exposure_us is not None:
                 self._wanted_exposure_us = exposure_us
-            for attempt in range(self.options.retries + 1):
-                if self._cancel.is_set():
-                    raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
-                try:
-                    session = self._connect()
-                    with _named(self.name):
-                        return self._bracket(session)
-                except IdentityError:
-                    self._drop()
-                    raise
-                except ConnectError as error:
-                    self._drop()
-                    if self._cancel.wait(_BACKOFF_S * 2**attempt if attempt < self.options.retries else 0):
-                        raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
-                    if attempt == self.options.retries:
-                        raise
-                except (Aborted, DeviceTimeout, ProtocolError):
-                    self._drop()  # what is still under way must not be taken for the next scan
-                    raise
-        raise AssertionError("unreachable")
+            return self._capture_with_retries()
 
     def stop(self) -> None:
         self._cancel.set()
@@ -137,6 +118,30 @@ class Gocator:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
+
+    def _capture_with_retries(self) -> Scan:
+        attempt = 0
+        while True:
+            if self._cancel.is_set():
+                raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
+            try:
+                session = self._connect()
+                with _named(self.name):
+                    return self._bracket(session)
+            except IdentityError:
+                self._drop()
+                raise
+            except ConnectError as error:
+                self._drop()
+                last = attempt >= self.options.retries
+                if self._cancel.wait(0 if last else _BACKOFF_S * 2**attempt):
+                    raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
+                if last:
+                    raise
+            except (Aborted, DeviceTimeout, ProtocolError):
+                self._drop()  # what is still under way must not be taken for the next scan
+                raise
+            attempt += 1
 
     def _connect(self) -> GocatorSession:
         if self._session is not None:

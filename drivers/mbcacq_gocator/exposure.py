@@ -1,4 +1,4 @@
-"""One exposure: asked for, waited for, and told from data sets that somebody else asked for."""
+"""One exposure: asked for, waited for, and distinguished from data sets that somebody else asked for."""
 
 from __future__ import annotations
 

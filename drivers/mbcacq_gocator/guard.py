@@ -15,7 +15,7 @@ _DROPS = {
 
 
 class HealthGuard:
-    """Limits in degrees Celsius for every temperature the sensor tells; None for none."""
+    """Limits in degrees Celsius for every temperature the sensor reports; None for none."""
 
     def __init__(self, warning_C: float | None, stop_C: float | None) -> None:
         self._warning_C, self._stop_C = warning_C, stop_C
@@ -59,10 +59,10 @@ class HealthGuard:
         return news
 
     def _quiet(self, temperatures: Mapping[str, float]) -> list[str]:
-        """Limits that nothing is compared with are worth a word, once."""
+        """Limits that nothing is compared with are reported once."""
         silent = not temperatures and (self._warning_C, self._stop_C) != (None, None)
         news, self._silent = silent and not self._silent, silent
-        return ["the Gocator tells no temperature, so the limits of the plan are not watched"] if news else []
+        return ["the Gocator reports no temperature, so the limits of the plan are not watched"] if news else []
 
 
 def _plain(name: str) -> str:

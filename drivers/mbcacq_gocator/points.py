@@ -2,7 +2,7 @@
 
 The result is float32: within 0.3 m of the origin all its roundings together stay below 0.03 um, a fiftieth of the
 sensor's own step. Scales and offsets are formed in float64 and rounded once. Blocks fit the second-level cache, so the
-three passes over a block cost one trip to memory.
+three passes over a block read memory once.
 """
 
 from __future__ import annotations

@@ -100,9 +100,7 @@ class MessageReader:
             # Space is made as bytes come in, so a wrong size cannot claim memory that nothing fills.
             end = min(size, max(have + _FIRST_STEP, 2 * have, len(self._buffer) - start))
             self._reserve(start + end)
-            receive_exactly(
-                self._sock, memoryview(self._buffer)[start + have : start + end], self._what, deadline, self._cancelled, started=True
-            )
+            receive_exactly(self._sock, self._buffer.data[start + have : start + end], self._what, deadline, self._cancelled, started=True)
             have = end
         self._used = start + size
         return self._buffer[start : start + size]

@@ -6,14 +6,14 @@ import threading
 from collections.abc import Callable
 
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
+from mbcacq.conformance.driver_bench import DriverBench, Stand
 from mbcacq.conformance.steps import Skip, comes_back, fault, need_proxies, rests, segments, works_anew
-from mbcacq.conformance.test_stand import Stand, TestStand
 from mbcacq.devices import Aborted, ConfigError, ConnectError, IdentityError
 
-Check = Callable[[TestStand, Stand], None]
+Check = Callable[[DriverBench, Stand], None]
 
 
-def describes_itself_unconnected(bench: TestStand, stand: Stand) -> None:
+def describes_itself_unconnected(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
     demand(isinstance(driver, bench.protocol), f"it is no {bench.protocol.__name__}: a method is missing")
     about = driver.describe()
@@ -25,13 +25,13 @@ def describes_itself_unconnected(bench: TestStand, stand: Stand) -> None:
     outcome("close", driver.close, bench.limit_s)
 
 
-def refuses_an_unknown_option(bench: TestStand, stand: Stand) -> None:
+def refuses_an_unknown_option(bench: DriverBench, stand: Stand) -> None:
     error = outcome("construction", lambda: stand.make(no_such_option=1), bench.limit_s)
     demand(isinstance(error, ConfigError), f"an unknown option gives {error!r} instead of a ConfigError")
     demand("no_such_option" in str(error), f"the error does not name the option: {error}")
 
 
-def connects_and_works(bench: TestStand, stand: Stand) -> None:
+def connects_and_works(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
     bounded("connect", driver.connect, bench.limit_s)
     for _ in range(2):
@@ -39,7 +39,7 @@ def connects_and_works(bench: TestStand, stand: Stand) -> None:
     bounded("close", driver.close, bench.limit_s)
 
 
-def refuses_the_wrong_device(bench: TestStand, stand: Stand) -> None:
+def refuses_the_wrong_device(bench: DriverBench, stand: Stand) -> None:
     if stand.wrong is None:
         raise Skip("the bench gives no wrong device")
     driver = stand.wrong()
@@ -49,11 +49,11 @@ def refuses_the_wrong_device(bench: TestStand, stand: Stand) -> None:
     works_anew(bench, stand)
 
 
-def names_an_absent_device(bench: TestStand, stand: Stand) -> None:
+def names_an_absent_device(bench: DriverBench, stand: Stand) -> None:
     need_proxies(stand)
     for proxy in stand.proxies.values():
         proxy.refusing = True
-    driver = stand.make(**stand.hasty)
+    driver = stand.make(**stand.short_limits)
     error = outcome("connect", driver.connect, bench.limit_s)
     demand(isinstance(error, ConnectError), f"connecting to nothing gives {error!r} instead of a ConnectError")
     bounded("close", driver.close, bench.limit_s)
@@ -62,38 +62,38 @@ def names_an_absent_device(bench: TestStand, stand: Stand) -> None:
     works_anew(bench, stand)
 
 
-def refuses_to_work_unconnected(bench: TestStand, stand: Stand) -> None:
+def refuses_to_work_unconnected(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
     error = outcome("use", lambda: stand.use(driver), bench.limit_s)
     demand(error is not None, "it works without a connection")
     outcome("close", driver.close, bench.limit_s)
 
 
-def silence_is_an_error_in_time(bench: TestStand, stand: Stand) -> None:
+def silence_is_an_error_in_time(bench: DriverBench, stand: Stand) -> None:
     fault(bench, stand, "drop", must_fail=True)
 
 
-def garbage_is_survived(bench: TestStand, stand: Stand) -> None:
+def garbage_is_survived(bench: DriverBench, stand: Stand) -> None:
     fault(bench, stand, "garbage")
 
 
-def half_a_message_is_survived(bench: TestStand, stand: Stand) -> None:
+def half_a_message_is_survived(bench: DriverBench, stand: Stand) -> None:
     fault(bench, stand, "truncate")
 
 
-def an_end_in_mid_frame_is_survived(bench: TestStand, stand: Stand) -> None:
+def an_end_in_mid_frame_is_survived(bench: DriverBench, stand: Stand) -> None:
     fault(bench, stand, "close")
 
 
-def two_messages_in_one_segment_are_two(bench: TestStand, stand: Stand) -> None:
+def two_messages_in_one_segment_are_two(bench: DriverBench, stand: Stand) -> None:
     segments(bench, stand, "join")
 
 
-def a_message_byte_by_byte_is_one(bench: TestStand, stand: Stand) -> None:
+def a_message_byte_by_byte_is_one(bench: DriverBench, stand: Stand) -> None:
     segments(bench, stand, "split")
 
 
-def connects_again(bench: TestStand, stand: Stand) -> None:
+def connects_again(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
     for _ in range(2):
         bounded("connect", driver.connect, bench.limit_s)
@@ -110,7 +110,7 @@ def connects_again(bench: TestStand, stand: Stand) -> None:
     bounded("close", driver.close, bench.limit_s)
 
 
-def stop_and_close_are_always_allowed(bench: TestStand, stand: Stand) -> None:
+def stop_and_close_are_always_allowed(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
     for step in (driver.stop, driver.stop, driver.close, driver.close):
         bounded("stop or close before connect", step, bench.limit_s)
@@ -124,8 +124,9 @@ def stop_and_close_are_always_allowed(bench: TestStand, stand: Stand) -> None:
     works_anew(bench, stand)
 
 
-def stop_ends_what_is_under_way(bench: TestStand, stand: Stand) -> None:
-    if stand.begin is None:
+def stop_ends_what_is_under_way(bench: DriverBench, stand: Stand) -> None:
+    begin, at_rest = stand.begin, stand.at_rest
+    if begin is None:
         raise Skip("nothing of this device takes long")
     driver = stand.make()
     bounded("connect", driver.connect, bench.limit_s)
@@ -134,15 +135,15 @@ def stop_ends_what_is_under_way(bench: TestStand, stand: Stand) -> None:
 
     def long() -> None:
         try:
-            stand.begin(driver)
+            begin(driver)
         except BaseException as error:
             raised.append(error)
         finally:
             ended.set()
 
     threading.Thread(target=long, name="under-way", daemon=True).start()
-    if stand.at_rest is not None:
-        eventually(lambda: not stand.at_rest() or bool(raised), bench.limit_s, "the device never began")
+    if at_rest is not None:
+        eventually(lambda: not at_rest() or bool(raised), bench.limit_s, "the device never began")
     else:
         ended.wait(0.1)
     for _ in range(2):
@@ -155,7 +156,7 @@ def stop_ends_what_is_under_way(bench: TestStand, stand: Stand) -> None:
     works_anew(bench, stand)
 
 
-def closes_after_an_exception(bench: TestStand, stand: Stand) -> None:
+def closes_after_an_exception(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
 
     def broken() -> None:

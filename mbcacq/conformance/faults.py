@@ -10,7 +10,9 @@ from typing import Literal
 
 ACTIONS = ("drop", "delay", "truncate", "duplicate", "garbage", "close")
 SHAPES = ("split", "join")  # the same bytes in other segments: on a stream no fault at all
-DEVICE, DRIVER = "device", "driver"
+Sender = Literal["device", "driver"]
+DEVICE: Sender = "device"
+DRIVER: Sender = "driver"
 CLOSE = object()
 
 Cut = Callable[[bytes], int]
@@ -18,13 +20,13 @@ Cut = Callable[[bytes], int]
 
 @dataclass(frozen=True)
 class Fault:
-    """What befalls message ``index`` (from 0, of those that ``sender`` sends) and, with ``lasting``, all later ones.
+    """What happens to message ``index`` (from 0, of those that ``sender`` sends) and, with ``lasting``, all later ones.
 
     drop; delay by ``seconds``; truncate: the first half arrives; duplicate; garbage: random bytes of the same length; close: the first
     half arrives, then the connection ends (a datagram is lost); split: byte by byte; join: in one segment with the next.
     """
 
-    sender: Literal["device", "driver"]
+    sender: Sender
     index: int
     action: str
     seconds: float = 1.0
@@ -33,6 +35,10 @@ class Fault:
     def __post_init__(self) -> None:
         if self.action not in ACTIONS + SHAPES:
             raise ValueError(f"there is no fault '{self.action}' (known: {', '.join(ACTIONS + SHAPES)})")
+
+    def concerns(self, sender: str, number: int) -> bool:
+        """Whether it changes that message."""
+        return sender == self.sender and (number == self.index or (self.lasting and number > self.index))
 
 
 def as_read(data: bytes) -> int:
@@ -72,12 +78,12 @@ class Channel:
         self.name, self._note = name, note
         self.fault: Fault | None = None
         self.struck = 0
-        self.count = {DEVICE: 0, DRIVER: 0}
-        self._held = {DEVICE: b"", DRIVER: b""}
+        self.count: dict[str, int] = {DEVICE: 0, DRIVER: 0}
+        self._held: dict[str, bytes] = {DEVICE: b"", DRIVER: b""}
         self._random = random.Random(seed)
         self._lock = threading.Lock()
 
-    def set(self, action: str, sender: str = DEVICE, *, lasting: bool = False, seconds: float = 1.0, index: int | None = None) -> None:
+    def set(self, action: str, sender: Sender = DEVICE, *, lasting: bool = False, seconds: float = 1.0, index: int | None = None) -> None:
         """By default to the next message of that sender."""
         with self._lock:
             self.struck = 0
@@ -92,12 +98,11 @@ class Channel:
             self.count[sender] += 1
             fault, held = self.fault, self._held[sender]
             self._held[sender] = b""
-            mine = fault is not None and fault.sender == sender and (number == fault.index or (fault.lasting and number > fault.index))
-            if not mine:
-                out: list[object] = [held + message]
-            else:
+            out: list[object] = [held + message]
+            if fault is not None and fault.concerns(sender, number):
                 self.struck += 1
-                out = [held + message] if held else self._changed(fault, message)
+                if not held:
+                    out = self._changed(fault, message)
                 if fault.action == "join" and not held:
                     self._held[sender] = message
             for piece in out:

@@ -1,10 +1,14 @@
-"""A serial line through something in the middle: a pseudo-terminal for the driver, a TCP port where the device is played."""
+"""A serial line through something in the middle: a pseudo-terminal for the driver, a TCP port where the device is played.
+
+Needs POSIX: Windows has no pseudo-terminals.
+"""
 
 from __future__ import annotations
 
 import os
 import select
 import socket
+import sys
 import tempfile
 import threading
 from contextlib import suppress
@@ -14,10 +18,15 @@ from mbcacq.conformance.proxy import POLL_S, Proxy, send_all, shut
 
 
 class PtyProxy(Proxy):
-    """A pseudo-terminal at ``path`` in front of a serial device that is played on a TCP port. A closed one is a pulled plug."""
+    """A pseudo-terminal at ``path`` in front of a serial device that is played on a TCP port. A cut ends the terminal.
+
+    Raises OSError on Windows.
+    """
 
     def __init__(self, channel: Channel, device: tuple[str, int], *, cut: Cut = as_read, cut_driver: Cut = as_read) -> None:
         super().__init__(channel)
+        if sys.platform == "win32":
+            raise OSError("there are no pseudo-terminals on Windows; use a TcpProxy and socket://")
         self._device, self._cut = device, {DEVICE: cut, DRIVER: cut_driver}
         self._folder = tempfile.TemporaryDirectory(prefix="pty-")
         self.path = os.path.join(self._folder.name, "serial")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mbcacq.conformance.checks import CHECKS, Check
+from mbcacq.conformance.driver_bench import DriverBench
 from mbcacq.conformance.steps import Skip
-from mbcacq.conformance.test_stand import TestStand
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
 
@@ -25,13 +25,13 @@ class CheckResult:
         return f"{self.bench}: {self.check.replace('_', ' ')}: {self.status}" + (f" ({self.detail})" if self.detail else "")
 
 
-def run(bench: TestStand, checks: tuple[Check, ...] = CHECKS) -> Iterator[CheckResult]:
+def run(bench: DriverBench, checks: tuple[Check, ...] = CHECKS) -> Iterator[CheckResult]:
     """One result a check, each on a stand of its own."""
     for each in checks:
         yield check(bench, each)
 
 
-def check(bench: TestStand, each: Check) -> CheckResult:
+def check(bench: DriverBench, each: Check) -> CheckResult:
     """One check. Never raises what the driver did wrong."""
     name, began = each.__name__, time.monotonic()
     if name in bench.excused:

@@ -1,20 +1,20 @@
-"""What several checks do: hurt the messages, look whether the device rests, and whether the next driver works."""
+"""What several checks do: change the messages, look whether the device rests, and whether the next driver works."""
 
 from __future__ import annotations
 
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
-from mbcacq.conformance.test_stand import Stand, TestStand
+from mbcacq.conformance.driver_bench import DriverBench, Stand
 
 
 class Skip(Exception):
     """The check does not apply to this bench; the message says why."""
 
 
-def fault(bench: TestStand, stand: Stand, action: str, must_fail: bool = False) -> None:
-    """From the next message on, whatever the device sends is hurt: on connecting, and in the middle of the work."""
+def fault(bench: DriverBench, stand: Stand, action: str, must_fail: bool = False) -> None:
+    """From the next message on, whatever the device sends is changed: on connecting, and in the middle of the work."""
     need_proxies(stand)
     for moment in ("connect", "use"):
-        driver = stand.make(**stand.hasty)
+        driver = stand.make(**stand.short_limits)
         if moment == "use":
             bounded("connect", driver.connect, bench.limit_s)
         for proxy in stand.proxies.values():
@@ -32,7 +32,7 @@ def fault(bench: TestStand, stand: Stand, action: str, must_fail: bool = False) 
         works_anew(bench, stand)
 
 
-def segments(bench: TestStand, stand: Stand, action: str) -> None:
+def segments(bench: DriverBench, stand: Stand, action: str) -> None:
     streams = [proxy for proxy in stand.proxies.values() if proxy.stream]
     if not streams:
         raise Skip("no link of this device is a stream")
@@ -45,7 +45,7 @@ def segments(bench: TestStand, stand: Stand, action: str) -> None:
     demand(any(proxy.channel.struck for proxy in streams), "no message passed the proxies")
 
 
-def works_anew(bench: TestStand, stand: Stand) -> None:
+def works_anew(bench: DriverBench, stand: Stand) -> None:
     """Whatever was, the next driver finds a device that works."""
     comes_back(bench, stand)
     driver = stand.make()
@@ -56,13 +56,13 @@ def works_anew(bench: TestStand, stand: Stand) -> None:
         bounded("close, afterwards", driver.close, bench.limit_s)
 
 
-def comes_back(bench: TestStand, stand: Stand) -> None:
+def comes_back(bench: DriverBench, stand: Stand) -> None:
     """After a cut the links are made anew, and the device hears of its lost driver, in their own time."""
     eventually(lambda: all(proxy.ready for proxy in stand.proxies.values()), bench.limit_s, "the link did not come back")
     eventually(stand.ready, bench.limit_s, "the device does not take a new driver")
 
 
-def rests(bench: TestStand, stand: Stand) -> None:
+def rests(bench: DriverBench, stand: Stand) -> None:
     if stand.at_rest is not None:
         eventually(stand.at_rest, bench.limit_s, "the device did not come to rest")
 

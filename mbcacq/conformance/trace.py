@@ -131,15 +131,15 @@ class Replay:
 
     def _datagram(self, link: socket.socket, line: TraceLine) -> bytes:
         """One that is not answered is sent again: nobody may have listened yet, or it was one of several in a queue."""
-        deadline, patience_s = time.monotonic() + self._timeout_s, _AGAIN_S
+        deadline, wait_s = time.monotonic() + self._timeout_s, _AGAIN_S
         while not self._closing.is_set() and time.monotonic() < deadline:
-            link.settimeout(patience_s)
+            link.settimeout(wait_s)
             try:
                 return link.recv(1 << 16)
             except ConnectionRefusedError:
                 self._closing.wait(_AGAIN_S)
             except TimeoutError:
-                patience_s = min(2 * patience_s, 1.0)
+                wait_s = min(2 * wait_s, 1.0)
             if line.link in self._last:
                 with suppress(ConnectionRefusedError):
                     link.send(self._last[line.link])

@@ -89,9 +89,9 @@ def _disk() -> Iterator[CheckupLine]:
         yield CheckupLine("ok", "disk", text)
     shared = Path("/dev/shm")
     if shared.is_dir() and shutil.disk_usage(shared).free < LEAST_SHARED:
-        left = shutil.disk_usage(shared).free >> 20
+        free = shutil.disk_usage(shared).free >> 20
         yield CheckupLine(
-            "error", "shared memory", f"{left} MiB free in /dev/shm", "delete what dead programs left there, or mount it larger"
+            "error", "shared memory", f"{free} MiB free in /dev/shm", "delete what dead programs left there, or mount it larger"
         )
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from mbcacq.devices import ConfigError, Device, MbcacqError
+from mbcacq.devices import ConfigError, Device, MbcacqError, Sensor
 from mbcacq.doctor.line import CheckupLine, from_error
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def _ask(role: str, device: Device) -> CheckupLine:
             text = " ".join(part for part in (about.model or about.kind, about.serial, about.firmware) if part)
             if role.startswith("sensor"):
                 units = {field.name: field.unit for field in about.fields}
-                read = ", ".join(f"{name} {value:g} {units.get(name, '')}".rstrip() for name, value in device.read().items())
+                read = ", ".join(f"{name} {value:g} {units.get(name, '')}".rstrip() for name, value in cast(Sensor, device).read().items())
                 text = f"{text}: {read}"
             return CheckupLine("ok", role, text)
     except MbcacqError as error:

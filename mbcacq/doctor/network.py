@@ -70,7 +70,7 @@ def _refused(error: Exception, address: str, port: int) -> CheckupLine:
 
 
 def addresses() -> dict[str, str]:
-    """Interface -> IPv4 address, where the system tells."""
+    """Interface -> IPv4 address, where the system reports it."""
     if sys.platform != "linux":
         return {}
     import fcntl

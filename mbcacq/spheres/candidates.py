@@ -13,7 +13,7 @@ from mbcacq.spheres.voxels import Patches
 MIN_VOTES = 6
 
 
-def ball_candidates(patches: Patches, radius: float, view: np.ndarray | None, limit: int) -> tuple[np.ndarray, np.ndarray]:
+def sphere_candidates(patches: Patches, radius: float, view: np.ndarray | None, limit: int) -> tuple[np.ndarray, np.ndarray]:
     """Rough centres (k, 3) mm and their votes (k,), most votes first, at most ``limit``."""
     votes = _votes(patches, radius, view)
     if len(votes) < MIN_VOTES:
@@ -51,11 +51,11 @@ def _votes(patches: Patches, radius: float, view: np.ndarray | None) -> np.ndarr
 
 def _peaks(histogram: np.ndarray, limit: int):
     """Index and votes of the fullest windows, each blotting out its surroundings."""
-    left = histogram.copy()
+    remaining = histogram.copy()
     for _ in range(limit):
-        at = np.unravel_index(int(left.argmax()), left.shape)
-        yield at, int(left[at])
-        left[tuple(slice(max(i - 2, 0), i + 3) for i in at)] = 0
+        at = np.unravel_index(int(remaining.argmax()), remaining.shape)
+        yield at, int(remaining[at])
+        remaining[tuple(slice(max(i - 2, 0), i + 3) for i in at)] = 0
 
 
 def _climb(votes: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, int]:

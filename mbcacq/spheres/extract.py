@@ -8,34 +8,34 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.model.cell import Artefact
-from mbcacq.spheres.candidates import ball_candidates
+from mbcacq.spheres.candidates import sphere_candidates
 from mbcacq.spheres.fit import SphereFit, rough_fits, sphere_fits
-from mbcacq.spheres.found import BallOptions, FoundBalls
-from mbcacq.spheres.naming import name_balls
+from mbcacq.spheres.found import FoundSpheres, SphereOptions
+from mbcacq.spheres.naming import identify_spheres
 from mbcacq.spheres.voxels import Patches, Voxels, patches, voxelise
 
 MAX_CANDIDATES = 60
 
 
-def find_balls(
+def find_spheres(
     points: np.ndarray,
     artefact: Artefact,
     *,
     expected: Sequence[int] | None = None,
     predicted: np.ndarray | None = None,
-    options: BallOptions | None = None,
-) -> FoundBalls:
+    options: SphereOptions | None = None,
+) -> FoundSpheres:
     """Centres of the artefact's balls in one cloud.
 
     points: (N, 3) float32 or float64, mm, in any order, plates and other things included; rows that are not finite are dropped.
     expected: certificate ids that should be in view. predicted: (k, 3) mm, rough centres of ``expected`` (or of all balls of the
-    artefact, in its order); needed where fewer than three balls are seen and they cannot be told apart by themselves.
+    artefact, in its order); needed where fewer than three balls are in view, which do not identify themselves.
 
-    Raises DeviceFault for a wrong artefact, its mirror image, balls of another diameter, or balls that cannot be told apart;
-    ConfigError for a certificate without diameters or an expected ball that it does not list. A ball that is hidden, too little
-    covered or too rough is absent from the result and named in ``refused`` where something of it was seen.
+    Raises DeviceFault for a wrong artefact, its mirror image, balls of another diameter, or an undecided identification;
+    ConfigError for a certificate without diameters or an expected ball that it does not list. A ball that is covered, too little
+    covered or too rough is absent from the result and named in ``refused`` where part of it was measured.
     """
-    options = options or BallOptions()
+    options = options or SphereOptions()
     _check(artefact, expected, predicted)
     columns = _finite(points)
     fits: list[tuple[float, SphereFit]] = []
@@ -45,11 +45,11 @@ def find_balls(
         fits, refused = _fit_all(surface, artefact, options)
         if not fits:
             _other_diameter(surface, artefact, options)
-    return name_balls(fits, refused, artefact, expected, predicted, options)
+    return identify_spheres(fits, refused, artefact, expected, predicted, options)
 
 
 class Surface:
-    """A cloud with its cubes and patches, made once for all radii."""
+    """A cloud with its cubes and patches, computed once for all radii."""
 
     def __init__(self, columns: np.ndarray, radius: float) -> None:
         self.columns = columns
@@ -70,13 +70,13 @@ class Surface:
         return [points[(mine & np.uint64(1 << j)) != 0] for j in range(len(centres))]
 
 
-def _fit_all(surface: Surface, artefact: Artefact, options: BallOptions):
+def _fit_all(surface: Surface, artefact: Artefact, options: SphereOptions):
     """Sphere fits (radius, fit) of every ball of a certified diameter, and what was refused."""
     view = None if options.view is None else np.asarray(options.view, dtype=float) / np.linalg.norm(options.view)
     starts, radii = [], []
     limit = min(3 * len(artefact.ball_ids) + 6, MAX_CANDIDATES)
     for radius in np.unique(artefact.diameters) / 2:
-        found, _ = ball_candidates(surface.patches, radius, view, limit)
+        found, _ = sphere_candidates(surface.patches, radius, view, limit)
         starts.extend(found)
         radii.extend([radius] * len(found))
     starts, radii = np.array(starts).reshape(-1, 3)[:MAX_CANDIDATES], np.array(radii)[:MAX_CANDIDATES]
@@ -102,13 +102,13 @@ def _fit_all(surface: Surface, artefact: Artefact, options: BallOptions):
     return fits, refused
 
 
-def _judge(fit: SphereFit, radius: float, options: BallOptions) -> tuple[str | None, bool]:
-    """Why a fit is not a ball, and whether it looks enough like one to be worth a word."""
+def _judge(fit: SphereFit, radius: float, options: SphereOptions) -> tuple[str | None, bool]:
+    """Why a fit is not a ball, and whether it looks enough like one to be reported."""
     if fit.n_points < options.min_points:
         return f"{fit.n_points} points on a ball of {2 * radius:g} mm are too few", False
     if fit.coverage < options.min_coverage:
-        worth = fit.coverage > 0.6 * options.min_coverage
-        return f"only {fit.coverage:.0%} of the visible cap of a ball of {2 * radius:g} mm is covered", worth
+        reported = fit.coverage > 0.6 * options.min_coverage
+        return f"only {fit.coverage:.0%} of the visible cap of a ball of {2 * radius:g} mm is covered", reported
     if fit.noise_mm > options.max_noise:
         return f"its surface is {fit.noise_mm:.3f} mm rough", True
     if abs(fit.radius_error) > options.radius_tolerance * radius + 5 * fit.radius_sigma:
@@ -116,12 +116,12 @@ def _judge(fit: SphereFit, radius: float, options: BallOptions) -> tuple[str | N
     return None, True
 
 
-def _other_diameter(surface: Surface, artefact: Artefact, options: BallOptions) -> None:
+def _other_diameter(surface: Surface, artefact: Artefact, options: SphereOptions) -> None:
     """Raise if balls of a diameter that the certificate does not know are in view."""
     best = None
     size = surface.voxels.size
     for radius in size * np.geomspace(1.0, 15.0, 28):
-        starts, votes = ball_candidates(surface.patches, radius, None, 3)
+        starts, votes = sphere_candidates(surface.patches, radius, None, 3)
         for start, count in zip(starts, votes, strict=True):
             cloud = surface.near_shells(start[None], np.array([radius]), np.array([0.12 * radius]))
             centre = rough_fits(cloud, start[None], np.array([radius]), 0.1 * radius)

@@ -1,7 +1,7 @@
 """Spheres of known radius through noisy points, several at once: Gauss-Newton on the geometric distance, with Tukey's weights.
 
 ``f_i = |p_i - c| - R`` and ``df/dc = -u_i``, u the unit vector from the centre to the point. The weights fall to zero at
-TUKEY times the noise, so that edge and background points have no say; symmetric, so that they do not bias what is left.
+TUKEY times the noise, so that edge and background points do not count; symmetric, so that they do not bias the remaining points.
 Arrays are (k, 3, n): k spheres, points padded to the longest cloud.
 """
 
@@ -15,9 +15,10 @@ import numpy as np
 TUKEY = 6.0
 # for Gaussian noise under these weights: share of the variance that the weighted mean square shows,
 # and the variance of the centre over variance * inverse(normal matrix)
-SEEN_VARIANCE = 0.8924
+VARIANCE_SHARE = 0.8924
 COVARIANCE_FACTOR = 0.9657
 NOISE_FLOOR_MM = 1e-4
+VIEW_ROUNDS, MAX_ROUNDS = 4, 20
 MIN_POINTS = 8
 
 
@@ -65,32 +66,17 @@ def rough_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndar
 def sphere_fits(
     clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, view: np.ndarray | None, max_incidence: float, max_noise: float
 ) -> list[SphereFit | None]:
-    """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None where nothing is left to fit.
+    """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None where too few points remain.
 
-    view: (3,) unit vector towards the scanner, None to take it from the caps; points seen at more than ``max_incidence`` rad are
-    left out by their direction from the centre, which the noise along the normal cannot change.
+    view: (3,) unit vector towards the scanner, None to take it from the caps; points measured at more than ``max_incidence`` rad are
+    omitted by their direction from the centre, which the noise along the normal cannot change.
     """
     work = _Work(clouds)
     ceiling = np.full(len(radii), max_noise)
     gate = TUKEY * ceiling
-    noise = None
     if view is None:
-        for round_ in range(4):
-            state = work.step(centres, radii, gate, ceiling, noise, None, -1.0)
-            centres = centres + state.step
-            gate = np.minimum(gate, 4 * TUKEY * state.noise)
-            noise = state.noise if round_ == 1 else None
-        caps = np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2
-        view = caps.sum(axis=0)
-        view = view / (np.linalg.norm(view) or 1.0)
-    for round_ in range(20):
-        state = work.step(centres, radii, gate, ceiling, noise, view, np.cos(max_incidence))
-        centres = centres + state.step
-        gate = np.minimum(gate, 4 * TUKEY * state.noise)
-        # estimated anew in two rounds, then kept, so that the iteration has a fixed point
-        noise = None if round_ in (0, 2) else state.noise
-        if round_ > 3 and np.max(np.sum(state.step**2, axis=1), initial=0.0) < 1e-12:
-            break
+        centres, gate, view = _view_from_caps(work, centres, radii, gate, ceiling)
+    centres, state = _converged(work, centres, radii, gate, ceiling, view, np.cos(max_incidence))
     fits = []
     for j in range(len(radii)):
         used = state.w[j] > 0
@@ -100,8 +86,44 @@ def sphere_fits(
     return fits
 
 
+def _view_from_caps(
+    work: _Work, centres: np.ndarray, radii: np.ndarray, gate: np.ndarray, ceiling: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres after a few steps on all points, the gate (k,) mm reached, and the unit vector (3,) towards the scanner."""
+    noise, round_ = None, 0
+    while True:
+        state = work.step(centres, radii, gate, ceiling, noise, None, -1.0)
+        centres = centres + state.step
+        gate = np.minimum(gate, 4 * TUKEY * state.noise)
+        noise = state.noise if round_ == 1 else None
+        round_ += 1
+        if round_ == VIEW_ROUNDS:
+            break
+    caps = np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2
+    view = caps.sum(axis=0)
+    return centres, gate, view / (np.linalg.norm(view) or 1.0)
+
+
+def _converged(
+    work: _Work, centres: np.ndarray, radii: np.ndarray, gate: np.ndarray, ceiling: np.ndarray, view: np.ndarray, limit: float
+) -> tuple[np.ndarray, _State]:
+    """Gauss-Newton steps until none moves a centre by more than a nanometre; ``limit``: cosine of the largest incidence."""
+    noise, round_ = None, 0
+    while True:
+        state = work.step(centres, radii, gate, ceiling, noise, view, limit)
+        centres = centres + state.step
+        gate = np.minimum(gate, 4 * TUKEY * state.noise)
+        # estimated anew in two rounds, then kept, so that the iteration has a fixed point
+        noise = None if round_ in (0, 2) else state.noise
+        settled = round_ > 3 and np.max(np.sum(state.step**2, axis=1), initial=0.0) < 1e-12
+        round_ += 1
+        if settled or round_ == MAX_ROUNDS:
+            return centres, state
+
+
 class _Work:
-    """Points (k, 3, n) of k spheres, which of them are real (k, n), and arrays used again in every step (fresh memory is what costs)."""
+    """Points (k, 3, n) of k spheres, which of them are real (k, n), and arrays used again in every step,
+    as allocating them takes longest."""
 
     def __init__(self, clouds: Sequence[np.ndarray]) -> None:
         longest = max(1, max(len(p) for p in clouds))
@@ -146,7 +168,7 @@ class _Work:
 
 def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
     total = float(w.sum())
-    variance = float(w @ f**2) / max(total - 3, 1.0) / SEEN_VARIANCE
+    variance = float(w @ f**2) / max(total - 3, 1.0) / VARIANCE_SHARE
     covariance = COVARIANCE_FACTOR * variance * np.linalg.inv(normal + 1e-12 * np.eye(3))
     # one more Gauss-Newton step with the radius free: f = u dc + dR
     free = np.empty((4, 4))
@@ -167,15 +189,15 @@ def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
 
 
 def _coverage(u: np.ndarray, view: np.ndarray, max_incidence: float) -> float:
-    """Share of the cells of the disk, as seen along ``view``, that hold a point; fewer cells where there are few points."""
+    """Share of the cells of the disk, along ``view``, that hold a point; fewer cells where there are few points."""
     cells = int(np.clip(np.sqrt(len(u) / 4), 4, 12))
     side = np.cross(view, np.eye(3)[np.argmin(np.abs(view))])
     side /= np.linalg.norm(side)
     plane = np.stack([side, np.cross(view, side)], axis=1)
     disk = u @ plane / np.sin(max_incidence)
     index = np.clip(((disk + 1) * (cells / 2)).astype(int), 0, cells - 1)
-    seen = np.zeros((cells, cells), dtype=bool)
-    seen[index[:, 0], index[:, 1]] = True
+    covered = np.zeros((cells, cells), dtype=bool)
+    covered[index[:, 0], index[:, 1]] = True
     middle = (np.arange(cells) + 0.5) / (cells / 2) - 1
     inside = middle[:, None] ** 2 + middle**2 < 1
-    return float(np.count_nonzero(seen & inside) / np.count_nonzero(inside))
+    return float(np.count_nonzero(covered & inside) / np.count_nonzero(inside))

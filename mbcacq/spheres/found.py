@@ -1,4 +1,4 @@
-"""What ball extraction returns, and what may be adjusted."""
+"""What sphere extraction returns, and what may be adjusted."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class BallOptions:
-    """Limits of ball extraction. Lengths mm, angles rad.
+class SphereOptions:
+    """Limits of sphere extraction. Lengths mm, angles rad.
 
-    max_incidence: points whose surface normal is further from the line of sight are left out (grazing, edge and mixed points).
+    max_incidence: points whose surface normal is further from the line of sight are omitted (grazing, edge and mixed points).
     max_noise: largest credible noise of a point along the normal. min_points, min_coverage: a ball with fewer points, or less of the
-    cap up to ``max_incidence`` seen, is refused. radius_tolerance: relative; how far the freely fitted radius may be off.
-    centre_tolerance: how far a ball may be from its certified place and still be recognised; scale_tolerance: relative; the same
+    cap up to ``max_incidence`` covered, is refused. radius_tolerance: relative; how far the freely fitted radius may be off.
+    centre_tolerance: how far a ball may be from its certified position and still be recognised; scale_tolerance: relative; the same
     for all lengths together (scanner scale, temperature). centre_sigma: systematic part of a centre's uncertainty, for telling
     two assignments apart. view: (3,) direction from the balls to the scanner, or None to take it from the data.
     """
@@ -31,12 +31,12 @@ class BallOptions:
 
 
 @dataclass(frozen=True)
-class FoundBalls:
+class FoundSpheres:
     """Balls recognised in one cloud, in the order of the certificate.
 
     ball: (k,) certificate ids. xyz: (k, 3) float64 mm, scanner frame. n_points: (k,) points that carried the fit. rms_mm: (k,) of their
     distances to the sphere. covariance: (k, 3, 3) mm^2 of each centre, from the fit. radius_error_mm: (k,) freely fitted minus certified
-    radius. refused: (reason, place) of what looked like a ball and was not used; the place is (3,) mm, or None where it has none.
+    radius. refused: (reason, centre) of what looked like a ball and was not used; the centre is (3,) mm, or None where it has none.
     """
 
     ball: np.ndarray

@@ -1,4 +1,4 @@
-"""Fitted balls to certificate ids, or a refusal that says what was seen and what was wanted."""
+"""Fitted balls to certificate ids, or a refusal that says what was found and what was expected."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from mbcacq.errors import DeviceFault
 from mbcacq.model.cell import Artefact
 from mbcacq.spheres.fit import SphereFit
-from mbcacq.spheres.found import BallOptions, FoundBalls
-from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_cost
+from mbcacq.spheres.found import FoundSpheres, SphereOptions
+from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_distance
 
 Refusals = list[tuple[str, np.ndarray | None]]
 
 
-def name_balls(
+def identify_spheres(
     fits: list[tuple[float, SphereFit]],
     refused: Refusals,
     artefact: Artefact,
     expected: Sequence[int] | None,
     predicted: np.ndarray | None,
-    options: BallOptions,
-) -> FoundBalls:
-    """See :func:`mbcacq.spheres.find_balls`. fits: (radius, fit) of every ball seen."""
+    options: SphereOptions,
+) -> FoundSpheres:
+    """See :func:`mbcacq.spheres.find_spheres`. fits: (radius, fit) of every sphere found."""
     centres = np.array([f.centre for _, f in fits]).reshape(-1, 3)
     radii = np.array([r for r, _ in fits])
     sigma = np.array([np.sqrt(np.trace(f.covariance)) for _, f in fits])
@@ -37,13 +37,13 @@ def name_balls(
         _check_artefact(possible, centres, artefact, expected, options)
     chosen = _choose(possible, centres, artefact, expected, guess, options)
     if chosen is None:
-        reason = "its id cannot be told: too few balls are in view, and no expected ball or predicted place decides"
+        reason = "its id is undecided: too few balls are in view, and no expected ball or predicted place decides"
         refused += [(reason, centre) for centre in centres]
         return _found([], [], fits, artefact, refused)
-    for i in sorted(set(range(len(centres))) - set(chosen.seen.tolist())):
+    for i in sorted(set(range(len(centres))) - set(chosen.found.tolist())):
         refused.append((f"a ball of {2 * radii[i]:g} mm that does not belong to artefact '{artefact.id}'", centres[i]))
     order = np.argsort(chosen.certified)
-    found = _found(chosen.seen[order], chosen.certified[order], fits, artefact, refused)
+    found = _found(chosen.found[order], chosen.certified[order], fits, artefact, refused)
     for ball in expected or ():
         if ball not in found.ball:
             found.refused.append((f"ball {ball} was expected and is not seen", None))
@@ -56,12 +56,12 @@ def _choose(
     artefact: Artefact,
     expected: Sequence[int] | None,
     guess: np.ndarray | None,
-    options: BallOptions,
+    options: SphereOptions,
 ) -> Assignment | None:
     """The one assignment that the data, or failing that the prediction, single out; None where nothing does."""
     if not possible:
         return None
-    size = len(possible[0].seen)
+    size = len(possible[0].found)
     if size >= 3:
         # a mirror image has the right distances, but no rotation takes it to the certificate
         proper = [p for p in possible if p.rms < max(2 * options.centre_tolerance, 3 * p.mirrored)]
@@ -71,18 +71,18 @@ def _choose(
                 f"(rms {possible[0].rms:.2f} mm as certified, {possible[0].mirrored:.3f} mm mirrored); "
                 "put the right artefact in place or correct the certificate"
             )
-        rivals = [p for p in proper[1:] if not decided(proper[0], p, options.centre_sigma)]
-        if not rivals:
+        alternatives = [p for p in proper[1:] if not decided(proper[0], p, options.centre_sigma)]
+        if not alternatives:
             return proper[0]
-        possible = [proper[0], *rivals]
+        possible = [proper[0], *alternatives]
     elif len(possible) == 1 and (size == len(artefact.ball_ids) or expected is not None and size == len(expected)):
         # a single ball where one is expected, or two of different diameters
         if guess is None or len(centres) == 1:
             return possible[0]
     if guess is not None:
-        costs = [prediction_cost(p, centres, guess) for p in possible]
-        order = np.argsort(costs)
-        if np.isfinite(costs[order[0]]) and (len(costs) == 1 or costs[order[0]] < 0.5 * costs[order[1]]):
+        distances = [prediction_distance(p, centres, guess) for p in possible]
+        order = np.argsort(distances)
+        if np.isfinite(distances[order[0]]) and (len(distances) == 1 or distances[order[0]] < 0.5 * distances[order[1]]):
             return possible[order[0]]
     if size >= 3:
         raise DeviceFault(
@@ -93,14 +93,14 @@ def _choose(
 
 
 def _check_artefact(
-    possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None, options: BallOptions
+    possible: list[Assignment], centres: np.ndarray, artefact: Artefact, expected: Sequence[int] | None, options: SphereOptions
 ) -> None:
     """Raise unless most of the balls seen are at distances that the certificate knows."""
-    n, k = len(centres), len(possible[0].seen)
+    n, k = len(centres), len(possible[0].found)
     if k < 3:
         fits = k == min(n, len(artefact.ball_ids if expected is None else expected))
     else:
-        # three distances agree by chance sooner than six, so they must agree better
+        # three distances agree by coincidence more easily than six, so they must agree better
         rms = min(min(p.rms, p.mirrored) for p in possible)
         fits = 2 * k > n and rms < options.centre_tolerance * (0.4 if k == 3 else 1.0)
     if not fits:
@@ -127,9 +127,9 @@ def _guess(artefact: Artefact, expected: Sequence[int] | None, predicted: np.nda
     return out
 
 
-def _found(seen, certified, fits, artefact: Artefact, refused: Refusals) -> FoundBalls:
-    mine = [fits[i][1] for i in seen]
-    return FoundBalls(
+def _found(indices, certified, fits, artefact: Artefact, refused: Refusals) -> FoundSpheres:
+    mine = [fits[i][1] for i in indices]
+    return FoundSpheres(
         ball=np.array([artefact.ball_ids[a] for a in certified], dtype=int),
         xyz=np.array([f.centre for f in mine]).reshape(-1, 3),
         n_points=np.array([f.n_points for f in mine], dtype=int),

@@ -10,8 +10,8 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.lazy import open3d
 from mbcacq.model.cell import Artefact
-from mbcacq.spheres.extract import find_balls
-from mbcacq.spheres.found import BallOptions, FoundBalls
+from mbcacq.spheres.extract import find_spheres
+from mbcacq.spheres.found import FoundSpheres, SphereOptions
 from mbcacq.spheres.ply_header import check_header
 
 MAX_BYTES = 4 * 2**30
@@ -50,7 +50,7 @@ def centres_from_ply(
     *,
     expected: Sequence[int] | None = None,
     predicted: np.ndarray | None = None,
-    options: BallOptions | None = None,
-) -> FoundBalls:
-    """:func:`find_balls` on the cloud in a file (mm, scanner frame)."""
-    return find_balls(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)
+    options: SphereOptions | None = None,
+) -> FoundSpheres:
+    """:func:`find_spheres` on the cloud in a file (mm, scanner frame)."""
+    return find_spheres(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)

@@ -40,30 +40,48 @@ def check_header(path: Path) -> None:
     end = re.search(rb"(?m)^end_header *\r?\n", head)
     if not head.startswith((b"ply\n", b"ply\r\n")) or end is None:
         raise ConfigError(f"{path}: is no PLY file (its header must begin with 'ply' and end with 'end_header'); export the cloud anew")
-    lines = head[: end.start()].split(b"\n")[1:-1]
-    text, rows, needed, xyz = False, 0, 0, set()
-    element = ""
-    for number, line in enumerate(lines, 2):
-        words = " ".join(line.decode("ascii", "replace").split())
-        if len(line) > MAX_LINE or "\0" in words:
-            raise ConfigError(f"{path}:{number}: a header line of {len(line)} bytes; export the cloud anew")
-        if words in ("comment", "obj_info"):
-            raise ConfigError(f"{path}:{number}: an empty '{words}' line, after which the reader loses its place; remove the line")
-        if words.split(" ", 1)[0] in ("comment", "obj_info"):
-            continue
-        if number == 2 and (match := _FORMAT.fullmatch(words)):
-            text = match[1] == "ascii"
-        elif number > 2 and (match := _ELEMENT.fullmatch(words)):
-            element, rows = match[1], int(match[2])
-        elif element and (match := _PROPERTY.fullmatch(words)):
-            # A number in text takes a digit and a blank; a list at least its length.
-            needed += rows * (2 if text else _BYTES[match[1] or match[3]])
-            if element == "vertex" and rows and match[3]:
-                xyz.add(match[4])
-        else:
+    contents = _Contents()
+    for number, line in enumerate(head[: end.start()].split(b"\n")[1:-1], 2):
+        words = _checked_words(path, number, line)
+        if words.split(" ", 1)[0] not in ("comment", "obj_info") and not contents.take(number, words):
             raise ConfigError(f"{path}:{number}: '{words[:60]}' is nothing a PLY header may say here; export the cloud anew")
-    if not {"x", "y", "z"} <= xyz:
+    if not {"x", "y", "z"} <= contents.coordinates:
         raise ConfigError(f"{path}: holds no points (vertices with x, y and z); export the cloud anew")
     there = path.stat().st_size - end.end()
-    if needed > there + 1:
-        raise ConfigError(f"{path}: is cut off: its header announces at least {needed} bytes of data and there are {there}; copy it anew")
+    if contents.size > there + 1:
+        raise ConfigError(
+            f"{path}: is cut off: its header announces at least {contents.size} bytes of data and there are {there}; copy it anew"
+        )
+
+
+def _checked_words(path: Path, number: int, line: bytes) -> str:
+    """The line with single blanks. Raises ConfigError for one that the library's reader does not survive."""
+    words = " ".join(line.decode("ascii", "replace").split())
+    if len(line) > MAX_LINE or "\0" in words:
+        raise ConfigError(f"{path}:{number}: a header line of {len(line)} bytes; export the cloud anew")
+    if words in ("comment", "obj_info"):
+        raise ConfigError(f"{path}:{number}: an empty '{words}' line, after which the reader loses its place; remove the line")
+    return words
+
+
+class _Contents:
+    """What a header announces: at least ``size`` bytes of data, and vertices with these ``coordinates``."""
+
+    def __init__(self) -> None:
+        self.size, self.coordinates = 0, set[str]()
+        self._text, self._element, self._rows = False, "", 0
+
+    def take(self, number: int, words: str) -> bool:
+        """False for a line that may not stand there."""
+        if number == 2 and (match := _FORMAT.fullmatch(words)):
+            self._text = match[1] == "ascii"
+        elif number > 2 and (match := _ELEMENT.fullmatch(words)):
+            self._element, self._rows = match[1], int(match[2])
+        elif self._element and (match := _PROPERTY.fullmatch(words)):
+            # A number in text takes a digit and a blank; a list at least its length.
+            self.size += self._rows * (2 if self._text else _BYTES[match[1] or match[3]])
+            if self._element == "vertex" and self._rows and match[3]:
+                self.coordinates.add(match[4])
+        else:
+            return False
+        return True

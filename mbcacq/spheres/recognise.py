@@ -1,7 +1,7 @@
-"""Which ball is which: the largest set of seen balls whose distances agree with the certificate.
+"""Which ball is which: the largest set of fitted spheres whose distances agree with the certificate.
 
-A pair (seen i, certified a) is a node; two nodes agree if the distance seen equals the certified one within tolerance. The
-largest cliques are the possible assignments; a rigid fit with a free scale then tells them apart, and mirror images out.
+A pair (found i, certified a) is a node; two nodes agree if the measured distance equals the certified one within tolerance. The
+largest cliques are the possible assignments; a rigid fit with a free scale then separates them, and mirror images.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.spheres.found import BallOptions
+from mbcacq.spheres.found import SphereOptions
 
 MAX_CLIQUES = 200
 DECISIVE = 25.0
@@ -18,39 +18,39 @@ DECISIVE = 25.0
 
 @dataclass(frozen=True)
 class Assignment:
-    """seen, certified: index pairs (k,); rms: mm after a rigid fit with free scale; mirrored: rms of the fit with a reflection."""
+    """found, certified: index pairs (k,); rms: mm after a rigid fit with free scale; mirrored: rms of the fit with a reflection."""
 
-    seen: np.ndarray
+    found: np.ndarray
     certified: np.ndarray
     rms: float
     mirrored: float
 
 
 def assignments(
-    centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, certified: np.ndarray, options: BallOptions
+    centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, certified: np.ndarray, options: SphereOptions
 ) -> list[Assignment]:
-    """All largest assignments of seen centres (k, 3) to certified ones (B, 3), best rms first.
+    """All largest assignments of fitted centres (k, 3) to certified ones (B, 3), best rms first.
 
     sigma: (k,) mm uncertainty of each centre. allowed: (k, B) bool, which may be which (diameter, expectation).
     """
-    seen, ball = np.nonzero(allowed)
-    if len(seen) == 0:
+    found, ball = np.nonzero(allowed)
+    if len(found) == 0:
         return []
-    D_seen = np.linalg.norm(centres[:, None] - centres, axis=2)
+    D_found = np.linalg.norm(centres[:, None] - centres, axis=2)
     D_ball = np.linalg.norm(certified[:, None] - certified, axis=2)
     wanted = D_ball[np.ix_(ball, ball)]
-    tolerance = options.centre_tolerance + options.scale_tolerance * wanted + 5 * np.hypot(sigma[seen][:, None], sigma[seen])
-    agree = np.abs(D_seen[np.ix_(seen, seen)] - wanted) < tolerance
-    agree &= (seen[:, None] != seen) & (ball[:, None] != ball)
-    found = []
+    tolerance = options.centre_tolerance + options.scale_tolerance * wanted + 5 * np.hypot(sigma[found][:, None], sigma[found])
+    agree = np.abs(D_found[np.ix_(found, found)] - wanted) < tolerance
+    agree &= (found[:, None] != found) & (ball[:, None] != ball)
+    result = []
     for clique in _largest_cliques(agree):
-        i, a = seen[clique], ball[clique]
-        found.append(Assignment(i, a, similarity_rms(certified[a], centres[i]), similarity_rms(certified[a], centres[i], mirror=True)))
-    return sorted(found, key=lambda x: x.rms)
+        i, a = found[clique], ball[clique]
+        result.append(Assignment(i, a, similarity_rms(certified[a], centres[i]), similarity_rms(certified[a], centres[i], mirror=True)))
+    return sorted(result, key=lambda x: x.rms)
 
 
 def similarity_rms(source: np.ndarray, target: np.ndarray, mirror: bool = False) -> float:
-    """Rms distance (mm) left by the best rotation, translation and scale taking source (k, 3) to target (Umeyama 1991)."""
+    """Rms distance (mm) after the best rotation, translation and scale taking source (k, 3) to target (Umeyama 1991)."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     u, s, vt = np.linalg.svd(b.T @ a)
     sign = np.linalg.det(u) * np.linalg.det(vt) * (-1.0 if mirror else 1.0)
@@ -61,13 +61,13 @@ def similarity_rms(source: np.ndarray, target: np.ndarray, mirror: bool = False)
 
 
 def decided(best: Assignment, other: Assignment, sigma: float) -> bool:
-    """Whether the data prefer one assignment of the same size to another beyond doubt; sigma mm of a centre, all causes."""
-    return len(best.seen) * (other.rms**2 - best.rms**2) / sigma**2 > DECISIVE
+    """Whether the data prefer one assignment of the same size to another decisively; sigma mm of a centre, all causes."""
+    return len(best.found) * (other.rms**2 - best.rms**2) / sigma**2 > DECISIVE
 
 
-def prediction_cost(assignment: Assignment, centres: np.ndarray, predicted: np.ndarray) -> float:
+def prediction_distance(assignment: Assignment, centres: np.ndarray, predicted: np.ndarray) -> float:
     """Rms distance (mm) to the predicted places (B, 3, NaN unknown), a shift common to all counting only in part."""
-    shift = centres[assignment.seen] - predicted[assignment.certified]
+    shift = centres[assignment.found] - predicted[assignment.certified]
     if not np.isfinite(shift).all():
         return np.inf
     common = shift.mean(axis=0)

@@ -1,6 +1,6 @@
 """A cloud as small flat patches: points are put into cubes, each cube gives a centroid and a normal.
 
-The cost is one pass over the points; everything after it works on a few thousand patches.
+It takes one pass over the points; everything after it works on a few thousand patches.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ class Acquisition:
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
         from mbcacq.recording.run_folder.recovery import WHOLE
         from mbcacq.recording.run_folder.run_plan import keep_plan
-        from mbcacq.spheres import find_balls
+        from mbcacq.spheres import find_spheres
 
         def gate(q: np.ndarray) -> None:
             check_start(self.loaded, q)
@@ -156,7 +156,7 @@ class Acquisition:
                 self.way_home,
                 create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]),
-                find_balls,
+                find_spheres,
                 cell_to_yaml(solver_cell(self.loaded)),
                 versions(),
                 gate,

@@ -1,5 +1,4 @@
 import os
-import pty
 import sys
 import threading
 
@@ -8,11 +7,13 @@ from mbcacq_bus.manual import ManualPositioner
 
 from mbcacq.devices import Aborted, ConfigError
 
+needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+
 
 @pytest.fixture
 def terminal(monkeypatch):
     """A pseudo-terminal in place of standard input; yields its other end."""
-    master, slave = pty.openpty()
+    master, slave = os.openpty()
     stdin = os.fdopen(slave, "r")
     monkeypatch.setattr(sys, "stdin", stdin)
     yield master
@@ -20,6 +21,7 @@ def terminal(monkeypatch):
     stdin.close()
 
 
+@needs_terminal
 def test_asks_and_goes_on_after_enter(terminal, capsys):
     os.write(terminal, b"\n")
     with ManualPositioner("m", "", {}) as positioner:
@@ -27,6 +29,7 @@ def test_asks_and_goes_on_after_enter(terminal, capsys):
     assert "Put the MBC-8 on height 3." in capsys.readouterr().err
 
 
+@needs_terminal
 def test_q_and_stop_abort(terminal):
     os.write(terminal, b"q\n")
     positioner = ManualPositioner("m", "", {})

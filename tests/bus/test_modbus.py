@@ -21,7 +21,7 @@ def options(server, **more):
     return {
         "host": server.host,
         "port": server.port,
-        "timeout_s": 0.4,
+        "timeout_s": 20.0,
         "retries": 0,
         "stations": {1: 100.0, 2: 152.5},
         "position": POSITION,
@@ -97,9 +97,9 @@ def test_stop_from_another_thread_ends_the_wait_and_writes_halt():
         assert server.memory["coil"][5] == 1
 
 
-def test_silent_device_and_absent_device_are_told_apart():
+def test_silent_device_and_absent_device_are_different_errors():
     with fake() as server:
-        positioner = ModbusPositioner("p", "", options(server))
+        positioner = ModbusPositioner("p", "", options(server, timeout_s=0.4))
         positioner.connect()
         server.silent = True
         with pytest.raises(DeviceTimeout):

@@ -1,4 +1,5 @@
 import socket
+import sys
 import threading
 import time
 
@@ -10,6 +11,8 @@ from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout
 
 LINE = r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)"
 
+needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+
 
 def test_streamed_lines_become_named_values():
     with FakeSerialSensor(lambda: "T=21.5 R=28.0") as fake:
@@ -18,6 +21,7 @@ def test_streamed_lines_become_named_values():
             assert [(f.name, f.unit) for f in sensor.describe().fields] == [("air_C", "C"), ("robot_C", "")]
 
 
+@needs_terminal
 def test_raw_numbers_are_scaled_and_a_broken_probe_is_named_on_a_terminal_device():
     spec = {
         "line": r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)",
@@ -68,7 +72,7 @@ def test_polled_sensor_and_identity():
         spec = {"port": fake.url, "line": LINE, "ask": "READ?\n", "identity": {"ask": "*IDN?\n", "expect": "ACME,.*"}}
         with SerialSensor("s", "", spec) as sensor:
             assert sensor.read() == {"air_C": 1.25, "robot_C": -3.0}
-        wrong = {**spec, "identity": {"ask": "*IDN?\n", "expect": "OTHER.*"}, "timeout_s": 0.4}
+        wrong = {**spec, "identity": {"ask": "*IDN?\n", "expect": "OTHER.*"}, "timeout_s": 3.0}
         with pytest.raises(IdentityError, match="ACME,PT100,7"):
             SerialSensor("s", "", wrong).connect()
 
@@ -88,7 +92,7 @@ def test_silence_garbage_and_loss_are_named():
 
 def test_a_matching_line_without_a_number_is_an_error_not_a_value():
     with FakeSerialSensor(lambda: "T=-- R=nan") as fake:
-        with SerialSensor("s", "", {"port": fake.url, "line": r"T=(?P<air_C>\S+) R=(?P<robot_C>\S+)", "timeout_s": 0.5}) as sensor:
+        with SerialSensor("s", "", {"port": fake.url, "line": r"T=(?P<air_C>\S+) R=(?P<robot_C>\S+)", "timeout_s": 20.0}) as sensor:
             with pytest.raises(ProtocolError, match="not every group is a number"):
                 sensor.read()
 

@@ -1,5 +1,6 @@
 """A lift or turntable on a serial line, described by its words; on a real terminal device, and on a TCP port."""
 
+import sys
 import threading
 
 import pytest
@@ -8,13 +9,14 @@ from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptio
 from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
+from mbcacq.conformance.bounded import eventually
 from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, ProtocolError, create
 
 WORDS = {
     "stations": {1: 0.0, 2: 152.5},
     "unit": "mm",
     "scale": 0.01,
-    "timeout_s": 0.5,
+    "timeout_s": 20.0,
     "move": {"send": "MA {raw:.0f}\r\n", "reply": "OK"},
     "position": {"send": "?P\r\n", "reply": r"P=(?P<raw>[-+]?\d+)"},
     "ready": {"send": "?S\r\n", "reply": "S=READY"},
@@ -22,6 +24,8 @@ WORDS = {
     "halt": {"send": "ST\r\n"},
     "identity": {"ask": "*IDN?\r\n", "expect": "LIFT 3000"},
 }
+
+needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 
 
 def fake(pty=True, travel_s=0.05, **changes):
@@ -33,7 +37,7 @@ def driver(line, **changes):
     return SerialPositioner("p", "lift", {"port": line.url, **WORDS, **changes})
 
 
-@pytest.mark.parametrize("pty", [True, False], ids=["terminal", "tcp"])
+@pytest.mark.parametrize("pty", [pytest.param(True, marks=needs_terminal), False], ids=["terminal", "tcp"])
 def test_drives_there_in_the_devices_own_units(pty):
     with fake(pty) as line, driver(line) as positioner:
         positioner.go_to("2", "")
@@ -46,12 +50,14 @@ def test_drives_there_in_the_devices_own_units(pty):
     assert isinstance(create("positioners", "serial", "lift", {"port": "x", **WORDS}), Positioner)
 
 
+@needs_terminal
 def test_waits_until_it_stands_there():
     with fake(travel_s=0.4) as line, driver(line) as positioner:
         positioner.go_to("2", "")
         assert line.motion.arrived
 
 
+@needs_terminal
 def test_a_ready_flag_that_is_not_lowered_yet_is_not_believed():
     """Without a position to compare, the flag of the motion before must not pass for that of this one."""
     with fake(travel_s=0.3, position=None) as line:
@@ -61,6 +67,7 @@ def test_a_ready_flag_that_is_not_lowered_yet_is_not_believed():
             assert line.motion.arrived
 
 
+@needs_terminal
 def test_stuck_it_says_where_it_is():
     with fake() as line:
         line.motion.stuck = True
@@ -69,7 +76,8 @@ def test_stuck_it_says_where_it_is():
                 positioner.go_to("2", "")
 
 
-def test_a_fault_is_told_with_its_code():
+@needs_terminal
+def test_a_fault_is_reported_with_its_code():
     with fake() as line, driver(line) as positioner:
         line.motion.fault = 17
         with pytest.raises(DeviceFault, match="fault 17 on the way to station 2"):
@@ -77,6 +85,7 @@ def test_a_fault_is_told_with_its_code():
         assert not any(heard.startswith("MA") for heard in line.heard)  # noticed before it was sent anywhere
 
 
+@needs_terminal
 def test_a_refused_order_is_no_arrival():
     with SerialLine(lambda heard: {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "ERR range"), pty=True) as line:
         with driver(line, fault=None) as positioner:
@@ -84,6 +93,7 @@ def test_a_refused_order_is_no_arrival():
                 positioner.go_to("2", "")
 
 
+@needs_terminal
 def test_stop_halts_and_ends_the_wait():
     with fake(travel_s=30.0) as line, driver(line) as positioner:
         timer = threading.Timer(0.2, positioner.stop)
@@ -100,20 +110,21 @@ def test_stop_halts_and_ends_the_wait():
         assert line.halted >= 1
 
 
-def test_the_wrong_device_silence_and_absence_are_told_apart():
+@needs_terminal
+def test_the_wrong_device_silence_and_absence_are_different_errors():
     with fake(identity={"ask": "*IDN?\r\n", "expect": "OTHER 1"}) as line:
         with pytest.raises(IdentityError, match="answered 'OTHER 1' where 'LIFT 3000' was expected"):
             driver(line).connect()
     with fake() as line:
         line.silent = True
         with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):
-            driver(line).connect()
+            driver(line, timeout_s=0.5).connect()
     with pytest.raises(ConnectError, match="cannot be opened"):
         SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
 
 
 @pytest.mark.parametrize(
-    ("spoil", "error", "words"),
+    ("corrupt", "error", "words"),
     [
         (lambda data: data[:-2], DeviceTimeout, "half a line"),
         (lambda data: b"\xff\x00#", DeviceTimeout, "half a line"),
@@ -122,13 +133,14 @@ def test_the_wrong_device_silence_and_absence_are_told_apart():
         (lambda data: None, DeviceTimeout, "was lost|answered nothing"),
     ],
 )
-def test_noise_on_the_line_is_an_error_and_never_a_position(spoil, error, words):
-    with fake(pty=False) as line, driver(line, fault=None) as positioner:
-        line.spoil = spoil
+def test_noise_on_the_line_is_an_error_and_never_a_position(corrupt, error, words):
+    with fake(pty=False) as line, driver(line, fault=None, timeout_s=2.0) as positioner:
+        line.corrupt = corrupt
         with pytest.raises(error, match=words):
             positioner.go_to("2", "")
 
 
+@needs_terminal
 def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
     replies = iter(["P=15250", None])
     held = threading.Event()
@@ -136,16 +148,16 @@ def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
     def answer(heard):
         if heard == "?P":
             if next(replies, None):
-                held.wait(1.0)  # later than the driver waits
+                held.wait()  # until the driver has given up
                 return "P=15250"
             return "P=0"
         return {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "OK")
 
-    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=0.3, move_timeout_s=0.5) as positioner:
+    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=2.0, move_timeout_s=0.5) as positioner:
         with pytest.raises(DeviceTimeout, match="answered nothing"):
             positioner.go_to("2", "")
         held.set()
-        threading.Event().wait(0.3)
+        eventually(lambda: positioner._link._port.in_waiting > 0, 20.0, "the late answer has come")
         with pytest.raises(DeviceTimeout, match="at 0 mm"):
             positioner.go_to("2", "")
 

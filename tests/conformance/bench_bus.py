@@ -76,7 +76,7 @@ def modbus_sensor(trace: Trace | None = None, rtu: bool = False) -> Iterator[Sta
         def use(sensor: ModbusSensor) -> None:
             assert (got := sensor.read()) == known, f"it reads {got} instead of {known}"
 
-        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), hasty=HASTY)
+        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), short_limits=HASTY)
 
 
 @contextmanager
@@ -91,12 +91,12 @@ def _modbus(fake: FakeModbus, given: dict[str, Any], driver: type, trace: Trace 
 class Thermometer(dict):
     """Answers by request; every temperature is a hundredth higher than the one before."""
 
-    told = 0
+    readings = 0
 
     def get(self, request: str, default: str | None = None) -> str | None:
         if request == "T?":
-            self.told += 1
-            return f"T={20 + self.told / 100:.2f} H=40"
+            self.readings += 1
+            return f"T={20 + self.readings / 100:.2f} H=40"
         return {"ID?": "THERM-2"}.get(request, default)
 
 
@@ -118,14 +118,14 @@ def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Sta
             def use(sensor: SerialSensor) -> None:
                 """Lines carry no number: after a late or doubled reply the one before may be taken, never an older one."""
                 got = sensor.read()
-                now = [round(20 + (thermometer.told - back) / 100, 2) for back in (0, 1)]
-                assert got["air_C"] in now, f"it reads {got} where {now} was told"
+                now = [round(20 + (thermometer.readings - back) / 100, 2) for back in (0, 1)]
+                assert got["air_C"] in now, f"it reads {got} where {now} was sent"
                 assert got["humidity"] == 40.0, f"it reads {got}"
 
             def wrong() -> SerialSensor:
                 return SerialSensor("thermo", "T2", {**given, **HASTY, "identity": {"ask": "ID?\n", "expect": "BARO-1"}})
 
-            yield Stand(lambda **o: SerialSensor("thermo", "T2", {**given, **o}), use, {"line": proxy}, wrong, hasty=HASTY)
+            yield Stand(lambda **o: SerialSensor("thermo", "T2", {**given, **o}), use, {"line": proxy}, wrong, short_limits=HASTY)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
@@ -32,14 +32,14 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
         return ScannerFrame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
 
     with ExitStack() as stack:
-        sensor = stack.enter_context(FakeGocator(source, health_period_s=0.1))
+        sensor = stack.enter_context(FakeGocator(source, FakeGocatorOptions(health_period_s=0.1)))
         proxies = {
             name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
         given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
-        hasty = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
+        short_limits = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
 
         def use(scanner: Gocator) -> None:
             before = len(asked)
@@ -54,5 +54,10 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             scanner.capture()
 
         yield Stand(
-            lambda **o: Gocator("eye", "3210", {**given, **o}), use, proxies, lambda: Gocator("eye", "3504", given), begin, hasty=hasty
+            lambda **o: Gocator("front", "3210", {**given, **o}),
+            use,
+            proxies,
+            lambda: Gocator("front", "3504", given),
+            begin,
+            short_limits=short_limits,
         )

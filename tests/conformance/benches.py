@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 
+import pytest
 from bench_bus import modbus_positioner, modbus_sensor, serial_positioner, serial_sensor
 from bench_gocator import gocator
 from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
 
-from mbcacq.conformance import TestStand
+from mbcacq.conformance import DriverBench
 
+NEEDS_TERMINAL = {"manual", "serial positioner", "serial sensor pty"}  # benches that stand on pseudo-terminals, which Windows has not
 NO_IDENTITY = {"refuses_the_wrong_device": "RSI telegrams carry no identity; the bench with EKI has it"}
 BENCHES = {
     bench.name: bench
     for bench in (
-        TestStand("gocator", "scanner", gocator),
-        TestStand("gocator trigger", "scanner", partial(gocator, mode="trigger")),
-        TestStand("gopxl", "scanner", gopxl),
-        TestStand("kuka_rsi", "robot", kuka_rsi, excused=NO_IDENTITY),
-        TestStand("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
-        TestStand("kuka_eki", "robot", kuka_eki),
-        TestStand("manual", "positioner", manual, excused=EXCUSED),
-        TestStand("modbus positioner", "positioner", modbus_positioner),
-        TestStand("modbus sensor", "sensor", modbus_sensor),
-        TestStand("modbus sensor RTU", "sensor", partial(modbus_sensor, rtu=True)),
-        TestStand("serial positioner", "positioner", serial_positioner),
-        TestStand("serial sensor", "sensor", serial_sensor),
-        TestStand("serial sensor pty", "sensor", partial(serial_sensor, pty=True)),
+        DriverBench("gocator", "scanner", gocator),
+        DriverBench("gocator trigger", "scanner", partial(gocator, mode="trigger")),
+        DriverBench("gopxl", "scanner", gopxl),
+        DriverBench("kuka_rsi", "robot", kuka_rsi, excused=NO_IDENTITY),
+        DriverBench("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
+        DriverBench("kuka_eki", "robot", kuka_eki),
+        DriverBench("manual", "positioner", manual, excused=EXCUSED),
+        DriverBench("modbus positioner", "positioner", modbus_positioner),
+        DriverBench("modbus sensor", "sensor", modbus_sensor),
+        DriverBench("modbus sensor RTU", "sensor", partial(modbus_sensor, rtu=True)),
+        DriverBench("serial positioner", "positioner", serial_positioner),
+        DriverBench("serial sensor", "sensor", serial_sensor),
+        DriverBench("serial sensor pty", "sensor", partial(serial_sensor, pty=True)),
     )
 }
+
+
+def marked(name: str, *more: object) -> object:
+    """A test parameter set that begins with the name of a bench; skipped where that bench cannot stand."""
+    no_terminal = pytest.mark.skipif(name in NEEDS_TERMINAL and sys.platform == "win32", reason="Windows has no pseudo-terminals")
+    return pytest.param(name, *more, marks=no_terminal)

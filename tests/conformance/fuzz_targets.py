@@ -15,8 +15,10 @@ import numpy as np
 from mbcacq_bus.modbus_link import Connection, ModbusLink
 from mbcacq_bus.registers import Register
 from mbcacq_bus.serial import SerialSensor
-from mbcacq_fakes.protocols.gocator import FakeGocator, channel, encode
+from mbcacq_fakes.protocols.gocator import channel, encode
 from mbcacq_fakes.protocols.gocator.discovery import Discovery
+from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
+from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_fakes.protocols.krc.wire import RobTemplate
 from mbcacq_gocator import control, dataset, decode, health, information, points, wire
 from mbcacq_gocator.configuration import Configuration
@@ -141,20 +143,21 @@ def gocator_seeds() -> dict[str, tuple[bytes, ...]]:
 
     frame = tilted_plane()
     sets = [
-        encode.data_set(frame, exposure_us=900.0, ticks=5000, index=3, serial=12345, uniform=uniform, generation=generation)
+        encode.data_set(
+            frame, encode.DataSetHeader(exposure_us=900.0, ticks=5000, index=3, serial=12345, uniform=uniform, generation=generation)
+        )
         for generation in (4, 5, 6)
         for uniform in (False, True)
     ]
-    sensor = FakeGocator(lambda exposure_us: frame)
-    sensor.ports = type(sensor).__init__.__globals__["Ports"](3190, 3194, 3196)
+    state = SensorState(FakeGocatorOptions())
     request = struct.pack("<QQQQ", 32, 5, 0x0000504455494D4C, 0)
-    discovery = Discovery(sensor, port=0)
+    discovery = Discovery(state, Ports(3190, 3194, 3196), port=0)
     try:
         answers = (discovery.answer(request), discovery.answer(request[:8] + b"\x01" + request[9:]))
     finally:
         discovery.close()
     replies = tuple(
-        channel.reply_to(sensor, number, payload)
+        channel.reply_to(state, number, payload)
         for number, payload in (
             (0x4511, b""),
             (0x4010, b""),
@@ -308,11 +311,11 @@ text: |
 """
 
 
-def in_file(name: str, read: Callable[[Path], object], beside: dict[str, bytes] | None = None) -> Callable[[bytes], object]:
+def in_file(name: str, read: Callable[[Path], object], other_files: dict[str, bytes] | None = None) -> Callable[[bytes], object]:
     """A parser that reads a file, in memory where the system has it. The file stands alone, or in a folder with others."""
     made = tempfile.TemporaryDirectory(prefix="fuzz-", dir=MEMORY)
     atexit.register(made.cleanup)
-    for other, data in (beside or {}).items():
+    for other, data in (other_files or {}).items():
         (Path(made.name) / other).write_bytes(data)
     path = Path(made.name) / name
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import sys
 import time
 from contextlib import contextmanager
 
@@ -11,10 +12,12 @@ import pytest
 from bench_bus import serial_sensor
 from mbcacq_bus.serial import SerialSensor
 
-from mbcacq.conformance import CHECKS, Channel, Fault, Hang, PtyProxy, TcpProxy, TestStand, UdpProxy, bounded, check, counted, ended
+from mbcacq.conformance import CHECKS, Channel, DriverBench, Fault, Hang, PtyProxy, TcpProxy, UdpProxy, bounded, check, counted, ended
 from mbcacq.devices import DeviceTimeout, MbcacqError
 
 BY_NAME = {each.__name__: each for each in CHECKS}
+
+needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 
 
 class Foreign(SerialSensor):
@@ -111,7 +114,7 @@ def test_a_bad_driver_is_caught(driver, name, words):
                     SerialSensor.stop(sensor)
                     SerialSensor.close(sensor)
 
-    result = check(TestStand("bad", "sensor", stand, limit_s=2.0), BY_NAME[name])
+    result = check(DriverBench("bad", "sensor", stand, limit_s=2.0), BY_NAME[name])
     assert result.status == "failed"
     assert re.search(words, result.detail), result.detail
 
@@ -161,6 +164,7 @@ def test_garbage_has_the_same_length_and_the_same_seed_gives_the_same():
     assert one.pass_on("device", b"next") == [b"next"]
 
 
+@needs_terminal
 def test_datagrams_and_serial_lines_pass_too():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
         for sock in (driver, device):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from benches import BENCHES
+from benches import BENCHES, marked
 
 from mbcacq.conformance import CHECKS, check
 from mbcacq.devices import available
@@ -24,8 +24,8 @@ QUICK = {"manual", "gocator", "kuka_rsi with EKI", "kuka_eki", "modbus positione
 
 
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
-@pytest.mark.parametrize("name", sorted(QUICK))
-def test_driver(name, each):
+@pytest.mark.parametrize("name", [marked(name) for name in sorted(QUICK)])
+def test_a_driver_passes_the_check(name, each):
     result = check(BENCHES[name], each)
     assert result.status == ("skipped" if each.__name__ in SKIPPED.get(name, ()) else "passed"), str(result)
 

@@ -41,7 +41,7 @@ def test_a_gocator_session_gives_the_same_scan_again(saved):
         scans.append(scanner.capture(900.0))
     with Replay(without(saved(trace), "health")) as replay, socket.create_server(("127.0.0.1", 0)) as health:
         ports = {"control_port": replay.ports["control"], "data_port": replay.ports["data"], "health_port": health.getsockname()[1]}
-        with Gocator("eye", "3210", {"address": "127.0.0.1", **ports}) as scanner:
+        with Gocator("front", "3210", {"address": "127.0.0.1", **ports}) as scanner:
             assert scanner.describe().serial == "12345"
             scans.append(scanner.capture(900.0))
     assert replay.differences == []

@@ -1,4 +1,4 @@
-"""One hurt message in a whole run: a good end or a named error, a readable recording, and never a wrong centre in it."""
+"""One faulty message in a whole run: a good end or a named error, a readable recording, and never a wrong centre in it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def run():
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("case", [Case("data", "device", 5, "close"), Case("rsi", "device", 900, "garbage")], ids=str)
-def test_one_hurt_message(run, case):
+def test_one_faulty_message_is_recovered_or_a_named_error(run, case):
     verdict = run.inject(case)
     assert verdict.good, f"{case}: {verdict.result}: {verdict.detail}"
     assert verdict.result != "not reached"

@@ -1,4 +1,4 @@
-"""A whole run of a small plan, its robot and scanner behind proxies: what one hurt message does to the recording and its centres."""
+"""A whole run of a small plan, its robot and scanner behind proxies: what one faulty message does to the recording and its centres."""
 
 from __future__ import annotations
 
@@ -63,6 +63,10 @@ def cell(loaded: Any, poses: list[Any]) -> Iterator[tuple[Any, dict[str, dict[st
         yield fake, overrides, proxies
 
 
+class Wrong(Exception):
+    """Result and detail of a run that did not end as it should."""
+
+
 class WholeRun:
     """``centres`` of the undisturbed run by (pose, ball): (3,) mm; ``counts`` of its messages."""
 
@@ -80,34 +84,48 @@ class WholeRun:
         shutil.rmtree(self._folder)
 
     def inject(self, case: Case) -> InjectionVerdict:
+        """A run with one fault, and whether what it recorded is what the undisturbed run recorded."""
         began = time.monotonic()
+        try:
+            result, detail = self._verdict(case, "run")
+        except Wrong as wrong:
+            result, detail = wrong.args
+        return InjectionVerdict(case, result, detail, time.monotonic() - began)
 
-        def verdict(result: str, detail: str = "") -> InjectionVerdict:
-            return InjectionVerdict(case, result, detail, time.monotonic() - began)
-
-        name, error = "run", None
+    def _verdict(self, case: Case, name: str) -> tuple[str, str]:
         shutil.rmtree(self._folder / name, ignore_errors=True)
         with cell(self._loaded, self._poses) as (fake, overrides, proxies):
             proxies[case.link].channel.set(case.action, case.sender, index=case.index, seconds=3.0)
-            try:
-                bounded(str(case), lambda: self._execute(overrides, name), LIMIT_S)
-            except Hang as hang:
-                return verdict("hang", str(hang))
-            except MbcacqError as caught:
-                error = caught
-                sentence(caught)
-            except Exception as foreign:
-                return verdict("wrong", f"{type(foreign).__name__}: {foreign}")
+            error = self._error_of_run(case, overrides, name)
             struck = proxies[case.link].channel.struck
             try:
                 eventually(lambda: fake.arm.read().standstill, 10.0, "the arm did not come to rest")
             except AssertionError as moving:
-                return verdict("not at rest", str(moving))
+                raise Wrong("not at rest", str(moving)) from moving
+        self._compare(name, error)
+        if error is not None:
+            return NAMED, f"{type(error).__name__}: {error}"
+        return (RECOVERED if struck else UNREACHED), ""
+
+    def _error_of_run(self, case: Case, overrides: dict[str, dict[str, Any]], name: str) -> MbcacqError | None:
+        """The named error in which the run ended, None if it ended well."""
+        try:
+            bounded(str(case), lambda: self._execute(overrides, name), LIMIT_S)
+        except Hang as hang:
+            raise Wrong("hang", str(hang)) from hang
+        except MbcacqError as error:
+            sentence(error)
+            return error
+        except Exception as foreign:
+            raise Wrong("wrong", f"{type(foreign).__name__}: {foreign}") from foreign
+        return None
+
+    def _compare(self, name: str, error: MbcacqError | None) -> None:
         try:
             found = self._centres(name)
         except MbcacqError as unread:
             if error is None or "no " not in str(unread):
-                return verdict("unreadable", str(unread))
+                raise Wrong("unreadable", str(unread)) from unread
             found = {}
         strange = [
             f"pose {pose} ball {ball}"
@@ -115,14 +133,10 @@ class WholeRun:
             if (pose, ball) not in self.centres or np.abs(xyz - self.centres[pose, ball]).max() > NOISE_MM
         ]
         if strange:
-            return verdict("wrong", f"centres of {', '.join(strange[:4])} are not those of the undisturbed run")
-        if error is not None:
-            return verdict(NAMED, f"{type(error).__name__}: {error}")
-        if {pose for pose, _ in found} != {
-            pose for pose, _ in self.centres
-        }:  # a ball at the edge may be seen in one scan and not in the next
-            return verdict("wrong", f"the run ended well without some of its poses ({len(found)} of {len(self.centres)} centres)")
-        return verdict(RECOVERED if struck else UNREACHED)
+            raise Wrong("wrong", f"centres of {', '.join(strange[:4])} are not those of the undisturbed run")
+        # Poses, not balls: a ball at the edge may be found in one scan and not in the next.
+        if error is None and {pose for pose, _ in found} != {pose for pose, _ in self.centres}:
+            raise Wrong("wrong", f"the run ended well without some of its poses ({len(found)} of {len(self.centres)} centres)")
 
     def _execute(self, overrides: dict[str, dict[str, Any]], name: str) -> None:
         run = pipeline.plan_run(self._loaded, self._poses, frozenset(), 0, "the fake cell of seed 3")
@@ -131,5 +145,6 @@ class WholeRun:
         run.execute(overrides)
 
     def _centres(self, name: str) -> dict[tuple[int, int], np.ndarray]:
-        seen = load_recording(self._folder / name)
-        return {(int(seen.pose_id[p]), int(seen.cell.ball_ids[b])): xyz for p, b, xyz in zip(seen.pose, seen.ball, seen.xyz, strict=True)}
+        recorded = load_recording(self._folder / name)
+        ids, balls = recorded.pose_id, recorded.cell.ball_ids
+        return {(int(ids[p]), int(balls[b])): xyz for p, b, xyz in zip(recorded.pose, recorded.ball, recorded.xyz, strict=True)}

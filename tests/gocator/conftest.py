@@ -40,7 +40,7 @@ def driver(fake: FakeGocator) -> Iterator[Callable[..., Gocator]]:
     made = []
 
     def make(model: str = "", sensor: FakeGocator = fake, **more: Any) -> Gocator:
-        made.append(Gocator("eye", model, options(sensor, **more)))
+        made.append(Gocator("front", model, options(sensor, **more)))
         return made[-1]
 
     yield make

@@ -15,7 +15,7 @@ from mbcacq.devices import ConfigError, ProtocolError, Scan
 REFLECTIVITY = np.where(np.arange(20) < 12, 0.02, 0.25)  # grey values a microsecond: dark left, bright right
 
 
-def seen(exposure_us: float) -> ScannerFrame:
+def frame_for(exposure_us: float) -> ScannerFrame:
     """What reflects too little or too much light gives no point; each exposure is shifted in z by itself, to tell them apart."""
     y, x = np.mgrid[:12, :20].astype(np.float32)
     grey = np.clip(REFLECTIVITY * exposure_us, 0, 255) * np.ones((12, 1))
@@ -26,12 +26,12 @@ def seen(exposure_us: float) -> ScannerFrame:
 
 @pytest.fixture
 def sensor():
-    with FakeGocator(seen) as made:
+    with FakeGocator(frame_for) as made:
         yield made
 
 
 def test_merging_takes_every_pixel_from_the_exposure_that_sees_it_best(sensor):
-    with Gocator("eye", "", options(sensor, exposures_us=[500, 2000, 6000])) as scanner:
+    with Gocator("front", "", options(sensor, exposures_us=[500, 2000, 6000])) as scanner:
         scan = scanner.capture()
     assert len(scan.points) == 12 * 20
     assert (scan.pixel == np.arange(240)).all()
@@ -43,14 +43,14 @@ def test_merging_takes_every_pixel_from_the_exposure_that_sees_it_best(sensor):
 
 
 def test_best_takes_one_exposure_whole(sensor):
-    with Gocator("eye", "", options(sensor, exposures_us=[500, 2000, 6000], bracket="best")) as scanner:
+    with Gocator("front", "", options(sensor, exposures_us=[500, 2000, 6000], bracket="best")) as scanner:
         scan = scanner.capture()
     assert (scan.exposure_us, len(scan.points)) == (500, 240)  # its dark half has grey 10, just usable; the others see 12 columns
 
 
 def test_the_exposure_of_before_is_put_back(sensor):
     before = sensor.files.read("_live.cfg")
-    with Gocator("eye", "", options(sensor, exposures_us=[500, 6000], mode="trigger")) as scanner:
+    with Gocator("front", "", options(sensor, exposures_us=[500, 6000], mode="trigger")) as scanner:
         scanner.capture()
         scanner.capture()
     assert sensor.files.read("_live.cfg") == before
@@ -58,8 +58,8 @@ def test_the_exposure_of_before_is_put_back(sensor):
 
 def test_a_bracket_that_the_sensor_cannot_do_is_refused_on_connecting(sensor):
     with pytest.raises(ConfigError, match="an exposure of 5e\\+06 us is outside"):
-        Gocator("eye", "", options(sensor, exposures_us=[500, 5e6])).connect()
-    assert sensor.scans == 0
+        Gocator("front", "", options(sensor, exposures_us=[500, 5e6])).connect()
+    assert sensor.state.exposures == 0
 
 
 @pytest.mark.parametrize(
@@ -75,12 +75,12 @@ def test_a_bracket_that_the_sensor_cannot_do_is_refused_on_connecting(sensor):
 )
 def test_wrong_brackets_are_named(given):
     with pytest.raises(ConfigError, match="exposure|bracket"):
-        Gocator("eye", "", {"address": "1.2.3.4", **given})
+        Gocator("front", "", {"address": "1.2.3.4", **given})
 
 
 def test_plan_and_option_cannot_both_say_how_long(sensor):
     with (
-        Gocator("eye", "", options(sensor, exposures_us=[500])) as scanner,
+        Gocator("front", "", options(sensor, exposures_us=[500])) as scanner,
         pytest.raises(ConfigError, match="take exposure_us out of the plan"),
     ):
         scanner.capture(700)

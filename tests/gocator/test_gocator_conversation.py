@@ -8,7 +8,7 @@ import struct
 
 import pytest
 from gocator_bench import read_frame
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.commands import HANDLERS
 
 NAME = struct.Struct("<64s")
@@ -51,7 +51,7 @@ def test_system_info_of_a_3504(frame):
         + bytes.fromhex("00 00 00 00 3c 00 00 00 00 00 08 00")
     )
     with (
-        FakeGocator(lambda e: frame, model="3504", serial=12345) as sensor,
+        FakeGocator(lambda e: frame, FakeGocatorOptions(model="3504", serial=12345)) as sensor,
         socket.create_connection(("127.0.0.1", sensor.ports.control)) as sock,
     ):
         sock.sendall(bytes.fromhex("06 00 00 00 10 40"))
@@ -76,7 +76,7 @@ def test_every_request_of_the_recorded_session_gets_a_reply_of_the_recorded_size
     """What varies from run to run (uptime, time stamp) and what the recorded server was set up with is left out of the comparison."""
     varying = {0x4525: slice(14 + 6 * 4, 14 + 8 * 4), 0x100A: slice(10, 18), 0x4010: slice(12, 140)}
     with (
-        FakeGocator(lambda e: frame, intensity=False, model="3504") as sensor,
+        FakeGocator(lambda e: frame, FakeGocatorOptions(intensity=False, model="3504")) as sensor,
         socket.create_connection(("127.0.0.1", sensor.ports.control)) as sock,
     ):
         compared = 0
@@ -154,8 +154,11 @@ def test_runtime_variables_flags_and_settings(talk):
     assert talk("06 00 00 00 17 45")[10:] == b"\x01"
 
 
-def test_old_firmware_tells_its_version_in_the_probe(frame):
-    with FakeGocator(lambda e: frame, generation=4) as sensor, socket.create_connection(("127.0.0.1", sensor.ports.control)) as sock:
+def test_old_firmware_sends_its_version_in_the_probe(frame):
+    with (
+        FakeGocator(lambda e: frame, FakeGocatorOptions(generation=4)) as sensor,
+        socket.create_connection(("127.0.0.1", sensor.ports.control)) as sock,
+    ):
         sock.sendall(bytes.fromhex("10 00 00 00 00 00 00 00 00 11 00 00 00 00 00 00"))
         assert read_frame(sock) == struct.pack("<IIQqQQ", 40, 0, 0x1100, 1, 101, 4)
         sock.sendall(bytes.fromhex("06 00 00 00 02 40"))

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 from gocator_bench import read_frame
-from mbcacq_fakes.protocols.gocator import FakeGocator, encode
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions, encode
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, quantise
 from mbcacq_fakes.world.frame import ScannerFrame
 
@@ -65,7 +65,7 @@ def test_stamp_is_the_recorded_one_but_for_its_ptp_time(trace):
 
 @pytest.mark.parametrize(("generation", "stamp_size", "surface_head"), [(6, 78, 62), (5, 70, 54)])
 def test_order_and_sizes_of_a_data_set(frame, generation, stamp_size, surface_head):
-    with FakeGocator(lambda e: frame, generation=generation) as sensor:
+    with FakeGocator(lambda e: frame, FakeGocatorOptions(generation=generation)) as sensor:
         messages = shoot(sensor)
     assert kinds(messages) == [1, 28, 9, 31 if generation == 6 else 10]
     assert len(messages[0]) == stamp_size
@@ -75,7 +75,7 @@ def test_order_and_sizes_of_a_data_set(frame, generation, stamp_size, surface_he
 
 
 def test_uniform_spacing_of_the_job_turns_the_cloud_into_a_height_map(frame):
-    with FakeGocator(lambda e: frame, uniform=True, intensity=False) as sensor:
+    with FakeGocator(lambda e: frame, FakeGocatorOptions(uniform=True, intensity=False)) as sensor:
         messages = shoot(sensor)
     assert kinds(messages) == [1, 8, 31]
     length, width, xr, yr, zr, xo, yo, zo = struct.unpack_from("<II3I3i", messages[1], 8)
@@ -127,7 +127,7 @@ def test_exposure_reaches_the_source_and_the_message(frame):
 
 def test_time_stamps_follow_the_worlds_clock(frame):
     moment = ScannerFrame(frame.xyz, frame.intensity, time_s=12.5)
-    with FakeGocator(lambda e: moment, clock=lambda: 12.25) as sensor:
+    with FakeGocator(lambda e: moment, FakeGocatorOptions(clock=lambda: 12.25)) as sensor:
         stamp = shoot(sensor)[0]
     assert struct.unpack_from("<QQ", stamp, 14) == (0, 12_800_000)  # 12.5 s * 1.024 ticks a us
 
@@ -139,8 +139,8 @@ def test_all_clients_get_every_data_set(fake):
         socket.create_connection(("127.0.0.1", fake.ports.control), timeout=5) as control,
     ):
         for _ in range(200):
-            if fake.data.count == 2:
+            if fake.state.data.count == 2:
                 break
-            fake._closing.wait(0.01)
+            fake.state.closing.wait(0.01)
         control.sendall(SNAPSHOT)
         assert read_frame(one) == read_frame(two)

@@ -128,7 +128,7 @@ def test_array_stands_behind_the_attribute_size_whatever_the_firmware(attribute_
     assert ("stream_step" in message.attributes) == (attribute_size >= 46)
 
 
-def test_unknown_type_is_told_apart_from_broken_ones():
+def test_an_unknown_type_is_no_broken_message():
     assert decode(bytes.fromhex("0a000000ff83") + b"what") == (Unknown(0x3FF), True)
 
 

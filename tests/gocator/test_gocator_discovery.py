@@ -5,8 +5,10 @@ from __future__ import annotations
 import struct
 
 import pytest
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.discovery import Discovery
+from mbcacq_fakes.protocols.gocator.options import Ports
+from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_gocator.discovery import find_sensors, parse_reply
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.locate import elsewhere
@@ -22,16 +24,9 @@ PORTS = bytes.fromhex("76 0c 78 0c 7a 0c 7c 0c 50 00 07 0a") + b"PartNumber" + b
 
 
 @pytest.fixture
-def sensor(frame):
-    # Ports of a real sensor, but nothing is opened: only the datagrams are looked at.
-    made = FakeGocator(lambda e: frame, model="3504", serial=12345)
-    made.ports = type(made).__init__.__globals__["Ports"](3190, 3194, 3196)
-    return made
-
-
-@pytest.fixture
-def discovery(sensor):
-    made = Discovery(sensor, port=0)
+def discovery():
+    # Ports of a real sensor, but no channel is opened: only the datagrams are looked at.
+    made = Discovery(SensorState(FakeGocatorOptions(model="3504", serial=12345)), Ports(3190, 3194, 3196), port=0)
     yield made
     made.close()
 
@@ -99,14 +94,16 @@ def test_datagrams_for_others_are_not_answered(discovery, request_bytes):
 
 
 def test_sensor_is_found_with_its_own_ports_by_a_broadcast_reply(frame):
-    with FakeGocator(lambda e: frame, discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777) as sensor:
+    with FakeGocator(
+        lambda e: frame, FakeGocatorOptions(discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777)
+    ) as sensor:
         found = find_sensors(1.0, "127.0.0.1", sensor.discovery_port, serial=777)
         assert find_sensors(0.2, "127.0.0.1", sensor.discovery_port, serial=778) == []
     assert [(f.serial, f.model, f.address) for f in found] == [(777, "3210", "127.0.0.1")]
     assert (found[0].control_port, found[0].health_port, found[0].data_port) == sensor.ports
 
 
-def test_firmware_before_5_1_tells_its_address_only():
+def test_firmware_before_5_1_sends_its_address_only():
     reply = bytes.fromhex(
         "50 00 00 00 00 00 00 00 01 10 00 00 00 00 00 00 01 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00"
         "39 30 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 0a 00 00 07 00 00 00 00 ff ff fe 00"
@@ -122,19 +119,21 @@ def test_firmware_before_5_1_tells_its_address_only():
 @pytest.fixture
 def network(frame):
     """Options that look for sensors on the loopback's own broadcast address, where two answer."""
-    with FakeGocator(lambda e: frame, discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777) as sensor:
+    with FakeGocator(
+        lambda e: frame, FakeGocatorOptions(discovery=True, discovery_port=0, broadcast="127.255.255.255", serial=777)
+    ) as sensor:
         yield {"broadcast": "127.0.0.1", "discovery_port": sensor.discovery_port}
 
 
 def test_a_plan_may_name_the_serial_number_instead_of_an_address(network):
-    with Gocator("eye", "3210", {"serial": 777, **network}) as scanner:
+    with Gocator("front", "3210", {"serial": 777, **network}) as scanner:
         assert scanner.describe().serial == "777"
         assert len(scanner.capture().points) == 228
 
 
-def test_a_sensor_that_does_not_answer_is_told_with_those_that_do(network):
+def test_a_sensor_that_does_not_answer_is_reported_with_those_that_do(network):
     with pytest.raises(ConnectError, match="no Gocator with serial 778 answers a broadcast .found: 3210 serial 777 at 127.0.0.1"):
-        Gocator("eye", "", {"serial": 778, **network}).connect()
+        Gocator("front", "", {"serial": 778, **network}).connect()
 
 
 def test_another_serial_at_the_plans_address_is_refused(fake, driver):
@@ -143,6 +142,6 @@ def test_another_serial_at_the_plans_address_is_refused(fake, driver):
 
 
 def test_a_wrong_address_is_answered_with_what_is_there(network):
-    options = GocatorOptions.read("eye", {"address": "192.0.2.7", **network})
+    options = GocatorOptions.read("front", {"address": "192.0.2.7", **network})
     error = elsewhere(ConnectError("cannot be reached"), options)
     assert str(error) == "cannot be reached; found: 3210 serial 777 at 127.0.0.1"

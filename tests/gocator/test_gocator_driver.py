@@ -1,4 +1,4 @@
-"""The driver against the fake: what a user gets, and what he is told when the sensor is not what the plan says."""
+"""The driver against the fake: what a user gets, and what the errors say when the sensor is not what the plan says."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions, actions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
@@ -30,7 +30,7 @@ def truth_at(frame: ScannerFrame, scan: devices.Scan) -> tuple[np.ndarray, np.nd
 @pytest.mark.parametrize("mode", ["snapshot", "trigger"])
 def test_two_megapixel_frames_arrive_within_half_a_step(mode):
     frame = big_frame()
-    with FakeGocator(lambda e: frame) as sensor, Gocator("eye", "3210", options(sensor, mode=mode)) as scanner:
+    with FakeGocator(lambda e: frame) as sensor, Gocator("front", "3210", options(sensor, mode=mode)) as scanner:
         scans = [scanner.capture() for _ in range(2)]
     for scan in scans:
         assert scan.shape == (1250, 1650)
@@ -46,8 +46,8 @@ def test_two_megapixel_frames_arrive_within_half_a_step(mode):
 @pytest.mark.parametrize(("generation", "mode", "uniform"), [(4, "trigger", True), (5, "snapshot", False), (6, "snapshot", True)])
 def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mode, uniform):
     with (
-        FakeGocator(lambda e: frame, generation=generation, uniform=uniform) as sensor,
-        Gocator("eye", "3210", options(sensor, mode=mode)) as scanner,
+        FakeGocator(lambda e: frame, FakeGocatorOptions(generation=generation, uniform=uniform)) as sensor,
+        Gocator("front", "3210", options(sensor, mode=mode)) as scanner,
     ):
         scan = scanner.capture()
         assert scanner.describe().firmware.startswith(f"{generation}.")
@@ -59,7 +59,7 @@ def test_every_generation_of_firmware_and_uniform_surfaces(frame, generation, mo
 
 def test_scan_carries_time_exposure_measurements_and_health(frame):
     moment = ScannerFrame(frame.xyz, frame.intensity, time_s=3.25, measurements={7: 12.3456, 9: float("nan")})
-    with FakeGocator(lambda e: moment, clock=lambda: 3.0) as sensor, Gocator("eye", "", options(sensor)) as scanner:
+    with FakeGocator(lambda e: moment, FakeGocatorOptions(clock=lambda: 3.0)) as sensor, Gocator("front", "", options(sensor)) as scanner:
         for _ in range(100):
             scan = scanner.capture(2750)
             if scan.health:
@@ -79,7 +79,7 @@ def test_exposure_reaches_the_world_and_stays(frame):
         asked.append(exposure_us)
         return frame
 
-    with FakeGocator(source) as sensor, Gocator("eye", "", options(sensor, exposure_us=1800)) as scanner:
+    with FakeGocator(source) as sensor, Gocator("front", "", options(sensor, exposure_us=1800)) as scanner:
         for exposure in (None, 900.5, None):
             scanner.capture(exposure)
     assert asked == [1800, 900.5, 900.5]
@@ -92,16 +92,16 @@ def test_exposure_changes_while_running_in_trigger_mode(frame):
         asked.append(exposure_us)
         return frame
 
-    with FakeGocator(source) as sensor, Gocator("eye", "", options(sensor, mode="trigger")) as scanner:
+    with FakeGocator(source) as sensor, Gocator("front", "", options(sensor, mode="trigger")) as scanner:
         scanner.capture(500)
-        assert sensor.running
+        assert sensor.state.running
         scanner.capture(700)
         scanner.stop()
-        assert not sensor.running
+        assert not sensor.state.running
         scanner.connect()
         scanner.capture()
     assert asked == [500, 700, 700]
-    assert not sensor.running
+    assert not sensor.state.running
 
 
 def test_job_is_loaded_by_name_with_or_without_suffix(fake, driver):
@@ -126,13 +126,13 @@ def test_another_model_is_refused_with_both_names(driver, model):
 
 
 def test_old_part_number_alone_identifies(frame):
-    with FakeGocator(lambda e: frame, generation=4, model="2330") as sensor:
-        with Gocator("eye", "2330", options(sensor, mode="trigger")) as scanner:
+    with FakeGocator(lambda e: frame, FakeGocatorOptions(generation=4, model="2330")) as sensor:
+        with Gocator("front", "2330", options(sensor, mode="trigger")) as scanner:
             assert scanner.describe().model == "2330"
         with pytest.raises(devices.IdentityError):
-            Gocator("eye", "3210", options(sensor, mode="trigger")).connect()
+            Gocator("front", "3210", options(sensor, mode="trigger")).connect()
         with pytest.raises(devices.ConfigError, match="no snapshot; set the scanner option mode: trigger"):
-            Gocator("eye", "2330", options(sensor)).connect()
+            Gocator("front", "2330", options(sensor)).connect()
 
 
 @pytest.mark.parametrize(
@@ -145,10 +145,10 @@ def test_unsuitable_job_is_named(fake, driver, path, value, words):
 
 
 def test_a_sensor_left_running_is_stopped_first(fake, driver):
-    fake.begin()
+    actions.start(fake.state)
     scanner = driver()
     scanner.connect()
-    assert not fake.running
+    assert not fake.state.running
     scanner.capture()
 
 
@@ -195,7 +195,7 @@ def test_stop_from_another_thread_ends_a_waiting_capture(fake, driver):
 
     thread = threading.Thread(target=capture)
     thread.start()
-    while not fake.scans:
+    while not fake.state.exposures:
         thread.join(0.01)
     for _ in range(3):
         scanner.stop()
@@ -213,6 +213,6 @@ def test_several_clients_share_one_sensor(fake, driver):
     one, two = driver(), driver()
     one.connect()
     two.connect()
-    eventually(lambda: fake.data.count == 2, 10.0, "both are accepted")  # what is sent before a connection is accepted is lost to it
+    eventually(lambda: fake.state.data.count == 2, 10.0, "both are accepted")  # what is sent before a connection is accepted is lost to it
     times = [s.capture().time_s for s in (one, two, one, two)]
     assert times == sorted(times)  # sets that another client asked for earlier are passed over

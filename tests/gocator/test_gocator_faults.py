@@ -6,7 +6,7 @@ import socket
 import threading
 
 import pytest
-from mbcacq_fakes.protocols.gocator import FAULTS, Faults
+from mbcacq_fakes.protocols.gocator import FAULTS, Faults, actions
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.devices import Aborted, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
@@ -45,12 +45,12 @@ def scanner(driver) -> Gocator:
 def test_fault_while_scanning(fake, scanner, fault, value, error, words):
     assert len(scanner.capture().points)
     fake.faults.set(fault, value)
-    with pytest.raises(error, match=f"scanner 'eye': .*{words}"):
+    with pytest.raises(error, match=f"scanner 'front': .*{words}"):
         scanner.capture()
     fake.faults.clear()
     scan = scanner.capture()
     assert len(scan.points) == 12 * 20 - 12
-    assert scan.frame == fake.scans - 1  # and not a late one
+    assert scan.frame == fake.state.exposures - 1  # and not a late one
 
 
 @pytest.mark.parametrize(
@@ -126,9 +126,9 @@ def test_stamp_only_sets_before_the_scan_are_waited_through(fake, driver):
     scans = []
     thread = threading.Thread(target=lambda: scans.append(scanner.capture()))
     thread.start()
-    while fake.scans < 4 and thread.is_alive():
-        if fake.running:
-            fake.trigger()
+    while fake.state.exposures < 4 and thread.is_alive():
+        if fake.state.running:
+            actions.trigger(fake.state)
         thread.join(0.02)
     thread.join(20)
     assert len(scans[0].points) == 228
@@ -136,7 +136,7 @@ def test_stamp_only_sets_before_the_scan_are_waited_through(fake, driver):
 
 def test_sensor_that_restarts_between_scans_is_found_again(fake, scanner):
     scanner.capture()
-    fake.drop_connections()
+    fake.state.drop_connections()
     assert len(scanner.capture().points) == 228
 
 
@@ -169,7 +169,7 @@ def test_stop_cuts_retries_short(fake, driver):
 
 def test_losing_health_loses_only_health(fake, scanner):
     fake.faults.set("mute_health")
-    fake.health.close()
+    fake.state.health.close()
     assert len(scanner.capture().points) == 228
 
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 from gocator_bench import options
-from mbcacq_fakes.protocols.gocator import FakeGocator
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.guard import HealthGuard
 
@@ -17,7 +17,7 @@ OVERHEAT, OUTPUT_DROPS = 20020, 21011
 
 @pytest.fixture
 def sensor(frame):
-    with FakeGocator(lambda e: frame, health_period_s=0.01) as made:
+    with FakeGocator(lambda e: frame, FakeGocatorOptions(health_period_s=0.01)) as made:
         yield made
 
 
@@ -31,37 +31,37 @@ def until(scanner: Gocator, wanted: str) -> str:
     raise AssertionError(f"no warning says '{wanted}'")
 
 
-def test_a_warm_sensor_is_told_once_and_a_hot_one_ends_the_run(sensor):
-    with Gocator("eye", "", options(sensor, temperature_warning_C=50, temperature_stop_C=60)) as scanner:
-        assert scanner.capture().warnings in ((), ("the Gocator tells no temperature, so the limits of the plan are not watched",))
-        sensor.temperature_C = 52.0
+def test_a_warm_sensor_is_reported_once_and_a_hot_one_ends_the_run(sensor):
+    with Gocator("front", "", options(sensor, temperature_warning_C=50, temperature_stop_C=60)) as scanner:
+        assert scanner.capture().warnings in ((), ("the Gocator reports no temperature, so the limits of the plan are not watched",))
+        sensor.state.temperature_C = 52.0
         assert until(scanner, "temperature is 52 C, above 50 C")
         assert not any("temperature is" in w and "projector" not in w for w in scanner.capture().warnings)
-        sensor.temperature_C = 61.0
-        with pytest.raises(DeviceFault, match=r"scanner 'eye': .*temperature is 6[15] C, above the plan's 60 C; let it cool"):
+        sensor.state.temperature_C = 61.0
+        with pytest.raises(DeviceFault, match=r"scanner 'front': .*temperature is 6[15] C, above the plan's 60 C; let it cool"):
             until(scanner, "never")
 
 
 def test_the_sensors_own_word_counts_without_any_limit(sensor):
-    with Gocator("eye", "", options(sensor)) as scanner:
+    with Gocator("front", "", options(sensor)) as scanner:
         scanner.capture()
-        sensor.indicators[OVERHEAT, 0] = 1
+        sensor.state.indicators[OVERHEAT, 0] = 1
         with pytest.raises(DeviceFault, match="reports that it is overheated"):
             until(scanner, "never")
 
 
 def test_scans_that_the_sensor_drops_are_counted(sensor):
-    sensor.indicators[OUTPUT_DROPS, 0] = 2
-    with Gocator("eye", "", options(sensor)) as scanner:
+    sensor.state.indicators[OUTPUT_DROPS, 0] = 2
+    with Gocator("front", "", options(sensor)) as scanner:
         while "output_drops" not in scanner.capture().health:
             pass
-        sensor.indicators[OUTPUT_DROPS, 0] = 5
+        sensor.state.indicators[OUTPUT_DROPS, 0] = 5
         assert until(scanner, "counts 3 more scans that the network did not take")
 
 
 def test_limits_nobody_watches_are_said_once():
     guard = HealthGuard(50, None)
-    assert [guard.look({}) for _ in range(2)] == [("the Gocator tells no temperature, so the limits of the plan are not watched",), ()]
+    assert [guard.look({}) for _ in range(2)] == [("the Gocator reports no temperature, so the limits of the plan are not watched",), ()]
     assert guard.look({"temperature_C": 49}) == ()
     assert len(guard.look({})) == 1
     assert HealthGuard(None, None).look({}) == ()
@@ -69,7 +69,7 @@ def test_limits_nobody_watches_are_said_once():
 
 def test_a_warning_comes_again_only_after_cooling_down():
     guard = HealthGuard(50, 70)
-    told = [len(guard.look({"temperature_C.1": value})) for value in (51, 49, 51, 47, 51)]
-    assert told == [1, 0, 0, 0, 1]
+    warnings = [len(guard.look({"temperature_C.1": value})) for value in (51, 49, 51, 47, 51)]
+    assert warnings == [1, 0, 0, 0, 1]
     with pytest.raises(DeviceFault, match="temperature 1 is 71 C"):
         guard.look({"temperature_C.1": 71})

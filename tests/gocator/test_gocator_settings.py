@@ -70,7 +70,7 @@ def test_they_are_put_back_after_ctrl_c_and_from_trigger_mode(fake, driver):
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert live(fake) == found
-    assert not fake.running
+    assert not fake.state.running
 
 
 def test_a_refused_plan_changes_nothing(fake, driver):
@@ -84,17 +84,17 @@ def test_a_reconnect_within_a_run_does_not_take_the_changed_state_for_the_old_on
     found = live(fake)
     with driver(job="other") as scanner:
         scanner.capture(2750)
-        fake.drop_connections()
+        fake.state.drop_connections()
         scanner.capture(2750)
     assert live(fake) == found
 
 
 def test_a_sensor_that_went_away_is_said_to_have_kept_the_settings(frame, caplog):
     with FakeGocator(lambda e: frame) as sensor:
-        scanner = Gocator("eye", "", options(sensor, job="other"))
+        scanner = Gocator("front", "", options(sensor, job="other"))
         scanner.connect()
     scanner.close()
-    assert re.search(r"scanner 'eye': job 'bench.job' and its exposure could not be put back", caplog.text)
+    assert re.search(r"scanner 'front': job 'bench.job' and its exposure could not be put back", caplog.text)
 
 
 def test_nothing_is_written_to_a_sensor_whose_settings_fit(fake, driver):

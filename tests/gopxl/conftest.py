@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from mbcacq_fakes.protocols.gopxl import FakeGoPxL, GoPxLSettings
+from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 
 
@@ -20,7 +20,7 @@ def sensor():
         asked.append(exposure_us)
         return tilted_plane(len(asked))
 
-    with FakeGoPxL(source, GoPxLSettings(discovery_port=0)) as fake:
+    with FakeGoPxL(source, FakeGoPxLOptions(discovery_port=0)) as fake:
         fake.asked = asked
         yield fake
 

@@ -10,7 +10,7 @@ import pytest
 from elastic_cell import ARM, BALLS, act, cell, looking, moments, pose, spread_q
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.computed_run import cap, observe
-from mbcacq_fakes.effects import CATALOGUED, OUTSIDE, make
+from mbcacq_fakes.effects import CATALOGUED, UNCATALOGUED, make
 from mbcacq_fakes.world.options import parse
 
 from mbcacq.devices import ConfigError
@@ -108,7 +108,7 @@ def test_a_tripod_creeps_in_base_coordinates():
     np.testing.assert_allclose(effect.truth()["drift_mm"], [0.004, 0, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", [n for n in CATALOGUED + OUTSIDE if n != "exposure_latency"])  # that one needs a moving arm
+@pytest.mark.parametrize("name", [n for n in CATALOGUED + UNCATALOGUED if n != "exposure_latency"])  # that one needs a moving arm
 def test_every_effect_is_visible_at_strength_one_and_gone_at_zero(name, looking_q):
     poses = [pose(q) for q in looking_q]
     fake = {**QUIET, "climate": {"time_scale": 1.0}}
@@ -126,8 +126,8 @@ def test_every_effect_is_visible_at_strength_one_and_gone_at_zero(name, looking_
 def test_unknown_kinds_are_unknown_to_the_tool():
     catalogue = {p.stem for p in (Path(__file__).parents[2] / "mbcacq" / "effects" / "pose").glob("*.py")}
     assert "joint_compliance" in catalogue
-    assert not catalogue & set(OUTSIDE)
-    assert len(OUTSIDE) >= 6
+    assert not catalogue & set(UNCATALOGUED)
+    assert len(UNCATALOGUED) >= 6
 
 
 def test_a_wobbling_axis_makes_no_error_of_its_angle():
@@ -211,4 +211,4 @@ def test_wrong_choices_are_one_sentence(effect, words):
 
 
 def test_make_gives_each_its_own_name():
-    assert [make(n).name for n in CATALOGUED + OUTSIDE] == list(CATALOGUED + OUTSIDE)
+    assert [make(n).name for n in CATALOGUED + UNCATALOGUED] == list(CATALOGUED + UNCATALOGUED)

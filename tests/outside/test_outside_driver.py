@@ -12,7 +12,7 @@ import pytest
 import yaml
 from conftest import PACKAGE, install
 
-from mbcacq.conformance import CHECKS, Channel, Stand, TcpProxy, TestStand, check, ended
+from mbcacq.conformance import CHECKS, Channel, Stand, TcpProxy, DriverBench, check, ended
 from mbcacq.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -123,9 +123,9 @@ def bench():
             def make(model="T-1000", **more):
                 return AcmeProbe("air", model, {"address": "127.0.0.1", "port": proxy.port, **more})
 
-            yield Stand(make, use, {"line": proxy}, lambda: make("T-2000"), hasty={"timeout_s": 0.3})
+            yield Stand(make, use, {"line": proxy}, lambda: make("T-2000"), short_limits={"timeout_s": 0.3})
 
-    return TestStand("acme_probe", "sensor", opened)
+    return DriverBench("acme_probe", "sensor", opened)
 
 
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)

@@ -4,7 +4,7 @@ import clouds
 import numpy as np
 import pytest
 
-from mbcacq.spheres import find_balls
+from mbcacq.spheres import find_spheres
 
 world = pytest.importorskip("mbcacq_fakes.world.scanner")
 
@@ -16,7 +16,7 @@ def frames(rng, runs):
     from mbcacq_fakes.world.rays import Grid
 
     mbc = clouds.artefact()
-    scanner = world.Scanner(Grid.with_pitch(ScannerView(), 0.25), ScannerNoise.for_centres(np.zeros(3)))
+    scanner = world.FringeScanner(Grid.with_pitch(ScannerView(), 0.25), ScannerNoise.for_centres(np.zeros(3)))
     facts = ArtefactFacts(mbc.id, mbc.ball_ids, mbc.centres, mbc.diameters, 0.0)
     for _ in range(runs):
         T = np.eye(4)
@@ -30,7 +30,7 @@ def frames(rng, runs):
 def test_centres_are_unbiased_and_their_covariance_holds():
     errors, scaled = [], []
     for mbc, centres, points in frames(np.random.default_rng(0), 25):
-        found = find_balls(points, mbc)
+        found = find_spheres(points, mbc)
         assert len(found) >= 6
         error = found.xyz - centres[[mbc.ball_ids.index(b) for b in found.ball]]
         errors.append(error)

@@ -41,7 +41,7 @@ def test_the_scatter_meets_the_cramer_rao_bound(fitted):
     assert np.all(error.std(axis=0) < 1.12 * bound)
 
 
-def test_the_covariance_tells_the_truth(fitted):
+def test_the_covariance_matches_the_scatter(fitted):
     truth, fits = fitted
     error = np.array([f.centre for f in fits]) - truth
     chi2 = np.einsum("ki,kij,kj->k", error, np.linalg.inv([f.covariance for f in fits]), error)
@@ -60,7 +60,7 @@ def test_the_freely_fitted_radius_shows_a_wrong_ball():
     assert fit.radius_error == pytest.approx(0.05, abs=6 * fit.radius_sigma)
 
 
-def test_half_of_the_cap_hidden_leaves_no_bias():
+def test_half_of_the_cap_covered_causes_no_bias():
     rng = np.random.default_rng(8)
     errors = []
     for _ in range(60):

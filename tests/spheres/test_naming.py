@@ -1,4 +1,4 @@
-"""Names of balls from their places alone: right, or refused, over many random cells; never wrong."""
+"""Identification of balls from their centres alone: right, or refused, over many random cells; never wrong."""
 
 import clouds
 import numpy as np
@@ -6,26 +6,26 @@ import pytest
 
 from mbcacq.errors import DeviceFault
 from mbcacq.spheres.fit import SphereFit
-from mbcacq.spheres.found import BallOptions
-from mbcacq.spheres.naming import name_balls
+from mbcacq.spheres.found import SphereOptions
+from mbcacq.spheres.naming import identify_spheres
 from mbcacq.spheres.recognise import similarity_rms
 
 
-def seen(rng, artefact, balls, shift=0.0, stray=0):
+def fitted(rng, artefact, balls, shift=0.0, stray=0):
     """Fits of some balls of an artefact anywhere, in any order, one of them displaced, the scale off by 500 ppm; and the true ids."""
     R = clouds.rotation(rng.normal(size=3), rng.uniform(0, 180))
     centres = artefact.centres @ R.T * (1 + rng.normal(0, 5e-4)) + rng.uniform(-20, 20, 3)
     centres += rng.normal(0, 0.01, centres.shape)
     centres[rng.integers(len(centres))] += rng.normal(0, shift, 3)
     chosen = rng.permutation(len(centres))[:balls]
-    places = [*centres[chosen], *rng.uniform(60, 80, (stray, 3))]
+    centres_found = [*centres[chosen], *rng.uniform(60, 80, (stray, 3))]
     ids = [*(artefact.ball_ids[i] for i in chosen), *[None] * stray]
-    fits = [(6.0, SphereFit(p, np.eye(3) * 4e-8, 0.01, 0.01, 1500, 0.9, 0.0, 0.001)) for p in places]
+    fits = [(6.0, SphereFit(p, np.eye(3) * 4e-8, 0.01, 0.01, 1500, 0.9, 0.0, 0.001)) for p in centres_found]
     return fits, ids
 
 
 def named(fits, artefact, **more):
-    found = name_balls(fits, [], artefact, None, None, BallOptions(), **more)
+    found = identify_spheres(fits, [], artefact, None, None, SphereOptions(), **more)
     return {tuple(x): b for x, b in zip(found.xyz, found.ball, strict=True)}
 
 
@@ -35,7 +35,7 @@ def test_every_name_is_right(balls, stray):
     missed = 0
     for _ in range(60):
         artefact = clouds.artefact(seed=int(rng.integers(1 << 30)))
-        fits, ids = seen(rng, artefact, balls, shift=0.06, stray=stray)
+        fits, ids = fitted(rng, artefact, balls, shift=0.06, stray=stray)
         got = named(fits, artefact)
         for (_, fit), true in zip(fits, ids, strict=True):
             ball = got.get(tuple(fit.centre))
@@ -50,7 +50,7 @@ def test_another_artefact_is_always_refused(balls):
     for _ in range(60):
         mine, other = (clouds.artefact(seed=int(rng.integers(1 << 30))) for _ in range(2))
         with pytest.raises(DeviceFault, match="wrong artefact in view"):
-            named(seen(rng, other, balls)[0], mine)
+            named(fitted(rng, other, balls)[0], mine)
 
 
 def test_the_mirror_image_of_any_artefact_is_refused():
@@ -59,7 +59,7 @@ def test_the_mirror_image_of_any_artefact_is_refused():
         artefact = clouds.artefact(seed=int(rng.integers(1 << 30)))
         mirrored = clouds.make(artefact.centres * [1, 1, -1])
         with pytest.raises(DeviceFault, match="mirror image|wrong artefact"):
-            named(seen(rng, mirrored, 8)[0], artefact)
+            named(fitted(rng, mirrored, 8)[0], artefact)
 
 
 def test_the_similarity_fit_ignores_rotation_shift_and_scale_only():

@@ -52,8 +52,8 @@ def facts():
     from mbcacq_fakes.world.world import World
 
     world = World(plain, Deviations(np.zeros((6, 5)), np.zeros(6), HAND_EYE, station_mm=0, station_rad=0))
-    places = world.arm.flange(q[[0, 3, 5]]) @ HAND_EYE
-    return CellFacts(SIGN, ROWS, MASSES, np.full(6, 100.0), HAND_EYE, artefacts, ("1", "2", "3"), np.array([0, 0, 1]), places)
+    stations = world.arm.flange(q[[0, 3, 5]]) @ HAND_EYE
+    return CellFacts(SIGN, ROWS, MASSES, np.full(6, 100.0), HAND_EYE, artefacts, ("1", "2", "3"), np.array([0, 0, 1]), stations)
 
 
 def poses_q():

@@ -1,4 +1,4 @@
-"""The fake cell as a whole, through its sockets: the drivers' way, its faults, and that it leaves nothing behind."""
+"""The fake cell as a whole, through its sockets: as drivers reach it, its faults, and that nothing remains after it."""
 
 import os
 import signal
@@ -25,9 +25,11 @@ LIMITS = MotionLimits(np.full(6, 2.0), np.full(6, 8.0), np.full(6, 80.0), settle
 LINKS = [(-1, 0, 400, 25, -90), (1, 0, 0, 560, 0), (1, -90, 0, 25, -90), (-1, 0, 515, 0, 90), (1, 0, 0, 0, -90), (-1, 180, 90, 0, 0)]
 VIEW = {"near_z_mm": 55, "far_z_mm": -55, "near_half_mm": (35.5, 49), "far_half_mm": (50, 77)}
 
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL and no /proc")
+
 
 def loaded(**plan):
-    places = facts().station_pose
+    stations = facts().station_pose
     document = {
         "format": "mbcacq-plan/1",
         "name": "small",
@@ -47,7 +49,7 @@ def loaded(**plan):
                 "artefact": "mbc" if k < 2 else "bar",
                 "pose_in_base": {"rotation": T[:3, :3].tolist(), "translation_mm": T[:3, 3].tolist()},
             }
-            for k, T in enumerate(places)
+            for k, T in enumerate(stations)
         ],
         "steps": [{"name": "s", "phase": "position", "do": "joints", "station": 1, "poses_deg": [[0.0] * 6]}],
     }
@@ -180,6 +182,7 @@ def children(process_id):
     return found
 
 
+@needs_signals
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc to see processes")
 def test_a_killed_parent_leaves_no_orphans():
     code = (
@@ -196,6 +199,7 @@ def test_a_killed_parent_leaves_no_orphans():
     assert gone(family)
 
 
+@needs_signals
 def test_a_dead_world_is_a_named_error_and_stop_still_works():
     plan, poses = loaded()
     with FakeCell(plan, poses) as cell:

@@ -6,7 +6,7 @@ from mbcacq_fakes.world import artefact, rays
 from mbcacq_fakes.world.description import ArtefactFacts, ScannerView
 from mbcacq_fakes.world.noise import ScannerNoise
 from mbcacq_fakes.world.rays import Grid
-from mbcacq_fakes.world.rigid import carry, nudge
+from mbcacq_fakes.world.rigid import carry, displacement
 from mbcacq_fakes.world.scanner import FringeScanner, Scene
 from small_cell import BALLS, fit_sphere
 
@@ -15,7 +15,7 @@ MBC = artefact.make(ArtefactFacts("mbc", tuple(range(1, 9)), BALLS, np.full(8, 1
 
 
 def scene(tilt_deg=15.0):
-    T = nudge(np.zeros(3), np.radians([tilt_deg, 0, 0.0]))
+    T = displacement(np.zeros(3), np.radians([tilt_deg, 0, 0.0]))
     return Scene(carry(T, MBC.centres), MBC.radii, MBC.carrier, T)
 
 
@@ -63,7 +63,7 @@ def test_a_12_mm_ball_has_about_1500_points_and_fades_at_grazing_incidence(scann
         assert height.min() > np.cos(np.radians(80))
     foot, along = scanner.grid.rays(scanner.grid.window(view.centres[0] + np.array([[-6.0] * 3, [6.0] * 3])))
     met = np.isfinite(rays.sphere(foot, along, view.centres[0], 6.0)[0]).sum()
-    assert (points.ball == 0).sum() < 0.9 * met  # rays that meet the ball, but at too steep a place
+    assert (points.ball == 0).sum() < 0.9 * met  # rays that meet the ball, but at too steep an incidence
 
 
 def test_noise_grows_with_incidence(scanner):
@@ -92,7 +92,7 @@ def test_edges_mix_ball_and_background(scanner):
     assert np.any(np.abs(np.linalg.norm(rim - centre, axis=1) - 6.0) > 0.5)
 
 
-def test_a_ball_behind_another_is_not_seen(scanner):
+def test_a_ball_behind_another_is_not_measured(scanner):
     view = Scene(np.array([[0.0, 0, 20], [0.0, 0, -20], [25.0, 0, -20]]), np.array([9.0, 6.0, 6.0]))
     points = scanner.measure(view, np.random.default_rng(5))
     assert (points.ball == 1).sum() == 0

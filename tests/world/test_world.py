@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.world.hooks import Quiet
+from mbcacq_fakes.world.hooks import NoEffect
 from mbcacq_fakes.world.options import FakeOptions, Mishap, parse
 from mbcacq_fakes.world.rigid import carry, invert
 from mbcacq_fakes.world.world import World
@@ -31,7 +31,7 @@ def balls(world, q, arrival, station=0):
     return world.balls_in_scanner(at, world.displaced(at), int(at.artefact[0]))
 
 
-def make_eye(cell_facts, **fake):
+def camera_and_arm(cell_facts, **fake):
     options = FakeOptions(**fake)
     world = make_world(cell_facts, options, 3)
     arm = Arm(poses_q()[0])
@@ -75,20 +75,20 @@ def test_true_places_lie_near_the_plan_but_not_on_it(cell_facts, deviations):
 
 def test_rendered_balls_stand_where_the_true_arm_says(cell_facts):
     """The true geometry, written out here from the truth alone, against spheres fitted to the rendered frame."""
-    eye, arm = make_eye(cell_facts, repeatability_urad=0.0)
-    truth = eye.world.truth()
-    T_base_scanner = eye.world.arm.flange(np.array([arm.reading.q]))[0] @ truth["T_flange_scanner"]
+    camera, arm = camera_and_arm(cell_facts, repeatability_urad=0.0)
+    truth = camera.world.truth()
+    T_base_scanner = camera.world.arm.flange(np.array([arm.reading.q]))[0] @ truth["T_flange_scanner"]
     expected = carry(invert(T_base_scanner) @ truth["T_base_station"]["1"], np.array([truth["balls"][b] for b in range(1, 9)]))
     mean = np.zeros((8, 3))
     for _ in range(10):
-        xyz = eye(0.0).xyz.reshape(-1, 3).astype(float)
+        xyz = camera(0.0).xyz.reshape(-1, 3).astype(float)
         xyz = xyz[np.isfinite(xyz[:, 2])]
         mean += [fit_sphere(xyz[np.linalg.norm(xyz - c, axis=1) < 6.3], 6.0)[0] / 10 for c in expected]
     assert np.all(np.abs(mean - expected) < 4.5 * np.array([0.005, 0.005, 0.009]) / np.sqrt(10))
 
 
 def test_effects_act_where_they_say(cell_facts, deviations):
-    class Bent(Quiet):
+    class Bent(NoEffect):
         name = "bent"
 
         def displace(self, at, moved):
@@ -110,10 +110,10 @@ def test_effects_act_where_they_say(cell_facts, deviations):
 
 
 def test_the_operator_follows_the_plan(cell_facts):
-    eye, arm = make_eye(cell_facts)
+    camera, arm = camera_and_arm(cell_facts)
     for k, q in enumerate(poses_q()):
         arm.go(q + 1e-4)
-        at = eye.moment(arm.read())
+        at = camera.moment(arm.read())
         assert at.station[0] == POSE_STATION[k]
         assert at.artefact[0] == (1 if k == 5 else 0)
 
@@ -127,9 +127,9 @@ def test_equal_poses_at_two_stations_are_served_in_the_plans_order(cell_facts):
 
 
 def test_a_positioner_overrules_the_operator(cell_facts):
-    eye, arm = make_eye(cell_facts)
-    eye.follow(lambda: 2)
-    assert eye.moment(arm.read()).station[0] == 2
+    camera, arm = camera_and_arm(cell_facts)
+    camera.follow(lambda: 2)
+    assert camera.moment(arm.read()).station[0] == 2
 
 
 def count(frame):
@@ -137,34 +137,34 @@ def count(frame):
 
 
 def test_mishaps(cell_facts):
-    eye, _ = make_eye(cell_facts, furniture=False)
-    clean = count(eye())
-    eye.mishap(Mishap(kind="hidden_ball", ball=3))
-    assert count(eye()) == pytest.approx(clean * 7 / 8, rel=0.05)
-    eye.mishap(Mishap(kind="wrong_artefact", station=1, artefact="bar"))
-    spread = eye().xyz[..., 2]
+    camera, _ = camera_and_arm(cell_facts, furniture=False)
+    clean = count(camera())
+    camera.mishap(Mishap(kind="hidden_ball", ball=3))
+    assert count(camera()) == pytest.approx(clean * 7 / 8, rel=0.05)
+    camera.mishap(Mishap(kind="wrong_artefact", station=1, artefact="bar"))
+    spread = camera().xyz[..., 2]
     assert np.nanmax(spread) > 10  # the 25 mm balls stand higher than the eight small ones
-    eye.mishap(Mishap(kind="empty_scene"))
-    assert count(eye()) == 0
+    camera.mishap(Mishap(kind="empty_scene"))
+    assert count(camera()) == 0
 
 
 def test_a_bump_comes_when_it_comes_and_moves_the_artefact_rigidly(cell_facts):
     """The tripod is bumped by 0.4 mm at the third arrival; centres before and after differ by just that."""
-    eye, arm = make_eye(
+    camera, arm = camera_and_arm(
         cell_facts,
         noise_mm=(0, 0, 0),
         speckle_mm=0.0,
         repeatability_urad=0.0,
         mishaps=[{"kind": "bumped_tripod", "station": 1, "shift_mm": (0.4, 0, 0), "from_arrival": 3}],
     )
-    seen = []
+    found = []
     for _ in range(5):
-        at = eye.moment(arm.read())
-        expected = eye.world.balls_in_scanner(at, eye.world.displaced(at), 0)[0]
-        xyz = eye().xyz.reshape(-1, 3).astype(float)
-        seen.append([fit_sphere(xyz[np.linalg.norm(xyz - c, axis=1) < 6.2], 6.0)[0] for c in expected])
+        at = camera.moment(arm.read())
+        expected = camera.world.balls_in_scanner(at, camera.world.displaced(at), 0)[0]
+        xyz = camera().xyz.reshape(-1, 3).astype(float)
+        found.append([fit_sphere(xyz[np.linalg.norm(xyz - c, axis=1) < 6.2], 6.0)[0] for c in expected])
         arm.go(arm.reading.q)
-    step = np.linalg.norm(np.diff(np.mean(seen, axis=1), axis=0), axis=1)
+    step = np.linalg.norm(np.diff(np.mean(found, axis=1), axis=0), axis=1)
     np.testing.assert_allclose(step, [0, 0, 0.4, 0], atol=0.002)
 
 

@@ -1,4 +1,4 @@
-"""What a run of the fake cell would record, without protocols and pictures: for thousands of made cells in Monte Carlo studies.
+"""What a run of the fake cell would record, without protocols and pictures: for thousands of simulated cells in Monte Carlo studies.
 
 The same arm, repeatability, effects and centre noise as the real fake cell; a ball's centre is where a sphere of known radius fits
 the displaced visible cap. Agreement with the rendered frames is tested.
@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq_fakes.cell.build_world import make_world
 from mbcacq_fakes.world.description import CellFacts, from_cell
-from mbcacq_fakes.world.hooks import Moments, Quiet
+from mbcacq_fakes.world.hooks import Moments, NoEffect
 from mbcacq_fakes.world.options import FakeOptions, parse
 from mbcacq_fakes.world.world import World
 
@@ -86,8 +86,8 @@ def _true_centres(world: World, at: Moments, wanted: list[tuple[int, ...]]) -> t
         if not len(here):
             continue
         centres = world.balls_in_scanner(_select(at, here), _select_moved(moved, here), a)
-        seen = np.array([[not wanted[p] or b in wanted[p] for b in artefact.balls] for p in here])
-        p, b = np.nonzero(seen)
+        in_view = np.array([[not wanted[p] or b in wanted[p] for b in artefact.balls] for p in here])
+        p, b = np.nonzero(in_view)
         pose.append(here[p])
         ball.append(world.first_ball[a] + b)
         xyz.append(centres[p, b])
@@ -100,7 +100,7 @@ def _true_centres(world: World, at: Moments, wanted: list[tuple[int, ...]]) -> t
 
 def _fitted_warp(world: World, at: Moments, pose: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """(M, 3) shift of fitted centres by what the scanner does to the points of the visible cap; least squares, known radius."""
-    if all(type(e).warp is Quiet.warp for e in world.effects):
+    if all(type(e).warp is NoEffect.warp for e in world.effects):
         return np.zeros_like(centre)
     normal = cap(48)
     points = centre[:, None] + radius[:, None, None] * normal

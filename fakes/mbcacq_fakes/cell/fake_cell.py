@@ -17,7 +17,7 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
 from mbcacq_fakes.cell.controller import CLOCK_START_MS, EKI, RSI, check_options, normal, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
-from mbcacq_fakes.cell.ports import SCANNERS, scanner_place
+from mbcacq_fakes.cell.ports import SCANNERS, scanner_address
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world import options as fake_options
@@ -30,8 +30,8 @@ class FakeCell:
     """Context manager. loaded, poses: the plan and its expansion (mbcacq.plan.LoadedPlan, list of PlannedPose; read only by name).
 
     realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
-    127.0.0.1, which ``overrides()`` tells to the drivers; 'plan' listens where the plan's drivers will look. Everything the
-    world draws follows from ``seed``. The plan's ``fake:`` section says what the world conceals (docs/fakes.md).
+    127.0.0.1, which ``overrides()`` gives to the drivers; 'plan' listens where the plan's drivers will look. Everything the
+    world draws follows from ``seed``. The plan's ``fake:`` section says which effects are injected (docs/fakes.md).
     """
 
     def __init__(
@@ -87,8 +87,8 @@ class FakeCell:
             except (subprocess.TimeoutExpired, ValueError, BrokenPipeError):
                 process.kill()
                 process.wait()
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):  # of what was still to be said to it
+            for pipe in filter(None, (process.stdin, process.stdout)):
+                with suppress(OSError):  # a message to a process that has ended
                     pipe.close()
         krc, self._krc = self._krc, None
         if krc is not None:
@@ -157,12 +157,13 @@ class FakeCell:
             "realtime": self._realtime,
             "scanner_options": dict(plan.scanner.options),
             "scanner_driver": plan.scanner.driver,
-            "scanner": scanner_place(plan.scanner.driver, plan.scanner.options, self._ports),
+            "scanner": scanner_address(plan.scanner.driver, plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }
 
     def _start_controller(self) -> dict[str, Any]:
+        assert self._state is not None, "the arm's state is made before its controller"
         self._krc, options = start_controller(
             self._loaded,
             self._state,
@@ -181,17 +182,23 @@ class FakeCell:
         return tuple(map(tuple, np.column_stack([self._facts.sign, rows]).tolist()))
 
     def _send(self, message: Any) -> None:
+        pipe = None if self._process is None else self._process.stdin
+        if pipe is None:
+            raise ConnectError("the fake cell's process has ended; start the cell again")
         try:
-            pickle.dump(message, self._process.stdin)
-            self._process.stdin.flush()
-        except (BrokenPipeError, ValueError, AttributeError) as error:
+            pickle.dump(message, pipe)
+            pipe.flush()
+        except (BrokenPipeError, ValueError) as error:
             raise ConnectError("the fake cell's process has ended; start the cell again") from error
 
     def _receive(self) -> Any:
+        pipe = None if self._process is None else self._process.stdout
+        if pipe is None:
+            raise ConnectError("the fake cell's process has ended; start the cell again")
         try:
-            kind, value = pickle.load(self._process.stdout)
-        except (EOFError, AttributeError, pickle.UnpicklingError) as error:
-            raise ConnectError("the fake cell's process has ended; its last words are above") from error
+            kind, value = pickle.load(pipe)
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise ConnectError("the fake cell's process has ended; its last messages are above") from error
         if kind == "error":
             raise value
         return value

@@ -1,12 +1,12 @@
-"""Hurting a fake cell while it runs."""
+"""Faults injected into a fake cell while it runs."""
 
 from __future__ import annotations
 
 from typing import Any, Protocol
 
 
-class Hurtable(Protocol):
-    """What of a cell can be hurt: its controller (``krc``), and what its process is asked to do."""
+class FaultTarget(Protocol):
+    """Where faults are injected: the cell's controller (``krc``), and what its process is asked to do."""
 
     krc: Any
 
@@ -16,7 +16,7 @@ class Hurtable(Protocol):
 class CellFaults:
     """What can be done to the cell while it runs."""
 
-    def __init__(self, cell: Hurtable) -> None:
+    def __init__(self, cell: FaultTarget) -> None:
         self._cell = cell
 
     def robot(self, **faults: float) -> None:

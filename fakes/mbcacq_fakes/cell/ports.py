@@ -31,7 +31,7 @@ def ipv4(host: str) -> str:
     return LOOPBACK if host in ANY else host
 
 
-def scanner_place(driver: str, options: Mapping[str, Any], ports: str) -> dict[str, Any]:
+def scanner_address(driver: str, options: Mapping[str, Any], ports: str) -> dict[str, Any]:
     """Host and ports (0: any free) of the fake sensor. Raises ConfigError where the plan's address is not this computer's."""
     usual = SCANNERS[driver]
     if ports == "free":
@@ -48,7 +48,7 @@ def scanner_place(driver: str, options: Mapping[str, Any], ports: str) -> dict[s
     return {"host": host, **{name: int(options.get(name) or port) for name, port in usual.items()}}
 
 
-def line_place(port: str) -> dict[str, Any]:
+def line_address(port: str) -> dict[str, Any]:
     """Where a fake serial device stands for a plan's ``port``: the TCP port it names, or a pseudo-terminal to which a link of that name
     leads. Raises ConfigError for a port that is taken by something real."""
     if port.startswith(f"socket://{LOOPBACK}:"):

@@ -1,7 +1,7 @@
 """The process of the world: scanner, positioner and sensors, fed by one camera. Started by cell.FakeCell, ends with it.
 
 Messages are pickled on standard input and output: first the job, answered by the addresses; then (command, arguments), answered
-by ('ok', value) or ('error', exception). The end of the input, also by the parent's death, is the sign to leave.
+by ('ok', value) or ('error', exception). The end of the input, also by the parent's death, is the sign to end.
 """
 
 from __future__ import annotations
@@ -9,12 +9,14 @@ from __future__ import annotations
 import pickle
 import signal
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import fields
 from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.cell.ports import line_place
+from mbcacq_fakes.cell.ports import line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
@@ -80,10 +82,7 @@ class Servers:
             **place,
             **options.scanner,
         }
-        try:
-            self._sensor = self._make_sensor(settings)
-        except TypeError as error:
-            raise ConfigError(f"fake.scanner: {error}; correct the plan") from error
+        self._sensor = self._make_sensor(settings, options.scanner)
         try:
             self._sensor.start()
         except OSError as error:
@@ -91,14 +90,17 @@ class Servers:
         self._stack.callback(self._sensor.stop)
         return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}}
 
-    def _make_sensor(self, settings: dict[str, Any]) -> Any:
+    def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
+        """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
         if self._job["scanner_driver"] == "gopxl":
-            from mbcacq_fakes.protocols.gopxl import FakeGoPxL, GoPxLSettings
+            from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 
-            return FakeGoPxL(self._camera, GoPxLSettings(**settings), clock=lambda: 0.0)
-        from mbcacq_fakes.protocols.gocator import FakeGocator
+            _refuse_unknown(given, FakeGoPxLOptions)
+            return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), clock=lambda: 0.0)
+        from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 
-        return FakeGocator(self._camera, **settings)
+        _refuse_unknown(given, FakeGocatorOptions)
+        return FakeGocator(self._camera, FakeGocatorOptions(**settings))
 
     def _start_positioner(self) -> dict[str, Any]:
         driver, given = self._job["positioner"]
@@ -135,7 +137,7 @@ class Servers:
 
         options = parse(SerialPositionerOptions, "the serial positioner", given)
         try:
-            line = FakeSerialPositioner(options, travel_s=self._travel_s(), **self._line_place(options.port))
+            line = FakeSerialPositioner(options, travel_s=self._travel_s(), **self._line_address(options.port))
         except ValueError as error:
             raise ConfigError(f"the fake serial positioner cannot play these patterns: {error}; simplify them for the dry run") from error
         self._positioner, self._bus = line.motion, line
@@ -156,10 +158,10 @@ class Servers:
 
         self._camera.follow(stand)
 
-    def _line_place(self, port: str) -> dict[str, Any]:
+    def _line_address(self, port: str) -> dict[str, Any]:
         """Where a serial fake stands: on a pseudo-terminal (a port of this computer where there are none), or at the plan's own place."""
         if self._job["ports"] == "plan":
-            return line_place(port)
+            return line_address(port)
         return {"pty": sys.platform != "win32"}
 
     def _start_sensor(self, number: int, driver: str, given: dict[str, Any]) -> dict[str, Any]:
@@ -200,7 +202,7 @@ class Servers:
 
         asked = options.ask.strip() if options.ask else None
         sensor = SerialLine(
-            lambda heard: say() if heard == asked else answers.get(heard), None if asked else say, **self._line_place(options.port)
+            lambda heard: say() if heard == asked else answers.get(heard), None if asked else say, **self._line_address(options.port)
         )
         self._sensors[number] = sensor
         self._stack.callback(sensor.stop)
@@ -208,7 +210,7 @@ class Servers:
         return {"port": sensor.url}
 
     def _serve(self, bus: Any, options: Any) -> dict[str, Any]:
-        """Start a Modbus server where the plan, or chance, wants it; RTU on a pseudo-terminal."""
+        """Start a Modbus server at the plan's port or a free one; RTU on a pseudo-terminal."""
         bus.rtu = options.serial is not None and self._job["ports"] == "free"
         if self._job["ports"] == "plan":
             if options.host not in ("127.0.0.1", "localhost"):
@@ -234,6 +236,13 @@ class Servers:
 
     def _value(self, name: str) -> Any:
         return lambda: self._camera.temperatures().get(name, 20.0)
+
+
+def _refuse_unknown(given: Mapping[str, Any], options: Any) -> None:
+    """Raises ConfigError for an option of ``fake.scanner`` that the fake does not have."""
+    known = [f.name for f in fields(options)]
+    if unknown := sorted(set(given) - set(known)):
+        raise ConfigError(f"fake.scanner: unknown option {', '.join(unknown)}; known are {', '.join(known)}; correct the plan")
 
 
 def _volume(view: ScannerView) -> Any:

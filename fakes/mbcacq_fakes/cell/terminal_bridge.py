@@ -1,4 +1,7 @@
-"""A pseudo-terminal whose bytes go to a TCP port and back: a serial cable to a server that only knows sockets."""
+"""A pseudo-terminal whose bytes go to a TCP port and back: a serial cable to a server that only knows sockets.
+
+Needs POSIX: Windows has no pseudo-terminals.
+"""
 
 from __future__ import annotations
 

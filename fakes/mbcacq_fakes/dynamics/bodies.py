@@ -1,4 +1,4 @@
-"""The arm's links as a MuJoCo model; mass matrix and bias torque in the controller's sense. Lengths m, angles rad."""
+"""The arm's links as a MuJoCo model; mass matrix and bias torque with the controller's signs. Lengths m, angles rad."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Kinematics:
 
     def pose(self, q: Sequence[float]) -> tuple[float, float, float, float, float, float]:
         if not self._rows:
-            return (0.0,) * 6
+            return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), px, py, pz = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.0
         for angle, (sign, theta, d, a, ca, sa, cb, sb) in zip(q, self._rows, strict=True):
             turned = sign * radians(angle) + theta

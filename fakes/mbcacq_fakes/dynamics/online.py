@@ -1,4 +1,4 @@
-"""The moving arm behind the fake controller: each cycle the motor side goes its way, and torque and joint-side angles come out."""
+"""The moving arm behind the fake controller: each cycle advances the motor side and gives torques and joint-side angles."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
-from mbcacq_fakes.dynamics.faults import Drives, Size, conceal
+from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_fault
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm
-from mbcacq_fakes.dynamics.recorded import lively_torque
+from mbcacq_fakes.dynamics.recorded import typical_torque
 
-PERCENT_AT = 4.0  # a drive at 100 % of its current gives so many times the torque of a lively motion
+PERCENT_AT = 4.0  # a drive at 100 % of its current gives so many times the torque of a typical motion
 
 
 def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> d
         "com": robot.com.tolist(),
         "payload": [float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float).tolist()],
         "gravity": robot.gravity.tolist(),
-        "typical": lively_torque(robot, np.radians(60.0) * np.ones(robot.n)).tolist(),
+        "typical": typical_torque(robot, np.radians(60.0) * np.ones(robot.n)).tolist(),
         "faults": [dict(f) for f in faults],
         "seed": seed,
     }
@@ -34,34 +34,34 @@ def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> d
 class MovingArm(IdealArm):
     """An Arm with bodies, drives and gears. torque: (6,) Nm about the joints; joint_deg: (6,) what joint-side encoders read."""
 
-    def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float, told: Mapping[str, Any]) -> None:
+    def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float, described: Mapping[str, Any]) -> None:
         super().__init__(start, cycle_s, lag_s)
-        rng = np.random.default_rng([int(told["seed"]), 23])
-        self._typical = np.array(told["typical"])
+        rng = np.random.default_rng([int(described["seed"]), 23])
+        self._typical = np.array(described["typical"])
         drives = Drives(len(start))
-        size = Size(self._typical, np.radians(60.0) * np.ones(len(start)), 1.0, rng)
-        for fault in told["faults"]:
-            conceal(drives, fault["name"], fault.get("where"), size, {k: v for k, v in fault.items() if k not in ("name", "where")})
-        payload = (told["payload"][0] + drives.payload[0], np.array(told["payload"][1]))
+        size = FaultScale(self._typical, np.radians(60.0) * np.ones(len(start)), 1.0, rng)
+        for fault in described["faults"]:
+            inject_fault(drives, fault["name"], fault.get("where"), size, {k: v for k, v in fault.items() if k not in ("name", "where")})
+        payload = (described["payload"][0] + drives.payload[0], np.array(described["payload"][1]))
         bodies = Bodies(
-            np.array(told["sign"]),
-            np.array(told["rows"]),
-            np.array(told["mass"]),
-            np.array(told["com"]),
+            np.array(described["sign"]),
+            np.array(described["rows"]),
+            np.array(described["mass"]),
+            np.array(described["com"]),
             payload,
-            np.array(told["gravity"]),
+            np.array(described["gravity"]),
         )
-        self._links = Links(bodies, drives, np.radians(start), at_rest_on_springs=True)
+        self._links = Links(bodies, drives, np.radians(start), static_springs=True)
         self._past = [np.radians(start)] * 4  # motor side, newest first
         self._rng = rng
-        self._feel()
+        self._measure()
 
     def step(self, set_point: tuple[float, ...]) -> bool:
         moved = super().step(set_point)
-        self._feel()
+        self._measure()
         return moved
 
-    def _feel(self) -> None:
+    def _measure(self) -> None:
         motor, dt = np.radians(self.q), self._cycle_s
         self._past = [motor, *self._past[:3]]
         a, b, c, d = self._past

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
-from mbcacq_fakes.dynamics.faults import Drives, Size, conceal
+from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_fault
 
 CYCLE_S = 0.004
 FINER = 8  # steps of a drive's lag in one of the arm's
@@ -22,7 +22,7 @@ INERTIA = 0.02  # masses and centres differ from the description by so much
 
 @dataclass(frozen=True)
 class SignalNoise:
-    """One sigma: encoder of the motor, of the joint side (rad), torque as a share of that of a lively motion."""
+    """One sigma: encoder of the motor, of the joint side (rad), torque as a share of that of a typical motion."""
 
     motor_rad: float = 3e-7
     joint_rad: float = 2e-6
@@ -31,7 +31,7 @@ class SignalNoise:
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """Channels (T, n): rad, Nm. truth: every concealed fault with name, where, parameters."""
+    """Channels (T, n): rad, Nm. truth: every injected fault with name, where, parameters."""
 
     time_s: np.ndarray
     q_set: np.ndarray
@@ -43,16 +43,16 @@ class RecordedMotion:
 
 def recorded(
     robot: Any,
-    concealed: Sequence[Mapping[str, Any]],
+    injected: Sequence[Mapping[str, Any]],
     seed: int,
     motion: int = 0,
     seconds: float = 12.0,
-    liveliness: float = 0.5,
+    speed_share: float = 0.5,
     noise: SignalNoise | None = None,
 ) -> RecordedMotion:
-    """Robot: an mbcacq RobotModel (duck-typed). concealed: ``{name, where?, strength?, ...}``; seed: the arm, motion: which motion of it.
+    """Robot: an mbcacq RobotModel (duck-typed). injected: ``{name, where?, strength?, ...}``; seed: the arm, motion: which motion of it.
 
-    liveliness: share of the joints' speed limits that is reached. Raises ConfigError for an unknown fault.
+    speed_share: share of the joints' speed limits that is reached. Raises ConfigError for an unknown fault.
     """
     noise = noise or SignalNoise()
     rng = np.random.default_rng([seed, 17])
@@ -60,26 +60,26 @@ def recorded(
     com = np.asarray(robot.com) * (1 + INERTIA * rng.standard_normal((robot.n, 3)))
     speed = np.radians(150.0) * np.ones(robot.n) if robot.speed is None else np.asarray(robot.speed)
     drives = Drives(robot.n)
-    typical = Size(lively_torque(robot, liveliness * speed), liveliness * speed, 1.0, rng)
+    typical = FaultScale(typical_torque(robot, speed_share * speed), speed_share * speed, 1.0, rng)
     truth = [
-        conceal(
+        inject_fault(
             drives,
             f["name"],
             f.get("where"),
-            Size(typical.torque, typical.speed, f.get("strength", 1.0), rng),
+            FaultScale(typical.torque, typical.speed, f.get("strength", 1.0), rng),
             {k: v for k, v in f.items() if k not in ("name", "where", "strength")},
         )
-        for f in concealed
+        for f in injected
     ]
     described = (float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
     bodies = Bodies(robot.chain.sign, robot.chain.rows, mass, com, _together(described, drives.payload), robot.gravity)
-    time, command = fourier(robot, seconds, liveliness * speed, np.random.default_rng([seed, 18, motion]))
+    time, command = fourier(robot, seconds, speed_share * speed, np.random.default_rng([seed, 18, motion]))
     fine = simulate(bodies, drives, time, command)
-    dice = np.random.default_rng([seed, 19, motion])
+    noise_rng = np.random.default_rng([seed, 19, motion])
     at = {name: time - drives.clocks.get(name, 0.0) for name in ("q_joint", "tau", "q_set")}
-    q = _read(fine["time"], fine["motor"], time) + noise.motor_rad * dice.standard_normal((len(time), robot.n))
-    q_joint = _read(fine["time"], fine["joint"], at["q_joint"]) + noise.joint_rad * dice.standard_normal(q.shape)
-    torque = _read(fine["time"], fine["torque"], at["tau"]) + noise.torque * typical.torque * dice.standard_normal(q.shape)
+    q = _read(fine["time"], fine["motor"], time) + noise.motor_rad * noise_rng.standard_normal((len(time), robot.n))
+    q_joint = _read(fine["time"], fine["joint"], at["q_joint"]) + noise.joint_rad * noise_rng.standard_normal(q.shape)
+    torque = _read(fine["time"], fine["torque"], at["tau"]) + noise.torque * typical.torque * noise_rng.standard_normal(q.shape)
     return RecordedMotion(time, command(at["q_set"]), q, q_joint, torque, truth)
 
 
@@ -123,7 +123,7 @@ def follow(drives: Drives, clock: np.ndarray, time: np.ndarray, command) -> tupl
         values = [v[::finer] for v in values]
         for o, v in zip(out, values, strict=True):
             o[:, j] = v
-    return tuple(out)
+    return out[0], out[1], out[2]
 
 
 def fourier(robot: Any, seconds: float, speed: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, CubicSpline]:
@@ -155,9 +155,9 @@ def _together(one: tuple[float, np.ndarray], other: tuple[float, np.ndarray]) ->
     return (mass, (one[0] * one[1] + other[0] * other[1]) / mass) if mass > 0 else one
 
 
-def lively_torque(robot: Any, speed: np.ndarray) -> np.ndarray:
+def typical_torque(robot: Any, speed: np.ndarray) -> np.ndarray:
     """Typical torque (n,) Nm: weight held out and speed reached in a third of a second."""
     reach = np.cumsum((np.abs(robot.chain.a) + np.abs(robot.chain.d))[::-1])[::-1] * 1e-3
     behind = np.cumsum(np.asarray(robot.mass)[::-1])[::-1] + 1.0
-    lively = 0.25 * behind * np.maximum(reach, 0.1) * (9.81 * np.minimum(reach / 0.5, 1) + np.maximum(reach, 0.1) * speed / 0.33)
-    return np.maximum(lively, 6.0)
+    torque = 0.25 * behind * np.maximum(reach, 0.1) * (9.81 * np.minimum(reach / 0.5, 1) + np.maximum(reach, 0.1) * speed / 0.33)
+    return np.maximum(torque, 6.0)

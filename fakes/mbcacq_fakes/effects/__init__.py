@@ -1,7 +1,7 @@
-"""Concealed physics. Each effect is one small file; ``make`` builds it by the name of its file.
+"""Injected effects. Each effect is one small file; ``make`` builds it by the name of its file.
 
-What is concealed here is made another way than it is found: equilibria, states and models in time, not regressors.
-Those in OUTSIDE are meant to be unknown to every catalogue of the tool.
+An effect is simulated in another way than it is identified: by equilibria, states and models in time, not by regressors.
+Those in UNCATALOGUED are in no catalogue of the tool.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 
 CATALOGUED = (
     "joint_compliance",
@@ -32,13 +32,14 @@ CATALOGUED = (
     "payload",
     "exposure_latency",
 )
-OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
+UNCATALOGUED = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
 
 
-def make(name: str, strength: float = 1.0, seed: int | None = None, **options: Any) -> Hidden:
+def make(name: str, strength: float = 1.0, seed: int | None = None, **options: Any) -> InjectedEffect:
     """strength 1 is plainly visible to a plan that can see it. Raises ConfigError for an unknown name or option."""
-    if name not in CATALOGUED + OUTSIDE:
-        raise ConfigError(f"fake.hidden: there is no effect '{name}' (known: {', '.join(CATALOGUED + OUTSIDE)}); correct the plan")
+    if name not in CATALOGUED + UNCATALOGUED:
+        raise ConfigError(f"fake.hidden: there is no effect '{name}' (known: {', '.join(CATALOGUED + UNCATALOGUED)}); correct the plan")
     module = import_module(f"mbcacq_fakes.effects.{name}")
-    effect = next(v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Hidden) and v.__module__ == module.__name__)
+    classes = (v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__)
+    effect = next(v for v in classes if issubclass(v, InjectedEffect))
     return effect(name, strength, seed, options)

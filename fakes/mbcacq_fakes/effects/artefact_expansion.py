@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class ArtefactExpansion(Hidden):
+class ArtefactExpansion(InjectedEffect):
     options = {"artefact": None, "scale_ppm": None}
 
     def draw(self) -> None:

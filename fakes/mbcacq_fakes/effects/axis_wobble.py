@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class AxisWobble(Hidden):
+class AxisWobble(InjectedEffect):
     """The tilt turns ``lobes`` times a turn of the joint; once a turn would be a tilted axis, which is geometry."""
 
     options = {"where": None}
@@ -23,7 +23,7 @@ class AxisWobble(Hidden):
     def displace(self, at: Moments, moved: Moved) -> None:
         for i in self._axes:
             angle = self.lobes * at.q[:, i] + self.phase
-            # Fixed in the housing: the tilt lies across the axis as it stands before the joint, seen from the frame behind it.
+            # Fixed in the housing: the tilt lies across the axis as it stands before the joint, expressed in the frame behind it.
             across = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(at))], axis=1)
             frames = self.arm.frames(at.q)
             turn = np.swapaxes(frames[:, i + 1, :3, :3], 1, 2) @ frames[:, i, :3, :3]

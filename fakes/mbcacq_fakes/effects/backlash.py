@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class Backlash(Hidden):
+class Backlash(InjectedEffect):
     options = {"where": None, "width_deg": None}
 
     def draw(self) -> None:
@@ -22,15 +22,17 @@ class Backlash(Hidden):
 
     def displace(self, at: Moments, moved: Moved) -> None:
         half = self.width / 2
+        output = at.q[0].copy() if self._output is None and len(at) else self._output
+        self._output = output
+        if output is None:
+            return
         for p in range(len(at)):
             for i in self._axes:
                 motor = at.q[p, i]
-                if self._output is None:
-                    self._output = at.q[p].copy()
-                # The last stretch of the motor's way came from that side; the play follows it.
-                for place in (motor - at.direction[p, i] * 3 * self.width, motor):
-                    self._output[i] = np.clip(self._output[i], place - half, place + half)
-                moved.joint[p, i] += self._output[i] - motor
+                # The motor's last stretch came from that side; the play follows it.
+                for angle in (motor - at.direction[p, i] * 3 * self.width, motor):
+                    output[i] = np.clip(output[i], angle - half, angle + half)
+                moved.joint[p, i] += output[i] - motor
 
     def truth(self) -> dict[str, Any]:
         return {"where": names(self._axes), "width_deg": float(np.degrees(self.width))}

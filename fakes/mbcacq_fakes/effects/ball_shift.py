@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class BallShift(Hidden):
+class BallShift(InjectedEffect):
     options = {"ball": None, "shift_mm": None}
 
     def draw(self) -> None:

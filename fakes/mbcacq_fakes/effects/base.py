@@ -1,4 +1,4 @@
-"""What all concealed effects share: strength, seed, options, and how they count poses."""
+"""What all injected effects share: strength, seed, options, and how they count poses."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.description import CellFacts
-from mbcacq_fakes.world.hooks import Moments, Quiet
+from mbcacq_fakes.world.hooks import Moments, NoEffect
 
 
-class Hidden(Quiet):
+class InjectedEffect(NoEffect):
     """Subclasses draw their parameters in ``draw`` and act in ``displace`` or ``warp``. options: known names and their defaults."""
 
     options: Mapping[str, Any] = {}

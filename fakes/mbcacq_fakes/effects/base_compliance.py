@@ -6,25 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 from mbcacq_fakes.world.hooks import Moments, Moved
-from mbcacq_fakes.world.rigid import carry, rigid, turn
+from mbcacq_fakes.world.rigid import carry, rigid, rotation_about
 
 
-class BaseCompliance(Hidden):
+class BaseCompliance(InjectedEffect):
     options = {"compliance_rad_per_Nm": None}
 
     def draw(self) -> None:
         given = self.given["compliance_rad_per_Nm"]
-        moment = np.linalg.norm(self._moment(np.zeros((1, self.cell.n)), np.zeros((1, 3))))
+        moment = float(np.linalg.norm(self._moment(np.zeros((1, self.cell.n)), np.zeros((1, 3)))))
         self.compliance = abs(self.size(2e-4 / max(moment, 1.0))) if given is None else float(given)
 
     def _moment(self, q: np.ndarray, tilt: np.ndarray) -> np.ndarray:
         """(P, 3) N m about the base origin, of an arm already tilted by rotation vectors (P, 3)."""
         centres, mass = self.cell.masses.weights(self.arm, q)
         angle = np.linalg.norm(tilt, axis=1)
-        T = rigid(turn(tilt / np.where(angle > 0, angle, 1)[:, None], angle), np.zeros(3))
+        T = rigid(rotation_about(tilt / np.where(angle > 0, angle, 1)[:, None], angle), np.zeros(3))
         force = STANDARD_GRAVITY * mass[:, None] * self.cell.masses.gravity
         return np.cross(carry(T, centres), force).sum(axis=1) * 1e-3
 

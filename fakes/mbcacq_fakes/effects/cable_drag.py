@@ -1,4 +1,4 @@
-"""A stiff hose package: wound up by the last axis, it pulls the wrist aside until it is taut."""
+"""A stiff hose package: wound up by the last axis, it pulls a wrist joint aside until it is taut."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class CableDrag(Hidden):
+class CableDrag(InjectedEffect):
     def draw(self) -> None:
         last = self.cell.n - 1
         self.source, self.target = ((last, last - 1), (last - 2, last - 1), (0, 1))[int(self.rng.integers(3))]

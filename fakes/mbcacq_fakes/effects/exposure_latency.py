@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class ExposureLatency(Hidden):
+class ExposureLatency(InjectedEffect):
     options = {"latency_s": None}
 
     def draw(self) -> None:

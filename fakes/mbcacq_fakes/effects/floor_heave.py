@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class FloorHeave(Hidden):
+class FloorHeave(InjectedEffect):
     def draw(self) -> None:
         self.rise, self.lean = self.vector(0.12), np.append(self.vector(1.5e-4, 2), 0.0)
         self._first: float | None = None

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments
 
 
-class FringeRipple(Hidden):
+class FringeRipple(InjectedEffect):
     def draw(self) -> None:
         self.period, self.phase = self.rng.uniform(22, 34), self.rng.uniform(-np.pi, np.pi)
         self.amplitude, self.axis = abs(self.size(0.06)), int(self.rng.integers(2))

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class GearTransmissionError(Hidden):
+class GearTransmissionError(InjectedEffect):
     """A wheel running out by e on its pitch radius leads by atan2(e sin, 1 + e cos): a sine while e is small.
 
-    The wheels: joint side (order 1), its mesh seen twice a turn (2), the motor side (order of the gear ratio, and twice that).
+    The wheels: joint side (order 1), its mesh twice a turn (2), the motor side (order of the gear ratio, and twice that).
     """
 
     options = {"where": None, "order": None, "amplitude_deg": None, "phase_deg": None}

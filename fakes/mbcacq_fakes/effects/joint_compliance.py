@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 TYPICAL = np.array([0.5, 1.2, 1.7, 6.0, 8.0, 12.0]) * 1e-6  # rad / N m, softer towards the wrist
 
 
-class JointCompliance(Hidden):
+class JointCompliance(InjectedEffect):
     options = {"where": None, "compliance_rad_per_Nm": None}
 
     def draw(self) -> None:

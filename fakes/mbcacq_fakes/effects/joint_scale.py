@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class JointScale(Hidden):
+class JointScale(InjectedEffect):
     options = {"where": None, "ratio": None}
 
     def draw(self) -> None:

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class JointStep(Hidden):
+class JointStep(InjectedEffect):
     options = {"where": None, "at_pose": None, "step_deg": None}
 
     def draw(self) -> None:
@@ -21,7 +21,7 @@ class JointStep(Hidden):
 
     def displace(self, at: Moments, moved: Moved) -> None:
         after = self.pose_number(at) >= self.at_pose
-        moved.joint[np.ix_(after, self._axes)] += self.step
+        moved.joint[np.ix_(after, np.array(self._axes))] += self.step
 
     def truth(self) -> dict[str, Any]:
         return {"where": names(self._axes), "at_pose": self.at_pose, "step_deg": float(np.degrees(self.step))}

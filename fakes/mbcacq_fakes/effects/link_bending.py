@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class LinkBending(Hidden):
+class LinkBending(InjectedEffect):
     """The twist saturates: castings bolt together in joints that lift a little and then bear."""
 
     options = {"where": None}

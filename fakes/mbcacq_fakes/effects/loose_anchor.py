@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class LooseAnchor(Hidden):
+class LooseAnchor(InjectedEffect):
     def draw(self) -> None:
         side = self.rng.uniform(-0.35, 0.35)  # the arm works to its front; a bolt at its back would never lift
         self.axis = np.array([-np.sin(side), np.cos(side), 0.0])

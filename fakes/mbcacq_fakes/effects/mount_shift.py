@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class MountShift(Hidden):
+class MountShift(InjectedEffect):
     options = {"at_pose": None, "translation_mm": None, "rotation_deg": None}
 
     def draw(self) -> None:

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class Payload(Hidden):
+class Payload(InjectedEffect):
     """mass_kg, com_mm: of the true tool. compliance_rad_per_Nm: of A2 and A3; 0 leaves the bending to other effects."""
 
     options = {"mass_kg": None, "com_mm": None, "compliance_rad_per_Nm": 2e-6}

@@ -1,4 +1,4 @@
-"""Lens errors left in the scanner's calibration: every measured point is a little off, depending on where in the field it lies."""
+"""Lens errors that remain in the scanner's calibration: every measured point is a little off, depending on where in the field it lies."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments
 
 EDGE = 45.0  # mm, where in the field the typical size is reached
 
 
-class ScannerDistortion(Hidden):
+class ScannerDistortion(InjectedEffect):
     """kind: curvature (the field bends, depth grows with the square of the radius), radial (cushion or barrel), depth (magnification
     changes with distance)."""
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments
 
 
-class ScannerScale(Hidden):
+class ScannerScale(InjectedEffect):
     options = {"scale_ppm": None, "axis": None}
 
     def draw(self) -> None:

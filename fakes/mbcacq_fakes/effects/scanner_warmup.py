@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments
 
 
-class ScannerWarmup(Hidden):
+class ScannerWarmup(InjectedEffect):
     options = {"offset_mm": None, "time_constant_s": None}
 
     def draw(self) -> None:

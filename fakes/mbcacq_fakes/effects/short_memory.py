@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class ShortMemory(Hidden):
+class ShortMemory(InjectedEffect):
     options = {"where": None}
 
     def draw(self) -> None:
@@ -20,14 +20,16 @@ class ShortMemory(Hidden):
         self._kept = np.zeros(self.cell.n)
 
     def displace(self, at: Moments, moved: Moved) -> None:
+        last = at.q[0].copy() if self._last is None and len(at) else self._last
+        self._last = last
+        if last is None:
+            return
         for p in range(len(at)):
-            if self._last is None:
-                self._last = at.q[p].copy()
             for i in self._axes:
-                travel = at.q[p, i] - self._last[i]
+                travel = at.q[p, i] - last[i]
                 if abs(travel) > 1e-4:
                     self._kept[i] = -self.lag * np.sign(travel) * np.exp(-abs(travel) / self.length)
-                    self._last[i] = at.q[p, i]
+                    last[i] = at.q[p, i]
                 moved.joint[p, i] += self._kept[i]
 
     def truth(self) -> dict[str, Any]:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class StationDrift(Hidden):
+class StationDrift(InjectedEffect):
     """drift_mm: how far it goes in the time that an even share of the run takes. The direction is fixed in the base frame."""
 
     options = {"station": None, "drift_mm": None}

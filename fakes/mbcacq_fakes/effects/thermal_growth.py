@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class ThermalGrowth(Hidden):
+class ThermalGrowth(InjectedEffect):
     """The link follows the arm's thermometer with a lag of ``lag_s`` (0: at once) and grows along its own length."""
 
     options = {"where": None, "growth_mm_per_K": None, "lag_s": 0.0}

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import Hidden
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments
 from mbcacq_fakes.world.rigid import invert
 
 
-class TiltBias(Hidden):
+class TiltBias(InjectedEffect):
     def draw(self) -> None:
         self.depth, self.side = self.size(0.25), self.size(0.12)
 

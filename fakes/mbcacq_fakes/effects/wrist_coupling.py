@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.effects.base import Hidden, names
+from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class WristCoupling(Hidden):
+class WristCoupling(InjectedEffect):
     options = {"where": None, "ratio": None}
 
     def draw(self) -> None:

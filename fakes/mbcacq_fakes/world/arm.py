@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq_fakes.world.rigid import carry, invert, nudge, rigid, screw, turn
+from mbcacq_fakes.world.rigid import carry, displacement, invert, rigid, rotation_about, screw
 
 X, Y, Z = np.eye(3)
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -45,11 +45,11 @@ class TrueArm:
 
     @classmethod
     def from_rows(cls, sign: np.ndarray, rows: np.ndarray) -> TrueArm:
-        """From MD-H rows (n, 5) theta, d, a, alpha, beta (rad, mm) and the sense (n,) in which the controller counts."""
+        """From MD-H rows (n, 5) theta, d, a, alpha, beta (rad, mm) and the sign (n,) of the direction in which the controller counts."""
         zero = [np.eye(4)]
         for theta, d, a, alpha, beta in np.asarray(rows, dtype=float):
-            about_z = rigid(turn(Z, theta), d * Z)
-            zero.append(zero[-1] @ about_z @ rigid(turn(X, alpha), a * X) @ rigid(turn(Y, beta), np.zeros(3)))
+            about_z = rigid(rotation_about(Z, theta), d * Z)
+            zero.append(zero[-1] @ about_z @ rigid(rotation_about(X, alpha), a * X) @ rigid(rotation_about(Y, beta), np.zeros(3)))
         zero = np.array(zero)
         return cls(np.asarray(sign, dtype=float)[:, None] * zero[:-1, :3, 2], zero[:-1, :3, 3].copy(), zero)
 
@@ -68,7 +68,7 @@ class TrueArm:
             if i:
                 so_far = so_far @ screw(self.axis[i - 1], self.point[i - 1], q[:, i - 1])
             if moved is not None and np.any(moved[:, i]):
-                so_far = so_far @ (self.zero[i] @ nudge(moved[:, i, :3], moved[:, i, 3:]) @ invert(self.zero[i]))
+                so_far = so_far @ (self.zero[i] @ displacement(moved[:, i, :3], moved[:, i, 3:]) @ invert(self.zero[i]))
             out[:, i] = so_far @ self.zero[i]
         return out
 
@@ -98,9 +98,9 @@ class Masses:
         return -STANDARD_GRAVITY * 1e-3 * np.einsum("pkc,k,c->p", centres, mass, self.gravity)
 
     def torque(self, arm: TrueArm, q: np.ndarray, step: float = 1e-4) -> np.ndarray:
-        """What gravity exerts on each joint (P, n) N m in the controller's sense: minus the slope of the energy."""
+        """What gravity exerts on each joint (P, n) N m with the controller's signs: minus the slope of the energy."""
         out = np.empty(q.shape)
         for i in range(arm.n):
-            aside = step * np.eye(arm.n)[i]
-            out[:, i] = (self.energy(arm, q - aside) - self.energy(arm, q + aside)) / (2 * step)
+            offset = step * np.eye(arm.n)[i]
+            out[:, i] = (self.energy(arm, q - offset) - self.energy(arm, q + offset)) / (2 * step)
         return out

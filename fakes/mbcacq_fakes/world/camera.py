@@ -52,8 +52,8 @@ class Camera:
         self._happen(reading.arrivals)
         at = self.moment(reading)
         moved = self.world.displaced(at)
-        hidden, bump = self.operator.hidden, self.operator.bumps.get(int(at.station[0]))
-        scene = self.world.scene(at, moved, hidden, bump, self._options.furniture)
+        covered, bump = self.operator.covered, self.operator.bumps.get(int(at.station[0]))
+        scene = self.world.scene(at, moved, covered, bump, self._options.furniture)
         rng = np.random.default_rng([self.world.seed, SCAN, *self._draw(reading)])
         points = self.scanner.measure(scene, rng, self._brightness(exposure_us))
         points.xyz[:] = self.world.warp(points.xyz, np.zeros(len(points.xyz), dtype=int), at)
@@ -120,7 +120,7 @@ class Camera:
         if mishap.kind == "empty_scene":
             operator.empty = True
         elif mishap.kind == "hidden_ball":
-            operator.hidden.add(int(mishap.ball or 0))
+            operator.covered.add(int(mishap.ball or 0))
         elif mishap.kind == "bumped_tripod":
             for s in stations:
                 operator.bumps[s] = np.concatenate([mishap.shift_mm, np.radians(mishap.rotation_deg)])

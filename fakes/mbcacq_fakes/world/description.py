@@ -37,8 +37,8 @@ class ScannerView:
 class CellFacts:
     """Nominal arm (sign (n,), rows (n, 5), masses), first guess of the hand-eye transform, artefacts, planned stations.
 
-    planned_q: (P, n) rad of the poses to be taken, or none; pace_s: the time from one to the next, roughly. Concealed effects
-    choose by them the moment at which they come, and the place where they matter.
+    planned_q: (P, n) rad of the poses to be taken, or none; pace_s: the time from one to the next, roughly. Injected effects
+    choose by them the moment at which they begin and the joint on which they act.
     """
 
     sign: np.ndarray

@@ -11,7 +11,7 @@ import numpy as np
 class ScannerFrame:
     """What the world shows to a scanner server.
 
-    xyz: (L, W, 3) float32 mm, scanner frame, rows along y and columns along x, NaN where nothing was seen.
+    xyz: (L, W, 3) float32 mm, scanner frame, rows along y and columns along x, NaN where nothing was measured.
     intensity: (L, W) uint8, or None for a world without it. time_s: the world's clock at the exposure.
     measurements: numbers that tools inside the sensor computed (mm, deg...), by measurement id; NaN is an invalid one.
     """

@@ -1,6 +1,6 @@
-"""Where concealed physics may act.
+"""Where injected effects may act.
 
-An effect is any object with the methods of :class:`ConcealedEffect`; the world calls them in time order.
+An effect is any object with the methods of :class:`WorldEffect`; the world calls them in time order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mbcacq_fakes.world.description import CellFacts
 
 @dataclass(frozen=True)
 class Moments:
-    """P moments in time order. q, velocity: (P, n) as reported, rad, rad/s. direction: (P, n) -1, 0, 1, sense of each axis' last
+    """P moments in time order. q, velocity: (P, n) as reported, rad, rad/s. direction: (P, n) -1, 0, 1, direction of each axis' last
     motion. arrival: (P,) how many standstills were reached before. time_s: (P,) since the cell was switched on. air_C, robot_C:
     (P,). station, artefact: (P,) index of the station aimed at and of the artefact that stands there (-1: none).
     """
@@ -52,11 +52,12 @@ class Moved:
         return cls(np.zeros((poses, axes)), np.zeros((poses, axes + 1, 6)), np.zeros((poses, 6)), np.zeros((poses, balls, 3)))
 
 
-class ConcealedEffect(Protocol):
+class WorldEffect(Protocol):
     name: str
 
     def alter(self, cell: CellFacts) -> CellFacts:
         """What is true of the cell in place of what is believed, e.g. another payload; called before any ``begin``."""
+        ...
 
     def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         """Called once before the first moment; draws what is to be drawn. ``arm`` is the true arm."""
@@ -66,12 +67,14 @@ class ConcealedEffect(Protocol):
 
     def warp(self, points: np.ndarray, pose: np.ndarray, at: Moments) -> np.ndarray:
         """What the scanner reports for true points (N, 3) mm in its frame; ``pose`` (N,) indexes the moments."""
+        ...
 
     def truth(self) -> dict[str, Any]:
         """The drawn parameters under the names of the observation-set contract, and 'where'."""
+        ...
 
 
-class Quiet:
+class NoEffect:
     """Base of effects: does nothing anywhere."""
 
     name = "nothing"

@@ -10,7 +10,7 @@ import numpy as np
 @dataclass(frozen=True)
 class ScannerNoise:
     """field_mm: (3,) sigma of the smooth error along x, y, z; it varies over about ``pitch_mm``. speckle_mm: of one point along z
-    where it is seen face on. centre_mm: (3,) sigma of a fitted centre of a 12 mm ball that results from both.
+    at normal incidence. centre_mm: (3,) sigma of a fitted centre of a 12 mm ball that results from both.
     """
 
     field_mm: np.ndarray
@@ -49,7 +49,7 @@ class ScannerNoise:
         return out / np.sqrt(np.einsum("kn,kn->n", shares, shares))[:, None] * self.field_mm
 
 
-SMOOTHED, LEAK = 0.935, 0.36  # share of the field left after averaging over a ball; tilt of the depth field seen sideways
+SMOOTHED, LEAK = 0.935, 0.36  # share of the field left after averaging over a ball; sideways shift from the tilt of the depth field
 
 
 def _cubic(t: np.ndarray) -> np.ndarray:

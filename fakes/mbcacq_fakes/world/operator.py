@@ -14,7 +14,7 @@ class Operator:
     """Follows the plan: the artefact stands at the station of the planned pose whose joints are nearest to the arm's.
 
     q: (P, n) rad and station: (P,) index, of the planned poses in running order. Mishaps are set from outside.
-    wrong: station index -> artefact index standing there instead. hidden: ball ids covered. bumps: station index -> (6,) shift
+    wrong: station index -> artefact index standing there instead. covered: ids of balls out of sight. bumps: station index -> (6,) shift
     mm and rotation vector rad of the artefact since it was placed. empty: nothing stands anywhere.
     """
 
@@ -22,7 +22,7 @@ class Operator:
     station: np.ndarray
     station_artefact: np.ndarray
     wrong: dict[int, int] = field(default_factory=dict)
-    hidden: set[int] = field(default_factory=set)
+    covered: set[int] = field(default_factory=set)
     bumps: dict[int, np.ndarray] = field(default_factory=dict)
     empty: bool = False
     fixed: int | None = None
@@ -48,4 +48,4 @@ class Operator:
         """Index of the artefact that stands there, NOBODY if none."""
         if self.empty or station == NOBODY:
             return NOBODY
-        return int(self.wrong.get(station, self.station_artefact[station]))
+        return self.wrong[station] if station in self.wrong else int(self.station_artefact[station])

@@ -46,8 +46,8 @@ class Climate(StrictOptions):
     time_scale: float = Field(default=1.0, gt=0)
 
 
-class HiddenEffect(BaseModel):
-    """A concealed effect: its name, how strong (1 is plain), its own seed, and whatever else that effect takes."""
+class InjectedEffectOptions(BaseModel):
+    """An injected effect: its name, how strong (1 is plain), its own seed, and whatever else that effect takes."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -80,7 +80,7 @@ class FakeOptions(StrictOptions):
     pitch_mm: float = Field(default=0.25, gt=0.03)
     furniture: bool = True
     climate: Climate = Climate()
-    hidden: tuple[HiddenEffect, ...] = ()
+    hidden: tuple[InjectedEffectOptions, ...] = ()
     mishaps: tuple[Mishap, ...] = ()
     draws: Literal["course", "pose"] = "course"  # whether noise follows the course of the run, or belongs to each planned pose
     robot: dict[str, Any] = {}

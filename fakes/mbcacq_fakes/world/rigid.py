@@ -14,7 +14,7 @@ def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return out
 
 
-def turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def rotation_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotation about a unit axis (..., 3) by an angle (...): (..., 3, 3), as cos I + (1 - cos) k k' + sin [k]."""
     x, y, z = np.moveaxis(np.asarray(axis, dtype=float), -1, 0)
     c, s = np.cos(angle), np.sin(angle)
@@ -31,15 +31,15 @@ def turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def screw(axis: np.ndarray, point: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotation about the line through ``point`` (3,) along unit ``axis`` (3,) by ``angle`` (P,): (P, 4, 4)."""
-    rotation = turn(axis, angle)
+    rotation = rotation_about(axis, angle)
     return rigid(rotation, point - rotation @ point)
 
 
-def nudge(translation: np.ndarray, rotation_vector: np.ndarray) -> np.ndarray:
+def displacement(translation: np.ndarray, rotation_vector: np.ndarray) -> np.ndarray:
     """A small displacement: turn by a rotation vector (..., 3) rad, then shift by (..., 3) mm: (..., 4, 4)."""
     angle = np.linalg.norm(rotation_vector, axis=-1)
     axis = rotation_vector / np.where(angle > 0, angle, 1.0)[..., None]
-    return rigid(turn(axis, angle), translation)
+    return rigid(rotation_about(axis, angle), translation)
 
 
 def invert(T: np.ndarray) -> np.ndarray:

@@ -64,17 +64,17 @@ class FringeScanner:
         xyz = foot + z[:, None] * along
         normal = self._normals(scene, xyz, ball, rod)
         to_lamp = _unit(self.optics.lamp - xyz)
-        seen = -np.einsum("nc,nc->n", normal, _unit(along) * -1)
+        facing = -np.einsum("nc,nc->n", normal, _unit(along) * -1)
         lit = np.einsum("nc,nc->n", normal, to_lamp)
         steepest = np.cos(np.radians(self.optics.grazing_deg))
         albedo = np.where(ball >= 0, self.optics.ball, np.where(rod, 0.3, self.optics.plate))
         signal = exposure * albedo * np.clip(lit, 0, None)
         # Fringe contrast fades towards grazing light; below a few grey levels the phase is lost.
-        odds = np.clip((np.minimum(seen, lit) - steepest) / 0.12, 0, 1) * np.clip(signal / 0.04, 0, 1)
+        odds = np.clip((np.minimum(facing, lit) - steepest) / 0.12, 0, 1) * np.clip(signal / 0.04, 0, 1)
         keep = (rng.random(len(xyz)) < odds) & (signal < 1.3)
         keep &= ~rays.in_shadow(xyz, self.optics.lamp, scene.centres, scene.radii, ball)
         pixel, xyz, ball, along = pixel[keep], xyz[keep], ball[keep], along[keep]
-        contrast = np.minimum(seen, lit)[keep] * np.clip(signal[keep] / (self.optics.ball * 0.5), 0.1, 1)
+        contrast = np.minimum(facing, lit)[keep] * np.clip(signal[keep] / (self.optics.ball * 0.5), 0.1, 1)
         grain = self.noise.speckle_mm * np.minimum(1 / np.maximum(contrast, 0.1), 6) ** 0.5 * rng.standard_normal(len(xyz))
         intensity = np.clip(255 * signal[keep] * (1 + 0.03 * rng.standard_normal(len(xyz))), 1, 255)
         xyz += grain[:, None] * along
@@ -102,6 +102,7 @@ class FringeScanner:
             _nearer(depth, label, pixel, rays.sphere(*self.grid.rays(pixel), centre, radius)[0], k)
         if scene.carrier is not None:
             carrier, T = scene.carrier, scene.T_scanner_artefact
+            assert T is not None, "a carrier comes with its pose"
             for low, high in carry(T, carrier.rods):
                 ends = np.stack([low, high])
                 pixel = self.grid.window(np.stack([ends.min(axis=0), ends.max(axis=0)]) + carrier.rod_radius * np.array([[-1], [1]]))
@@ -119,6 +120,7 @@ class FringeScanner:
         on = ball >= 0
         normal[on] = (xyz[on] - scene.centres[ball[on]]) / scene.radii[ball[on], None]
         if scene.carrier is not None:
+            assert scene.T_scanner_artefact is not None, "a carrier comes with its pose"
             up = scene.T_scanner_artefact[:3, 2]
             normal[~on] = up if up[2] > 0 else -up
             normal[rod] = _unit(np.array([0, 0, 1.0]) - up[2] * up + 1e-9)

@@ -1,4 +1,4 @@
-"""The cell as it truly is: nominal things plus errors, draws and concealed effects, and what the scanner sees of it."""
+"""The cell as it truly is: the nominal cell plus errors, draws and injected effects, and what of it the scanner measures."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from mbcacq_fakes.world.arm import TrueArm, paper_errors
 from mbcacq_fakes.world.artefact import TrueArtefact, make
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.environment import Environment
-from mbcacq_fakes.world.hooks import ConcealedEffect, Moments, Moved
-from mbcacq_fakes.world.rigid import carry, invert, nudge
+from mbcacq_fakes.world.hooks import Moments, Moved, WorldEffect
+from mbcacq_fakes.world.rigid import carry, displacement, invert
 from mbcacq_fakes.world.scanner import Scene
 
-ARRIVAL, PLACES, BALLS, EFFECTS, SCAN = range(5)  # independent random streams of one seed
+ARRIVAL, POSITIONS, BALLS, EFFECTS, SCAN = range(5)  # independent random streams of one seed
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,21 @@ class Deviations:
 
 @dataclass
 class World:
-    """Everything true. ``seed`` decides every draw; two worlds made alike are alike."""
+    """Everything true. ``seed`` decides every draw; two worlds of equal arguments are equal."""
 
     facts: CellFacts
     deviations: Deviations
-    effects: Sequence[ConcealedEffect] = ()
+    effects: Sequence[WorldEffect] = ()
     environment: Environment = field(default_factory=Environment)
     seed: int = 0
 
     def __post_init__(self) -> None:
         self.arm = TrueArm.from_rows(self.facts.sign, self.facts.rows + self.deviations.errors)
-        places = np.random.default_rng([self.seed, PLACES])
+        positions = np.random.default_rng([self.seed, POSITIONS])
         d = self.deviations
-        drawn = self.facts.hand_eye @ _offset(places, d.hand_eye_mm, d.hand_eye_rad)
+        drawn = self.facts.hand_eye @ _offset(positions, d.hand_eye_mm, d.hand_eye_rad)
         self.hand_eye = drawn if d.hand_eye is None else np.asarray(d.hand_eye, dtype=float)
-        self.stations = np.array([T @ _offset(places, d.station_mm, d.station_rad) for T in self.facts.station_pose])
+        self.stations = np.array([T @ _offset(positions, d.station_mm, d.station_rad) for T in self.facts.station_pose])
         balls = np.random.default_rng([self.seed, BALLS])
         self.artefacts: tuple[TrueArtefact, ...] = tuple(make(a, balls) for a in self.facts.artefacts)
         self.first_ball = np.cumsum([0, *(len(a.balls) for a in self.artefacts)])
@@ -103,7 +103,7 @@ class World:
 
     def artefact_pose(self, at: Moments, moved: Moved) -> np.ndarray:
         """T_base_artefact (P, 4, 4)."""
-        return self.stations[at.station] @ nudge(moved.station[:, :3], moved.station[:, 3:])
+        return self.stations[at.station] @ displacement(moved.station[:, :3], moved.station[:, 3:])
 
     def balls_in_scanner(self, at: Moments, moved: Moved, artefact: int) -> np.ndarray:
         """(P, B, 3) mm: true centres of an artefact's balls in the scanner frame, were it the one that stands there."""
@@ -116,7 +116,7 @@ class World:
             points = effect.warp(points, pose, at)
         return points
 
-    def scene(self, at: Moments, moved: Moved, hidden: set[int], bump: np.ndarray | None = None, furniture: bool = True) -> Scene:
+    def scene(self, at: Moments, moved: Moved, covered: set[int], bump: np.ndarray | None = None, furniture: bool = True) -> Scene:
         """The scene of one moment (P = 1), in the scanner frame."""
         index = int(at.artefact[0])
         if index < 0:
@@ -124,14 +124,14 @@ class World:
         artefact = self.artefacts[index]
         T = (invert(self.scanner_pose(at, moved)) @ self.artefact_pose(at, moved))[0]
         if bump is not None:
-            T = T @ nudge(bump[:3], bump[3:])
+            T = T @ displacement(bump[:3], bump[3:])
         shift = moved.ball[0, self.first_ball[index] : self.first_ball[index + 1]]
-        seen = np.array([b not in hidden for b in artefact.balls])
-        centres, radii = carry(T, artefact.centres + shift)[seen], artefact.radii[seen]
+        open_ = np.array([b not in covered for b in artefact.balls])
+        centres, radii = carry(T, artefact.centres + shift)[open_], artefact.radii[open_]
         return Scene(centres, radii, artefact.carrier, T) if furniture else Scene(centres, radii)
 
     def truth(self) -> dict[str, Any]:
-        """What is otherwise hidden: errors (n, 5) rad and mm, transforms (4, 4), ball centres by id, effects by name."""
+        """What the fake cell keeps to itself: errors (n, 5) rad and mm, transforms (4, 4), ball centres by id, effects by name."""
         return {
             "errors": self.deviations.errors,
             "repeatability_rad": self.deviations.repeatability,
@@ -144,4 +144,4 @@ class World:
 
 def _offset(rng: np.random.Generator, mm: float, rad: float) -> np.ndarray:
     draw = np.clip(rng.standard_normal(6), -2, 2)
-    return nudge(mm * draw[:3], rad * draw[3:])
+    return displacement(mm * draw[:3], rad * draw[3:])

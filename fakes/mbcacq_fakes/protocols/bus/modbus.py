@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import cast
 
 from mbcacq_bus.registers import Register
 from pymodbus import FramerType
@@ -25,11 +25,14 @@ _TABLE = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"}  # by fun
 
 @dataclass
 class FakePositioner:
-    """Drives to a commanded position in ``travel_s``; its flag is down meanwhile. Faults: ``stuck`` never arrives, ``fault`` a code."""
+    """Drives to a commanded position in ``travel_s``; its flag is down meanwhile. Faults: ``stuck`` never arrives, ``fault`` a code.
+
+    Registers are None where it is not driven over Modbus.
+    """
 
     stations: dict[str, float]
-    position: Register
-    in_position: Register
+    position: Register | None = None
+    in_position: Register | None = None
     actual: Register | None = None
     fault_register: Register | None = None
     travel_s: float = 0.05
@@ -50,11 +53,12 @@ class FakePositioner:
         """The station at the commanded position, None while it moves or stands elsewhere."""
         if self.target is None or not self.arrived:
             return None
-        nearest = min(self.stations, key=lambda s: abs(self.stations[s] - self.target))
-        return nearest if abs(self.stations[nearest] - self.target) < 0.5 else None
+        target = self.target
+        nearest = min(self.stations, key=lambda s: abs(self.stations[s] - target))
+        return nearest if abs(self.stations[nearest] - target) < 0.5 else None
 
     def outputs(self) -> list[tuple[Register, float]]:
-        live = [(self.in_position, float(self.arrived))]
+        live = [] if self.in_position is None else [(self.in_position, float(self.arrived))]
         if self.actual is not None:
             live.append((self.actual, self.target if self.arrived and self.target is not None else -999.0))
         if self.fault_register is not None:
@@ -94,7 +98,8 @@ class FakeModbus:
         self.sent: list[bytes] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server: _Server | None = None
-        self._ready, self._error = threading.Event(), None
+        self._ready = threading.Event()
+        self._error: Exception | None = None
 
     @property
     def address(self) -> tuple[str, int]:
@@ -102,19 +107,15 @@ class FakeModbus:
 
     def start(self) -> FakeModbus:
         """Returns when it listens. Raises OSError if the port is taken."""
-        if self.port == 0:
-            with socket.socket() as probe:
-                probe.bind((self.host, 0))
-                self.port = probe.getsockname()[1]
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="fake-modbus", daemon=True)
         self._thread.start()
-        self._ready.wait(10)
+        self._ready.wait()
         if self._error is not None:
             raise OSError(f"fake Modbus server cannot listen on {self.host}:{self.port}: {self._error}")
         return self
 
     def stop(self) -> None:
-        if self._loop is not None and self._thread.is_alive():
+        if self._loop is not None and self._server is not None and self._thread.is_alive():
             asyncio.run_coroutine_threadsafe(self._server.end(), self._loop)
             self._thread.join(5)
 
@@ -133,6 +134,8 @@ class FakeModbus:
             framer = FramerType.RTU if self.rtu else FramerType.SOCKET
             self._server = _Server(device, framer=framer, address=self.address, trace_packet=self._trace)
             await self._server.serve_forever(background=True)
+            listener = cast(asyncio.Server, self._server.transport)  # of a server, whatever pymodbus declares
+            self.port = listener.sockets[0].getsockname()[1]
         except Exception as error:
             self._error = error
             return
@@ -164,7 +167,7 @@ class FakeModbus:
 
     def _written(self, table: str, address: int, count: int) -> None:
         p = self.positioner
-        if p is None or p.position.table != table:
+        if p is None or p.position is None or p.position.table != table:
             return
         first, last = p.position.address, p.position.address + p.position.count
         if address < last and address + count > first:

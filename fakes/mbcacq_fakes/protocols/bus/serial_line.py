@@ -1,4 +1,7 @@
-"""The far end of a serial line: a pseudo-terminal, or a TCP port as behind a serial server."""
+"""The far end of a serial line: a pseudo-terminal, or a TCP port as behind a serial server.
+
+Pseudo-terminals need POSIX; on Windows only the TCP port is there.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,29 @@ POLL_S = 0.05
 LONGEST = 4096
 
 
+class _Terminal:
+    """The master end of a pseudo-terminal, read and written like a socket."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def recv(self, most: int) -> bytes:
+        return os.read(self._descriptor, most)
+
+    def sendall(self, data: bytes) -> None:
+        while data:
+            data = data[os.write(self._descriptor, data) :]
+
+
 class SerialLine:
     """A device that talks in lines. ``answer(line)`` gives the reply to a line heard (None: none); ``speak()`` a line said unasked each
     ``period_s`` of silence.
 
     pty: on a pseudo-terminal, whose name is ``url`` (``link``: a path to make that leads there); else on a TCP port. end: ends each line.
-    Faults: ``silent`` says nothing; ``spoil(bytes)`` changes what is said, None breaks the connection. heard: lines that came.
+    Faults: ``silent`` says nothing; ``corrupt(bytes)`` changes what is said, None breaks the connection. heard: lines that came.
     """
 
     def __init__(
@@ -36,10 +56,13 @@ class SerialLine:
         end: str = "\r\n",
     ) -> None:
         self._answer, self._speak, self._period, self._end = answer, speak, period_s, end
-        self.silent, self.heard = False, []
-        self.spoil: Callable[[bytes], bytes | None] = lambda data: data
-        self._quit, self._threads = threading.Event(), []
-        self._link, self._listener, self._master, self._slave = link, None, -1, -1
+        self.silent = False
+        self.heard: list[str] = []
+        self.corrupt: Callable[[bytes], bytes | None] = lambda data: data
+        self._quit = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._listener: socket.socket | None = None
+        self._link, self._master, self._slave = link, -1, -1
         if pty:
             self._open_terminal()
         else:
@@ -48,8 +71,11 @@ class SerialLine:
             self.url = f"socket://{self.address[0]}:{self.address[1]}"
 
     def start(self) -> Self:
-        work = self._accept if self._listener is not None else lambda: self._talk(self._master)
-        self._begin(work)
+        listener, master = self._listener, self._master
+        if listener is not None:
+            self._begin(lambda: self._accept(listener))
+        else:
+            self._begin(lambda: self._talk(_Terminal(master)))
         return self
 
     def stop(self) -> None:
@@ -89,11 +115,11 @@ class SerialLine:
         self._threads.append(thread)
         thread.start()
 
-    def _accept(self) -> None:
-        self._listener.settimeout(POLL_S)
+    def _accept(self, listener: socket.socket) -> None:
+        listener.settimeout(POLL_S)
         while not self._quit.is_set():
             try:
-                client, _ = self._listener.accept()
+                client, _ = listener.accept()
             except TimeoutError:
                 continue
             except OSError:
@@ -102,24 +128,24 @@ class SerialLine:
 
     def _serve(self, client: socket.socket) -> None:
         with client:
-            self._talk(client.fileno())
+            self._talk(client)
 
-    def _talk(self, descriptor: int) -> None:
+    def _talk(self, line: socket.socket | _Terminal) -> None:
         pending = b""
         try:
             while not self._quit.is_set():
                 data = b""
-                if select.select([descriptor], [], [], self._period if self._speak else POLL_S)[0]:
-                    data = os.read(descriptor, LONGEST)
+                if select.select([line], [], [], self._period if self._speak else POLL_S)[0]:
+                    data = line.recv(LONGEST)
                     if not data:
                         return
                 *lines, pending = (pending + data).replace(b"\r", b"\n").split(b"\n")
                 pending = pending[-LONGEST:]
-                said = [self._reply(line.decode("ascii", "replace").strip()) for line in lines if line.strip()]
+                said = [self._reply(text.decode("ascii", "replace").strip()) for text in lines if text.strip()]
                 if not data and self._speak is not None:
                     said.append(self._speak())
                 for text in said:
-                    if text is not None and not self._say(descriptor, text):
+                    if text is not None and not self._say(line, text):
                         return
         except OSError:
             return
@@ -132,11 +158,12 @@ class SerialLine:
         self.heard.append(line)
         return self._answer(line)
 
-    def _say(self, descriptor: int, text: str) -> bool:
+    def _say(self, line: socket.socket | _Terminal, text: str) -> bool:
         """False: the connection was to be broken."""
         if self._muted:
             return True
-        data = self.spoil(f"{text}{self._end}".encode())
-        while data:
-            data = data[os.write(descriptor, data) :]
-        return data is not None
+        data = self.corrupt(f"{text}{self._end}".encode())
+        if data is None:
+            return False
+        line.sendall(data)
+        return True

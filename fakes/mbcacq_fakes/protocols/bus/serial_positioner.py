@@ -26,7 +26,7 @@ class FakeSerialPositioner(SerialLine):
     def __init__(self, options: SerialPositionerOptions, *, travel_s: float = 0.05, **settings: Any) -> None:
         self._options = options
         stations = {str(k): v for k, v in options.stations.items()}
-        self.motion = FakePositioner(stations, None, None, travel_s=travel_s)
+        self.motion = FakePositioner(stations, travel_s=travel_s)
         self.halted, self._from, self._start = 0, next(iter(stations.values())), time.monotonic()
         self._moves = _pattern(options.move.send)
         self._replies: dict[str, list[Callable[[], str | None]]] = {}

@@ -12,6 +12,7 @@ import threading
 
 import numpy as np
 
+from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.server import FakeGocator
 from mbcacq_fakes.world.frame import ScannerFrame
 
@@ -19,7 +20,7 @@ BALL_MM, FIELD_MM, PLATE_Z_MM = 20.0, (100.0, 75.0), -40.0
 
 
 def ball_on_plate(rows: int, columns: int, noise_mm: float = 0.005) -> ScannerFrame:
-    """A ball of radius BALL_MM, centre (10, -5, 0), over a plate; the ball's shadow and steep flank are not seen."""
+    """A ball of radius BALL_MM, centre (10, -5, 0), over a plate; the ball's shadow and steep flank are not measured."""
     y, x = np.meshgrid(np.linspace(-0.5, 0.5, rows) * FIELD_MM[1], np.linspace(-0.5, 0.5, columns) * FIELD_MM[0], indexing="ij")
     height_squared = BALL_MM**2 - (x - 10) ** 2 - (y + 5) ** 2
     on_ball = height_squared > (0.35 * BALL_MM) ** 2
@@ -46,8 +47,7 @@ def main() -> None:
     done = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: done.set())
-    with FakeGocator(
-        lambda exposure_us: frame,
+    options = FakeGocatorOptions(
         host=given.host,
         control_port=given.control_port,
         health_port=given.health_port,
@@ -57,8 +57,9 @@ def main() -> None:
         generation=given.generation,
         uniform=given.uniform,
         scan_time_s=given.scan_time,
-    ) as sensor:
-        print(json.dumps({"host": given.host, **sensor.ports._asdict(), "model": given.model, "serial": sensor.serial}), flush=True)
+    )
+    with FakeGocator(lambda exposure_us: frame, options) as sensor:
+        print(json.dumps({"host": given.host, **sensor.ports._asdict(), "model": given.model, "serial": options.serial}), flush=True)
         done.wait()
 
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import logging
 import socket
 import struct
-from typing import TYPE_CHECKING
 
 from mbcacq_fakes.protocols.gocator.commands import HANDLERS, STREAMED
 from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, INVALID_STATE, OK, UNKNOWN_COMMAND, CommandRefused
-
-if TYPE_CHECKING:
-    from mbcacq_fakes.protocols.gocator.server import FakeGocator
+from mbcacq_fakes.protocols.gocator.state import SensorState
 
 MAX_REQUEST = 64 * 2**20
 _CHUNK, _PIECE = 0x5000, 64 * 1024
@@ -19,40 +16,46 @@ _PROBE_ID = 0
 _log = logging.getLogger("mbcacq.fakes.gocator")
 
 
-def serve(sensor: FakeGocator, sock: socket.socket) -> None:
+def converse(state: SensorState, sock: socket.socket) -> None:
     """Answer requests until the client closes, sends nonsense, or the sensor stops. Never raises."""
     try:
         while (request := _receive(sock)) is not None:
             identifier, payload = request
-            if sensor.faults.use("close_control", identifier):
+            if state.faults.use("close_control", identifier):
                 return
-            if sensor.faults.use("silent", identifier):
+            if state.faults.use("silent", identifier):
                 continue
-            sock.sendall(reply_to(sensor, identifier, payload))
+            sock.sendall(reply_to(state, identifier, payload))
     except OSError:
         pass
 
 
-def reply_to(sensor: FakeGocator, identifier: int, payload: bytes) -> bytes:
+def reply_to(state: SensorState, identifier: int, payload: bytes) -> bytes:
     """All bytes that answer one request."""
-    if identifier == _PROBE_ID and sensor.generation < 5:
-        return struct.pack("<IIQqQQ", 40, 0, 0x1100, OK, *(sensor.faults.get("protocol_version") or sensor.protocol))
-    answered = identifier ^ 1 if sensor.faults.use("wrong_reply", identifier) else identifier
-    status = sensor.faults.use("status", identifier)
+    if identifier == _PROBE_ID and state.generation < 5:
+        return struct.pack("<IIQqQQ", 40, 0, 0x1100, OK, *(state.faults.get("protocol_version") or state.protocol))
+    answered = identifier ^ 1 if state.faults.use("wrong_reply", identifier) else identifier
+    status = state.faults.use("status", identifier)
     if status is not None:
         return _frame(answered, status)
     try:
-        if identifier in STREAMED:
-            return _streamed(identifier, STREAMED[identifier](sensor, payload))
-        handler = HANDLERS.get(identifier)
-        return _frame(answered, UNKNOWN_COMMAND) if handler is None else _frame(answered, OK, handler(sensor, payload))
+        return _executed(state, identifier, answered, payload)
     except CommandRefused as refused:
-        return _frame(answered, refused.status)
+        status = refused.status
     except struct.error:
-        return _frame(answered, BAD_PARAMETER)
+        status = BAD_PARAMETER
     except Exception:
         _log.exception("command 0x%04X", identifier)
-        return _frame(answered, INVALID_STATE)
+        status = INVALID_STATE
+    return _frame(answered, status)
+
+
+def _executed(state: SensorState, identifier: int, answered: int, payload: bytes) -> bytes:
+    """The reply of the command's handler, under the number ``answered``. Raises what the handler raises."""
+    if identifier in STREAMED:
+        return _streamed(identifier, STREAMED[identifier](state, payload))
+    handler = HANDLERS.get(identifier)
+    return _frame(answered, UNKNOWN_COMMAND) if handler is None else _frame(answered, OK, handler(state, payload))
 
 
 def _frame(identifier: int, status: int, payload: bytes = b"") -> bytes:

@@ -1,6 +1,6 @@
 """What the fake answers to every command of the control channel: payload in, payload out.
 
-A handler gets the sensor and the request's payload and returns the reply's payload, or raises ``CommandRefused``. Commands that
+A handler gets the sensor's state and the request's payload and returns the reply's payload, or raises ``CommandRefused``. Commands that
 only need an OK stand in ``ACCEPTED``. Anything else is answered with "command not recognised" by the channel, because an
 unanswered command would leave a client waiting for that reply for ever.
 """
@@ -10,45 +10,23 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from mbcacq_fakes.protocols.gocator import actions
 from mbcacq_fakes.protocols.gocator.files import CAPACITY
 from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, NOT_FOUND, CommandRefused
+from mbcacq_fakes.protocols.gocator.state import SensorState
 
-if TYPE_CHECKING:
-    from mbcacq_fakes.protocols.gocator.server import FakeGocator
-
-Handler = Callable[["FakeGocator", bytes], bytes]
+Handler = Callable[[SensorState, bytes], bytes]
 
 # No reply payload and no effect that a client could see: change password, buddies, alignment clearing, replay, seek, step,
 # statistics, outputs, log, date and time, address, factory restore, ping...
-ACCEPTED = frozenset(
-    {
-        0x4004,
-        0x4005,
-        0x4011,
-        0x4012,
-        0x4013,
-        0x101E,
-        0x3013,
-        0x100E,
-        0x4301,
-        0x1014,
-        0x4102,
-        0x4513,
-        0x4503,
-        0x4501,
-        0x4526,
-        0x4518,
-        0x4519,
-        0x4538,
-        0x460A,
-        0x4610,
-        0x101D,
-        0x4003,
-    }
-)
-# number of the setter, number of the getter, struct code, name among ``sensor.settings``
+# fmt: off
+ACCEPTED = frozenset({
+    0x4004, 0x4005, 0x4011, 0x4012, 0x4013, 0x101E, 0x3013, 0x100E, 0x4301, 0x1014, 0x4102,
+    0x4513, 0x4503, 0x4501, 0x4526, 0x4518, 0x4519, 0x4538, 0x460A, 0x4610, 0x101D, 0x4003,
+})
+# fmt: on
+# number of the setter, number of the getter, struct code, name among ``SensorState.settings``
 _SETTINGS = (
     (0x4103, 0x4104, "i", "alignment_reference"),
     (0x4516, 0x4517, "B", "recording"),
@@ -72,33 +50,33 @@ def name_list(names: list[str]) -> bytes:
     return struct.pack("<I", len(names)) + b"".join(struct.pack("64s", n.encode()) for n in names)
 
 
-def _record(sensor: FakeGocator, names: bool) -> bytes:
+def _record(state: SensorState, names: bool) -> bytes:
     fixed = struct.pack(
         "<I4s32s4sii",
-        sensor.serial,
-        socket.inet_aton(sensor.address),
-        sensor.part_number.encode(),
-        bytes(sensor.firmware),
-        1 if sensor.running else 0,
+        state.serial,
+        socket.inet_aton(state.address),
+        state.part_number.encode(),
+        bytes(state.firmware),
+        1 if state.running else 0,
         0,
     )
-    return fixed + struct.pack("32s32s", sensor.model.encode(), sensor.model.encode()) if names else fixed
+    return fixed + struct.pack("32s32s", state.model.encode(), state.model.encode()) if names else fixed
 
 
-def _system_info_1(sensor: FakeGocator, payload: bytes) -> bytes:
-    return _record(sensor, names=False) + struct.pack("<ii", 0, 0)
+def _system_info_1(state: SensorState, payload: bytes) -> bytes:
+    return _record(state, names=False) + struct.pack("<ii", 0, 0)
 
 
-def _system_info_2(sensor: FakeGocator, payload: bytes) -> bytes:
-    record = _record(sensor, names=True)
+def _system_info_2(state: SensorState, payload: bytes) -> bytes:
+    record = _record(state, names=True)
     return struct.pack("<H", len(record)) + record + struct.pack("<IHIH", 0, 60, 0, 8)
 
 
-def _states(sensor: FakeGocator, payload: bytes) -> bytes:
-    seconds, microseconds = divmod(int(sensor.uptime_s * 1e6), 1_000_000)
-    setting = sensor.settings
+def _states(state: SensorState, payload: bytes) -> bytes:
+    seconds, microseconds = divmod(int(state.uptime_s * 1e6), 1_000_000)
+    setting = state.settings
     items = [
-        1 if sensor.running else 0,
+        1 if state.running else 0,
         0,
         setting["alignment_reference"],
         1,
@@ -116,88 +94,88 @@ def _states(sensor: FakeGocator, payload: bytes) -> bytes:
         0,
         0,
     ]
-    items = items[:11] if sensor.generation < 5 else items
+    items = items[:11] if state.generation < 5 else items
     return struct.pack(f"<I{len(items)}i", len(items), *items)
 
 
-def _get_address(sensor: FakeGocator, payload: bytes) -> bytes:
-    return struct.pack("<B4s4s4s", 0, socket.inet_aton(sensor.address), b"\xff\xff\xff\x00", bytes(4))
+def _get_address(state: SensorState, payload: bytes) -> bytes:
+    return struct.pack("<B4s4s4s", 0, socket.inet_aton(state.address), b"\xff\xff\xff\x00", bytes(4))
 
 
-def _write_file(sensor: FakeGocator, payload: bytes) -> bytes:
+def _write_file(state: SensorState, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 64)
     if len(payload) < 68 + size:
         raise CommandRefused(BAD_PARAMETER)
-    sensor.files.write(name_at(payload), payload[68 : 68 + size])
+    state.files.write(name_at(payload), payload[68 : 68 + size])
     return b""
 
 
-def _copy_file(sensor: FakeGocator, payload: bytes) -> bytes:
-    sensor.files.copy(name_at(payload), name_at(payload, 64))
+def _copy_file(state: SensorState, payload: bytes) -> bytes:
+    state.files.copy(name_at(payload), name_at(payload, 64))
     return b""
 
 
-def _delete_file(sensor: FakeGocator, payload: bytes) -> bytes:
-    sensor.files.delete(name_at(payload))
+def _delete_file(state: SensorState, payload: bytes) -> bytes:
+    state.files.delete(name_at(payload))
     return b""
 
 
-def _set_default_job(sensor: FakeGocator, payload: bytes) -> bytes:
-    sensor.files.set_default(name_at(payload))
+def _set_default_job(state: SensorState, payload: bytes) -> bytes:
+    state.files.set_default(name_at(payload))
     return b""
 
 
-def _loaded_job(sensor: FakeGocator, payload: bytes) -> bytes:
-    return struct.pack("<64sB", sensor.files.loaded_job.encode(), sensor.files.modified)
+def _loaded_job(state: SensorState, payload: bytes) -> bytes:
+    return struct.pack("<64sB", state.files.loaded_job.encode(), state.files.modified)
 
 
 def _setter(code: str, name: str) -> Handler:
-    def handle(sensor: FakeGocator, payload: bytes) -> bytes:
-        (sensor.settings[name],) = struct.unpack_from("<" + code, payload)
+    def handle(state: SensorState, payload: bytes) -> bytes:
+        (state.settings[name],) = struct.unpack_from("<" + code, payload)
         return b""
 
     return handle
 
 
 def _getter(code: str, name: str) -> Handler:
-    return lambda sensor, payload: struct.pack("<" + code, sensor.settings[name])
+    return lambda state, payload: struct.pack("<" + code, state.settings[name])
 
 
-def _set_variables(sensor: FakeGocator, payload: bytes) -> bytes:
+def _set_variables(state: SensorState, payload: bytes) -> bytes:
     first, count = struct.unpack_from("<II", payload)
-    if first + count > len(sensor.variables):
+    if first + count > len(state.variables):
         raise CommandRefused(BAD_PARAMETER)
-    sensor.variables[first : first + count] = struct.unpack_from(f"<{count}i", payload, 8)
+    state.variables[first : first + count] = struct.unpack_from(f"<{count}i", payload, 8)
     return b""
 
 
-def _get_variables(sensor: FakeGocator, payload: bytes) -> bytes:
+def _get_variables(state: SensorState, payload: bytes) -> bytes:
     first, count = struct.unpack_from("<II", payload)
-    if first + count > len(sensor.variables):
+    if first + count > len(state.variables):
         raise CommandRefused(BAD_PARAMETER)
-    return struct.pack(f"<II{count}i", first, count, *sensor.variables[first : first + count])
+    return struct.pack(f"<II{count}i", first, count, *state.variables[first : first + count])
 
 
-def _set_flag(sensor: FakeGocator, payload: bytes) -> bytes:
+def _set_flag(state: SensorState, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 256)
-    if len(sensor.flags) >= 1000:
+    if len(state.flags) >= 1000:
         raise CommandRefused(BAD_PARAMETER)
-    sensor.flags[name_at(payload, size=256)] = payload[260 : 260 + size]
+    state.flags[name_at(payload, size=256)] = payload[260 : 260 + size]
     return b""
 
 
-def _get_flag(sensor: FakeGocator, payload: bytes) -> bytes:
+def _get_flag(state: SensorState, payload: bytes) -> bytes:
     try:
-        return block(sensor.flags[name_at(payload, size=256)])
+        return block(state.flags[name_at(payload, size=256)])
     except KeyError:
         raise CommandRefused(NOT_FOUND) from None
 
 
-def _action(name: str) -> Handler:
-    """A method of the sensor that takes nothing and gives nothing."""
+def _action(act: Callable[[SensorState], None]) -> Handler:
+    """An action that takes no payload and gives none."""
 
-    def handle(sensor: FakeGocator, payload: bytes) -> bytes:
-        getattr(sensor, name)()
+    def handle(state: SensorState, payload: bytes) -> bytes:
+        act(state)
         return b""
 
     return handle
@@ -220,18 +198,18 @@ HANDLERS: dict[int, Handler] = {
     0x4100: lambda s, p: struct.pack("64s", s.files.default_job.encode()),
     0x4101: _set_default_job,
     0x4512: _loaded_job,
-    0x100D: _action("begin"),
-    0x100F: _action("begin"),
-    0x1001: _action("halt"),
-    0x4528: _action("snapshot"),
-    0x4510: _action("trigger"),
-    0x4300: _action("reboot"),
+    0x100D: _action(actions.start),
+    0x100F: _action(actions.start),
+    0x1001: _action(actions.stop),
+    0x4528: _action(actions.snapshot),
+    0x4510: _action(actions.trigger),
+    0x4300: _action(actions.reboot),
     0x1005: lambda s, p: struct.pack("<i", int(s.files.number("Setup/ScanMode"))),
     0x100A: lambda s, p: struct.pack("<Q", s.ticks()),
     0x101C: lambda s, p: struct.pack("<q", s.encoder),
     0x1013: lambda s, p: block(s.files.read("_live.cfg")),
-    0x4600: lambda s, p: struct.pack("<i", s.operate(alignment=True)),
-    0x4601: lambda s, p: struct.pack("<i", s.operate(alignment=False)),
+    0x4600: lambda s, p: struct.pack("<i", actions.align(s)),
+    0x4601: lambda s, p: struct.pack("<i", actions.expose_automatically(s)),
     0x4522: lambda s, p: b"\0",
     0x4502: lambda s, p: struct.pack("<II", 0, 0),
     0x4536: _set_variables,

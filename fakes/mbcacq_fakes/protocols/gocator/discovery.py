@@ -1,6 +1,6 @@
 """Discovery on udp 3220: requests in, broadcast replies out of the same port to the port of the asker.
 
-A unicast reply is not seen by the vendor's client on Linux: it has two sockets on its port and the other one swallows it.
+A unicast reply does not reach the vendor's client on Linux: it has two sockets on its port and the other one swallows it.
 """
 
 from __future__ import annotations
@@ -8,22 +8,23 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from mbcacq_fakes.protocols.gocator.server import FakeGocator
+from mbcacq_fakes.protocols.gocator.options import DISCOVERY_PORT, Ports
+from mbcacq_fakes.protocols.gocator.state import SensorState
 
-PORT = 3220
 SIGNATURE = 0x0000504455494D4C
 GET_ADDRESS, SET_ADDRESS, GET_INFO, REPLY = 1, 2, 5, 0x1000
 _WEB_PORT, _UPGRADE_PORT = 80, 3192
 
 
 class Discovery:
-    """Runs in a thread. ``broadcast`` is where replies go; 127.255.255.255 stays on the loopback interface."""
+    """Runs in a thread. ports: of the sensor's channels. broadcast: where replies go; 127.255.255.255 stays on the loopback interface.
 
-    def __init__(self, sensor: FakeGocator, port: int = PORT, broadcast: str = "255.255.255.255") -> None:
-        self._sensor, self._broadcast = sensor, broadcast
+    Raises OSError for a ``port`` that is taken.
+    """
+
+    def __init__(self, state: SensorState, ports: Ports, port: int = DISCOVERY_PORT, broadcast: str = "255.255.255.255") -> None:
+        self._state, self._ports, self._broadcast = state, ports, broadcast
         self._closing = threading.Event()
         self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -66,13 +67,13 @@ class Discovery:
         if len(request) < 32:
             return None
         length, kind, signature, serial = struct.unpack_from("<QQQQ", request)
-        if length != len(request) or signature != SIGNATURE or serial not in (0, self._sensor.serial):
+        if length != len(request) or signature != SIGNATURE or serial not in (0, self._state.serial):
             return None
         if kind == GET_ADDRESS:
             addresses = (self._ip, b"\xff\xff\xff\0", bytes(4), bytes(4))  # own, mask, gateway, spare
-            body = struct.pack("<QQ", self._sensor.serial, 0) + b"".join(bytes(4) + a for a in addresses)
+            body = struct.pack("<QQ", self._state.serial, 0) + b"".join(bytes(4) + a for a in addresses)
         elif kind == SET_ADDRESS:
-            body = struct.pack("<Q", self._sensor.serial)
+            body = struct.pack("<Q", self._state.serial)
         elif kind == GET_INFO:
             body = struct.pack("<H", 65) + self._info() + self._properties()
         else:
@@ -81,16 +82,16 @@ class Discovery:
 
     @property
     def _ip(self) -> bytes:
-        return socket.inet_aton(self._sensor.address)
+        return socket.inet_aton(self._state.address)
 
     def _info(self) -> bytes:
-        major, minor, release, build = self._sensor.firmware
-        ports = self._sensor.ports
+        major, minor, release, build = self._state.firmware
+        ports = self._ports
         return struct.pack(
             "<IIQBB4s12sIB4s12s5H",
-            self._sensor.serial,
+            self._state.serial,
             major << 24 | minor << 16 | release << 8 | build,
-            int(self._sensor.uptime_s * 1e6),
+            int(self._state.uptime_s * 1e6),
             0,
             4,
             self._ip,
@@ -107,24 +108,14 @@ class Discovery:
         )
 
     def _properties(self) -> bytes:
-        family = f"G{self._sensor.model[:1]}x00"
+        family = f"G{self._state.model[:1]}x00"
         pairs = {
-            "PartNumber": self._sensor.part_number,
-            "ModelNumber": self._sensor.model,
-            "ModelDisplayName": self._sensor.model,
+            "PartNumber": self._state.part_number,
+            "ModelNumber": self._state.model,
+            "ModelDisplayName": self._state.model,
             "Family": family,
             "OpMode": "1",
             "AccelSensorIpVersion": "4",
             "AccelSensorIp": "0.0.0.0",
         }
         return bytes([len(pairs)]) + b"".join(bytes([len(t)]) + t for pair in pairs.items() for t in (v.encode() for v in pair))
-
-
-def outward_address() -> str:
-    """The address other machines see; no packet is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-            return probe.getsockname()[0]
-        except OSError:
-            return "127.0.0.1"

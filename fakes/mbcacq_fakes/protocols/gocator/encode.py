@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,29 +19,37 @@ _INVALID_VALUE = -2147483648
 _MISSING = {4: 16, 5: 8, 6: 0}
 
 
-def data_set(
-    frame: ScannerFrame,
-    *,
-    exposure_us: float,
-    ticks: int,
-    index: int,
-    serial: int,
-    encoder: int = 0,
-    uniform: bool = False,
-    intensity: bool = True,
-    generation: int = 6,
-    volume: tuple[np.ndarray, np.ndarray] | None = None,
-) -> list[bytearray]:
-    """Stamp, surface, intensity if there is one, measurements; the last one marked. volume: measuring volume (low, high) mm or None."""
-    messages = [stamp(index, ticks, encoder, serial, generation)]
-    exposure_ns = min(int(round(exposure_us * 1000)), 2**32 - 1)
-    if uniform or generation < 5:
+@dataclass(frozen=True)
+class DataSetHeader:
+    """What a data set says besides the points. ticks: the stamp. index: exposures before. generation: 4, 5 or 6, of the firmware.
+
+    uniform: as a height map instead of points. intensity: with its grey values. volume: measuring volume (low, high) mm, None for the
+    extent of the points.
+    """
+
+    exposure_us: float
+    ticks: int
+    index: int
+    serial: int
+    encoder: int = 0
+    uniform: bool = False
+    intensity: bool = True
+    generation: int = 6
+    volume: tuple[np.ndarray, np.ndarray] | None = None
+
+
+def data_set(frame: ScannerFrame, header: DataSetHeader) -> list[bytearray]:
+    """Stamp, surface, intensity if there is one, measurements; the last one marked."""
+    generation = header.generation
+    messages = [stamp(header.index, header.ticks, header.encoder, header.serial, generation)]
+    exposure_ns = min(int(round(header.exposure_us * 1000)), 2**32 - 1)
+    if header.uniform or generation < 5:
         raw, grey, scaling = uniform_grid(frame.xyz, frame.intensity)
         messages.append(uniform_surface(raw, scaling, exposure_ns, generation))
     else:
-        scaling, grey = Scaling.over(*(volume or extent(frame.xyz))), frame.intensity
+        scaling, grey = Scaling.over(*(header.volume or extent(frame.xyz))), frame.intensity
         messages.append(surface_points(frame.xyz, scaling, exposure_ns, generation))
-    if intensity and grey is not None:
+    if header.intensity and grey is not None:
         messages.append(surface_intensity(grey, scaling, exposure_ns, generation))
     results = frame.measurements or {0: _mean_height(frame.xyz)}
     messages += [measurement(identifier, value, generation) for identifier, value in results.items()]
@@ -122,5 +131,5 @@ def _with_array(kind: int, attributes: bytes, generation: int, shape: tuple[int,
 
 def _mean_height(xyz: np.ndarray) -> float:
     z = xyz[::8, ::8, 2]
-    seen = np.isfinite(z)
-    return float(z[seen].mean()) if seen.any() else float("nan")
+    measured = np.isfinite(z)
+    return float(z[measured].mean()) if measured.any() else float("nan")

@@ -1,4 +1,4 @@
-"""Faults that a running fake sensor can be told to have."""
+"""Faults that can be injected into a running fake sensor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAULTS = {
     "no_data": "exposures are made but no data set is sent",
     "stamp_only": "data sets hold only their stamp",
     "old_stamp": "data sets carry a time stamp of long ago",
-    "unknown_type": "a message of a type nobody knows comes before the surface",
+    "unknown_type": "a message of an unknown type comes before the surface",
     "short_message": "the surface message ends early, with a size field that agrees",
     "garbage": "random bytes instead of a message",
     "close_data": "the data connection is closed instead of sending",

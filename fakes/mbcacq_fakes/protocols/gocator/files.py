@@ -13,6 +13,7 @@ from defusedxml.common import DefusedXmlException
 from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, EXISTS, FORMAT, NOT_FOUND, CommandRefused
 
 CAPACITY = 256 * 2**20
+EXPOSURE = "Setup/Devices/Device[@role='0']/Exposure"  # us
 LIVE_CFG, LIVE_TFM, LIVE_JOB, LIVE_LOG = "_live.cfg", "_live.tfm", "_live.job", "_live.log"
 
 

@@ -1,4 +1,4 @@
-"""A TCP port that can be told to stop listening for a while."""
+"""A TCP port that can stop listening for a while."""
 
 from __future__ import annotations
 

@@ -81,9 +81,9 @@ class Publisher:
         client = Client(sock)
         client.put(first)
         with self._lock:
-            left = [c for c in self._clients if not c.listening]
-            self._clients = [c for c in self._clients if c not in left] + [client]
-        for old in left:
+            gone = [c for c in self._clients if not c.listening]
+            self._clients = [c for c in self._clients if c not in gone] + [client]
+        for old in gone:
             old.close()
 
     def publish(self, items: Sequence[object]) -> None:

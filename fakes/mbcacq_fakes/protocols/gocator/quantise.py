@@ -10,14 +10,15 @@ INVALID = -32768
 FINEST_NM = (3000, 3000, 2000)  # as over the measuring volume of a 3210: 154 mm and 110 mm in 16 bits
 _BLOCK = 3 * 8192
 _ROW = np.dtype("V6")  # one point
+Triple = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Scaling:
     """mm = offset_um / 1e3 + raw * resolution_nm / 1e6, per axis."""
 
-    resolution_nm: tuple[int, int, int]
-    offset_um: tuple[int, int, int]
+    resolution_nm: Triple
+    offset_um: Triple
 
     @classmethod
     def over(cls, low: np.ndarray, high: np.ndarray) -> Scaling:
@@ -26,7 +27,7 @@ class Scaling:
         offset = np.rint((low + high) / 2 * 1e3)
         reach = np.maximum(high - offset / 1e3, offset / 1e3 - low)
         steps = np.maximum(np.ceil(reach * 1e6 / 32766), FINEST_NM)
-        return cls(tuple(int(v) for v in steps), tuple(int(v) for v in offset))
+        return cls(_triple(steps), _triple(offset))
 
     @property
     def scale(self) -> np.ndarray:
@@ -35,6 +36,11 @@ class Scaling:
     @property
     def offset(self) -> np.ndarray:
         return np.array(self.offset_um) / 1e3
+
+
+def _triple(values: np.ndarray) -> Triple:
+    x, y, z = (int(v) for v in values)
+    return x, y, z
 
 
 def extent(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,11 +88,11 @@ def uniform_grid(xyz: np.ndarray, intensity: np.ndarray | None) -> tuple[np.ndar
     corner = np.floor(np.nan_to_num(low[:2]) * 1e3).astype(int)
     grid = Scaling((int(step[0]), int(step[1]), scaling.resolution_nm[2]), (int(corner[0]), int(corner[1]), scaling.offset_um[2]))
 
-    seen = np.isfinite(xyz).all(axis=2)
-    points = xyz[seen].astype(float)
+    measured = np.isfinite(xyz).all(axis=2)
+    points = xyz[measured].astype(float)
     column = np.clip(np.rint((points[:, 0] - grid.offset[0]) / grid.scale[0]).astype(int), 0, width - 1)
     row = np.clip(np.rint((points[:, 1] - grid.offset[1]) / grid.scale[1]).astype(int), 0, length - 1)
-    slope = _slopes(xyz)[seen]
+    slope = _slopes(xyz)[measured]
     x_centre, y_centre = grid.offset[0] + column * grid.scale[0], grid.offset[1] + row * grid.scale[1]
     z = points[:, 2] + slope[:, 0] * (x_centre - points[:, 0]) + slope[:, 1] * (y_centre - points[:, 1])
 
@@ -95,7 +101,7 @@ def uniform_grid(xyz: np.ndarray, intensity: np.ndarray | None) -> tuple[np.ndar
     grey = None
     if intensity is not None:
         grey = np.zeros((length, width), np.uint8)
-        grey[row, column] = intensity[seen]
+        grey[row, column] = intensity[measured]
     return raw, grey, grid
 
 
@@ -108,5 +114,5 @@ def _slopes(xyz: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         area = xu * yv - xv * yu
         slope = np.stack([(zu * yv - zv * yu) / area, (xu * zv - xv * zu) / area], axis=2)
-    usable = np.isfinite(slope).all(axis=2) & (np.abs(slope) < 5).all(axis=2)
-    return np.where(usable[..., None], slope, 0.0)
+    usable = np.logical_and(np.isfinite(slope), np.abs(slope) < 5).all(axis=2, keepdims=True)
+    return np.where(usable, slope, 0.0)

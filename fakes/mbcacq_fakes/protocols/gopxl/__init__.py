@@ -1,5 +1,5 @@
 """A fake LMI sensor that runs GoPxL: control over MessagePack, data over GDP, discovery."""
 
-from mbcacq_fakes.protocols.gopxl.server import FakeGoPxL, GoPxLSettings
+from mbcacq_fakes.protocols.gopxl.server import FakeGoPxL, FakeGoPxLOptions
 
-__all__ = ["FakeGoPxL", "GoPxLSettings"]
+__all__ = ["FakeGoPxL", "FakeGoPxLOptions"]

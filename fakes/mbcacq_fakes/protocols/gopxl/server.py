@@ -34,7 +34,7 @@ class GoPxLPorts(NamedTuple):
 
 
 @dataclass(frozen=True)
-class GoPxLSettings:
+class FakeGoPxLOptions:
     """Where the sensor listens (0: any free port), and what it is.
 
     scan_time_s: how long an exposure takes. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
@@ -62,8 +62,8 @@ class FakeGoPxL:
     clock: the world's time in s; without it the sensor counts from its start.
     """
 
-    def __init__(self, source: Source, settings: GoPxLSettings | None = None, clock: Callable[[], float] | None = None) -> None:
-        self.source, self.settings, self._clock = source, settings or GoPxLSettings(), clock
+    def __init__(self, source: Source, settings: FakeGoPxLOptions | None = None, clock: Callable[[], float] | None = None) -> None:
+        self.source, self.settings, self._clock = source, settings or FakeGoPxLOptions(), clock
         self.faults = GoPxLFaults()
         self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
         self.data = Publisher()

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from mbcacq_fakes.dynamics.ideal_arm import Kinematics
-from mbcacq_fakes.world.rigid import invert, rigid, turn
+from mbcacq_fakes.world.rigid import invert, rigid, rotation_about
 
 _RAMP_S = 0.3  # to an axis' largest speed at 100 % acceleration
 _ORIENTATION_DEG_S = 100.0
@@ -22,7 +22,7 @@ def frame(values: Sequence[float]) -> np.ndarray:
     """X, Y, Z, A, B, C (mm, deg) -> (4, 4); R = Rz(A) Ry(B) Rx(C)."""
     a, b, c = np.radians(values[3:6])
     axes = np.eye(3)
-    return rigid(turn(axes[2], a) @ turn(axes[1], b) @ turn(axes[0], c), np.asarray(values[:3], dtype=float))
+    return rigid(rotation_about(axes[2], a) @ rotation_about(axes[1], b) @ rotation_about(axes[0], c), np.asarray(values[:3], dtype=float))
 
 
 def angles(T: np.ndarray) -> tuple[float, ...]:
@@ -92,7 +92,7 @@ def lin(
     last = [tuple(start)]
 
     def at(s: float) -> tuple[float, ...]:
-        pose = rigid(T0[:3, :3] @ turn(axis, s * angle), T0[:3, 3] + s * shift)
+        pose = rigid(T0[:3, :3] @ rotation_about(axis, s * angle), T0[:3, 3] + s * shift)
         last[0] = joints_at(pose, last[0], kinematics, limits)
         return last[0]
 

@@ -21,7 +21,7 @@ class Stand:
     use: one ordinary operation with a connected driver; raises AssertionError if its result is not what the device did.
     wrong: constructs a driver that expects another device. begin: starts something that takes long (a motion, a scan), and returns
     once it is under way; it may block until that ends. at_rest: whether the device itself says that nothing moves. ready: whether it
-    takes a new driver, where it needs a while after a fault. hasty: options with short time limits, given where a fault is waited
+    takes a new driver, where it needs a while after a fault. short_limits: options with short time limits, given where a fault is waited
     for; all else runs with the limits of ``make``, so that a busy computer fails nobody.
     """
 
@@ -31,12 +31,12 @@ class Stand:
     wrong: Callable[[], Any] | None = None
     begin: Callable[[Any], None] | None = None
     at_rest: Callable[[], bool] | None = None
-    hasty: Mapping[str, Any] = field(default_factory=dict)
+    short_limits: Mapping[str, Any] = field(default_factory=dict)
     ready: Callable[[], bool] = lambda: True
 
 
 @dataclass(frozen=True)
-class TestStand:
+class DriverBench:
     """name: of the driver, and how it is connected. kind: robot, scanner, positioner or sensor. open: sets a Stand up.
 
     limit_s: what no single step of a check may exceed, here and on the device's own account (generous). excused: check -> why this

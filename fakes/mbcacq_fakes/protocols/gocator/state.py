@@ -1,0 +1,85 @@
+"""The state that the parts of the fake sensor share: settings, files, faults, clock, exposure requests and clients."""
+
+from __future__ import annotations
+
+import queue
+import socket
+import threading
+import time
+
+from mbcacq_fakes.protocols.gocator.connections import ControlConnections
+from mbcacq_fakes.protocols.gocator.faults import Faults
+from mbcacq_fakes.protocols.gocator.files import Files
+from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
+from mbcacq_fakes.protocols.gocator.publish import Publisher
+
+TICKS_PER_S = 1.024e6
+_MAX_REQUESTS = 16
+_FIRMWARE = {4: (4, 8, 2, 29), 5: (5, 3, 23, 10), 6: (6, 1, 32, 12)}
+_PROTOCOL = {4: (101, 4), 5: (101, 10), 6: (101, 11)}
+
+
+class SensorState:
+    """Starts no thread and opens no port. ``requests`` holds the ticks at which exposures were asked for; ``lock`` guards ``running``
+    and ``operations``. indicators: health values sent besides the usual ones, by (number, instance)."""
+
+    def __init__(self, options: FakeGocatorOptions) -> None:
+        self.options = options
+        self.firmware, self.protocol = _FIRMWARE[options.generation], _PROTOCOL[options.generation]
+        switches = {"Setup/IntensityEnabled": options.intensity, "Setup/UniformSpacingEnabled": options.uniform}
+        self.files, self.faults = Files(tuple(options.jobs), switches), Faults()
+        self.settings: dict[str, int] = {"alignment_reference": 0, "recording": 0, "playback_source": 0, "autostart": 0, "quick_edit": 0}
+        self.variables: list[int] = [0, 0, 0, 0]
+        self.flags: dict[str, bytes] = {}
+        self.encoder, self.temperature_C = 0, 41.0
+        self.indicators: dict[tuple[int, int], int] = {}
+        self.running, self.operations, self.exposures = False, 0, 0
+        self.requests: queue.Queue[int] = queue.Queue(_MAX_REQUESTS)
+        self.data, self.health, self.control = Publisher(), Publisher(), ControlConnections()
+        self.lock, self.closing = threading.Lock(), threading.Event()
+        self._born = time.monotonic()
+
+    @property
+    def serial(self) -> int:
+        return self.options.serial
+
+    @property
+    def generation(self) -> int:
+        return self.options.generation
+
+    @property
+    def model(self) -> str:
+        return self.faults.get("model") or self.options.model
+
+    @property
+    def part_number(self) -> str:
+        return self.options.part_number or f"31{self.model}A-2-R-01-T"
+
+    @property
+    def address(self) -> str:
+        return self.options.host if self.options.host not in ("", "0.0.0.0") else outward_address()
+
+    @property
+    def uptime_s(self) -> float:
+        return time.monotonic() - self._born
+
+    def ticks(self) -> int:
+        """The sensor's clock in the unit of time stamps."""
+        clock = self.options.clock
+        return int((clock() if clock else self.uptime_s) * TICKS_PER_S)
+
+    def drop_connections(self) -> None:
+        """Close every connection of every client; new ones are accepted."""
+        self.control.shut_down()
+        self.data.close()
+        self.health.close()
+
+
+def outward_address() -> str:
+    """The address other machines reach this one at; no packet is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+            return probe.getsockname()[0]
+        except OSError:
+            return "127.0.0.1"
