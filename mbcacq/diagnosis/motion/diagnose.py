@@ -88,7 +88,7 @@ class _Recordings:
         groups = channel_groups(runs, self.inertial, self.robot, options)
         if not groups:
             raise ConfigError(
-                "nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm, motor_tau*_Nm or i*_A beside q*_deg"
+                "nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm, motor_tau*_Nm or i*_A in addition to q*_deg"
             )
         fits: list[MotionFit] = []
         for group in groups:

@@ -94,7 +94,7 @@ class MotionModel:
         return [Variant(c, h, ids) for c, h, ids in zip(candidates, hypers, numbers, strict=True)]
 
     def set_runs(self, runs: tuple[MotionSignals, ...]) -> None:
-        """The same runs with another load; columns of the effects that follow it are made anew."""
+        """The same runs with another load; columns of the effects that follow it are computed again."""
         self.runs = runs
         for effect in self.selected:
             if effect.candidate.follows_load:

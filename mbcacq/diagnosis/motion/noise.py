@@ -2,7 +2,7 @@
 
 Three estimates of what the noise does to the normal equations. White: from the size of the residual alone. Spectral: from the
 residual's autocovariance within a second, which few data determine poorly. Segments (sandwich): however residuals are correlated within
-half a second, and with a variance that differs from place to place; with few segments to a coefficient it comes out too small. The
+half a second, and with a variance that changes along the recording; with few segments to a coefficient it comes out too small. The
 largest of the three is taken. What is known of a coefficient beforehand has a standard deviation of its own: the prior's spread is part
 of all three.
 """

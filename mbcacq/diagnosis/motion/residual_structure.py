@@ -43,8 +43,8 @@ def residual_structure(
     best = _strongest(_covariates(fit.group.name, runs, fit.group.joints[j]), used, residual, options)
     axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
     if best is None or best.share < options.least_residual_share:
-        pieces = options.residual_segments
-        return MotionMismatch(axis, channel, "time", weight, float(chi2.sf(pieces * mean_square / floor**2, pieces))), None
+        segments = options.residual_segments
+        return MotionMismatch(axis, channel, "time", weight, float(chi2.sf(segments * mean_square / floor**2, segments))), None
     share = best.share * weight
     effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, best.x, best.y)
     return MotionMismatch(axis, channel, best.covariate, share, best.p_value), effect
@@ -88,8 +88,8 @@ def _dependence(
     for test in (0, 1):
         train = half != test
         predicted[~train] = _means(bins[train], r[train], number)[bins[~train]]
-    pieces = options.residual_segments
-    before, after = (np.array([np.mean(piece**2) for piece in np.array_split(x, pieces)]) for x in (r, r - predicted))
+    errors = (np.array_split(error, options.residual_segments) for error in (r, r - predicted))
+    before, after = (np.array([np.mean(segment**2) for segment in segments]) for segments in errors)
     share = 1.0 - float(((r - predicted) ** 2).sum() / (r**2).sum())
     p = min(improvement_p_value(before, after) * covariates, 1.0)
     centres = 0.5 * (edges[1:] + edges[:-1])

@@ -97,7 +97,8 @@ def _times(trajectory: Trajectory, options: MotionOptions) -> tuple[np.ndarray, 
     if len(time) < fewest:
         raise ConfigError(f"a trajectory of {len(time)} samples is too short to diagnose; record at least {fewest}")
     if not np.all(steps > 0):
-        raise ConfigError(f"time_s does not rise at sample {int(np.argmin(steps)) + 1}; sort the recording and remove doubles")
+        sample = int(np.argmin(steps)) + 1
+        raise ConfigError(f"time_s does not rise at sample {sample}; sort the recording and remove doubles")
     return time, max(float(np.median(steps)), 1.0 / options.highest_rate_hz)
 
 

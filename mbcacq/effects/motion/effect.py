@@ -21,7 +21,7 @@ class MotionSignals:
 
     q is the motor-side angle the controller reports, smooth, qd and qdd the same and its rates by a zero-phase filter; q_set the
     command with its rates qd_set, qdd_set, qddd_set; q_joint the joint-side encoder (NaN columns where a joint has none); torque the
-    drive's torque at the joint, load the part of it that passes the gear (friction taken out); rigid the torque of the rigid-body
+    drive's torque at the joint, load the part of it that passes the gear (without friction); rigid the torque of the rigid-body
     simulation, gravity its static part, rigid_set the same torque along the command. direction: (T, n) -1..1, direction of rotation
     of the last motion. payload: (T, n, 10) torque by unit inertial parameters (``geometry.dynamics.INERTIAL``) of what rides on the
     flange. load_uncertainty: (n,) relative standard deviation of the load.
