@@ -1,8 +1,8 @@
-"""Trajectories with concealed faults, made by a fake arm in motion: what is found, what is measured, what is claimed wrongly.
+"""Simulated trajectories with injected effects, of a fake arm in motion: what is found, what is measured, what is claimed wrongly.
 
     python benchmarks/trajectories.py --challenges 100 --jobs 2 --json trajectories.json
 
-Each challenge is one arm (KR 10 R1100-2) with nothing, one, two or three faults, recorded in two motions. The figures stand in
+Each challenge is one arm (KR 10 R1100-2) with no, one, two or three effects, recorded in two motions. The figures stand in
 benchmarks/trajectories.md.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mbcacq_fakes.dynamics.recorded import recorded
 
-from mbcacq.challenge.motion import MotionResult, draw, take
+from mbcacq.challenge.motion import MotionChallengeResult, draw, run_challenge
 from mbcacq.model import shipped
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text
@@ -28,29 +28,29 @@ def robot(name: str = "kr10_r1100_2"):
     return RobotSpec.model_validate(load_yaml(read_yaml_text(path), str(path))[0]).model()
 
 
-def one(number: int) -> MotionResult:
-    return take(draw(number), robot(), recorded)
+def one(number: int) -> MotionChallengeResult:
+    return run_challenge(draw(number), robot(), recorded)
 
 
-def summary(results: list[MotionResult]) -> dict:
-    faulty = [r for r in results if any(r.matters)]
+def summary(results: list[MotionChallengeResult]) -> dict:
+    detectable = [r for r in results if any(r.detectable)]
     clean = [r for r in results if not r.truth]
-    sigmas = [v for r in results for v in r.sigmas.values()]
+    sigmas = [v for r in results for v in r.score.sigmas.values()]
     by_name: dict[str, list[int]] = {}
     for r in results:
-        for t, m in zip(r.truth, r.matters, strict=True):
+        for t, m in zip(r.truth, r.detectable, strict=True):
             if m:
                 row = by_name.setdefault(t["name"], [0, 0])
-                row[0] += f"{t['name']}:{'+'.join(t['where'])}" in r.told
+                row[0] += f"{t['name']}:{'+'.join(t['where'])}" in r.score.reported
                 row[1] += 1
     return {
         "challenges": len(results),
-        "with_faults_that_matter": len(faulty),
+        "with_detectable_effects": len(detectable),
         "clean": len(clean),
-        "detected": sum(r.verdict != "none" for r in faulty),
-        "named_and_placed_first": sum(r.named for r in faulty),
-        "with_a_false_name": sum(bool(r.extra) for r in results),
-        "clean_with_a_false_name": sum(bool(r.extra) for r in clean),
+        "detected": sum(r.verdict != "none" for r in detectable),
+        "named_and_located_first": sum(r.score.identified for r in detectable),
+        "with_a_false_name": sum(bool(r.score.false_names) for r in results),
+        "clean_with_a_false_name": sum(bool(r.score.false_names) for r in clean),
         "parameters": len(sigmas),
         "parameters_within_3_sigma": sum(s <= WITHIN for s in sigmas),
         "found_by_name": by_name,
@@ -69,11 +69,11 @@ def main() -> None:
         for r in pool.map(one, range(given.first, given.first + given.challenges)):
             results.append(r)
             truth = ", ".join(
-                f"{t['name']}:{'+'.join(t['where'])}{'' if m else ' (small)'}" for t, m in zip(r.truth, r.matters, strict=True)
+                f"{t['name']}:{'+'.join(t['where'])}{'' if m else ' (small)'}" for t, m in zip(r.truth, r.detectable, strict=True)
             )
-            far = {k: round(v, 1) for k, v in r.sigmas.items() if v > WITHIN}
-            ending = f"{r.verdict:<17} {truth or 'nothing'} | extra {r.extra} | far {far}"
-            print(f"{r.challenge.number} {'ok ' if r.named else 'MISS'} {ending}", flush=True)
+            far = {k: round(v, 1) for k, v in r.score.sigmas.items() if v > WITHIN}
+            ending = f"{r.verdict:<17} {truth or 'nothing'} | extra {r.score.false_names} | far {far}"
+            print(f"{r.challenge.number} {'ok ' if r.score.identified else 'MISS'} {ending}", flush=True)
     print(json.dumps(summary(results), indent=1))
     if given.json is not None:
         given.json.write_text(json.dumps([r.to_dict() for r in results], indent=1, default=float), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The pictures of docs/data/kr300.md: before and after, of each trajectory what the other one tells.
+"""The pictures of docs/data/kr300.md: residuals before and after, of each trajectory as predicted by the other one.
 
 python benchmarks/trajectory_figures.py ../shared/data/kr300-trajectory-a ../shared/data/kr300-trajectory-b --out docs/data
 """
@@ -60,7 +60,7 @@ def panels(folders: list[Path]) -> dict[str, list[list[tuple[str, np.ndarray, np
             rows = out.setdefault(e.group.name, [[] for _ in e.group.joints])
             for k, joint in enumerate(e.group.joints):
                 used = e.used[k][held]
-                before, after = (scale * left[k][held][used] for left in (e.before, e.after))
+                before, after = (scale * residual[k][held][used] for residual in (e.residual_before, e.residual_after))
                 if e.group.refit:
                     before, after = before - before.mean(), after - after.mean()
                 time = trajectories[held].time_s[used]

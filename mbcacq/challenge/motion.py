@@ -1,14 +1,14 @@
-"""Challenges in motion: faults drawn and concealed in a moving arm, its recordings diagnosed unseen, the envelope opened and scored."""
+"""Challenges in motion: effects drawn and injected into a moving arm, its recordings diagnosed without knowing them, and scored."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.motion_score import judge
+from mbcacq.challenge.motion_score import MotionScore, score_motion
 from mbcacq.diagnosis.motion import base_alone, diagnose_trajectories
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
@@ -26,67 +26,68 @@ CATALOGUE = (
     "payload",
     "gravity_compensator",
 )
-CLEAN, ONE, TWO = 0.15, 0.65, 0.85  # shares of challenges with nothing, at most one, at most two faults; the others have three
+NONE, ONE, TWO = 0.15, 0.65, 0.85  # cumulated shares of challenges with no, one and two effects; the others have three
 MOTIONS = 2
+ABSENT = 1e-9  # strength of an effect that is switched off while the random numbers of all others stay
+DETECTABLE = 0.9  # an effect counts if without it the held-out mean square of a joint falls below this share
 
 Record = Callable[..., Any]
 
 
 @dataclass(frozen=True)
 class MotionChallenge:
-    """number: its seed. faults: as the fake arm is told. seconds: of each motion; liveliness: share of the speed limits."""
+    """number: its seed. effects: as the fake arm takes them. seconds: of each motion; liveliness: share of the speed limits."""
 
     number: int
-    faults: tuple[dict[str, Any], ...]
+    effects: tuple[dict[str, Any], ...]
     seconds: float
     liveliness: float
 
 
 @dataclass(frozen=True)
-class MotionResult:
+class MotionChallengeResult:
+    """truth: the injected effects; detectable: which of them change a mismatch enough to be found."""
+
     challenge: MotionChallenge
     truth: list[dict[str, Any]]
-    matters: list[bool]
+    detectable: list[bool]
     verdict: str
-    told: list[str]
-    named: bool
-    extra: list[str]
-    sigmas: dict[str, float] = field(default_factory=dict)
+    score: MotionScore
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
 def draw(number: int) -> MotionChallenge:
-    """The envelope of a number, always the same."""
+    """The challenge of a number, always the same."""
     rng = np.random.default_rng([number, 4711])
     kind = rng.uniform()
-    many = 0 if kind < CLEAN else 1 if kind < ONE else 2 if kind < TWO else 3
+    many = 0 if kind < NONE else 1 if kind < ONE else 2 if kind < TWO else 3
     names = rng.choice(CATALOGUE, many, replace=False)
-    faults = tuple({"name": str(name), "strength": float(rng.uniform(0.5, 2.0))} for name in names)
-    return MotionChallenge(number, faults, float(rng.choice([10.0, 12.0, 16.0])), float(rng.uniform(0.3, 0.7)))
+    effects = tuple({"name": str(name), "strength": float(rng.uniform(0.5, 2.0))} for name in names)
+    return MotionChallenge(number, effects, float(rng.choice([10.0, 12.0, 16.0])), float(rng.uniform(0.3, 0.7)))
 
 
-def take(challenge: MotionChallenge, robot: RobotModel, record: Record) -> MotionResult:
-    """record: the fake arm's recorder (``mbcacq_fakes.dynamics.recorded.recorded``)."""
-    trajectories, truth = recordings(challenge, robot, record, challenge.faults)
-    diagnosis = diagnose_trajectories(trajectories, proof=False)
+def run_challenge(challenge: MotionChallenge, robot: RobotModel, record: Record) -> MotionChallengeResult:
+    """Record, diagnose, score. record: the fake arm's recorder (``mbcacq_fakes.dynamics.recorded.recorded``)."""
+    trajectories, truth = recordings(challenge, robot, record, challenge.effects)
+    diagnosis = diagnose_trajectories(trajectories, cross_validation=False)
     before = base_alone(trajectories)
-    matters = []
-    for i in range(len(challenge.faults)):
-        # The same arm, the same dice: only this fault is absent.
-        muted = tuple({**f, "strength": 1e-9} if k == i else f for k, f in enumerate(challenge.faults))
-        without = base_alone(recordings(challenge, robot, record, muted)[0])
-        matters.append(any(bool((without[kind] < 0.9 * before[kind]).any()) for kind in before))
-    named, extra, told, sigmas = judge(truth, matters, diagnosis)
-    return MotionResult(challenge, truth, matters, diagnosis["verdict"], told, named, extra, sigmas)
+    detectable = []
+    for i in range(len(challenge.effects)):
+        others = tuple({**e, "strength": ABSENT} if k == i else e for k, e in enumerate(challenge.effects))
+        without = base_alone(recordings(challenge, robot, record, others)[0])
+        detectable.append(any(bool((without[kind] < DETECTABLE * before[kind]).any()) for kind in before))
+    return MotionChallengeResult(challenge, truth, detectable, diagnosis.verdict, score_motion(truth, detectable, diagnosis))
 
 
 def recordings(
-    challenge: MotionChallenge, robot: RobotModel, record: Record, faults: Sequence[dict[str, Any]]
+    challenge: MotionChallenge, robot: RobotModel, record: Record, effects: Sequence[dict[str, Any]]
 ) -> tuple[list[Trajectory], list[dict[str, Any]]]:
-    made = [record(robot, faults, challenge.number, motion, challenge.seconds, challenge.liveliness) for motion in range(MOTIONS)]
-    return [
+    """The motions of a challenge with these effects, and the truth about them."""
+    runs = [record(robot, effects, challenge.number, motion, challenge.seconds, challenge.liveliness) for motion in range(MOTIONS)]
+    trajectories = [
         Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque, name=f"{challenge.number}-{k}")
-        for k, r in enumerate(made)
-    ], made[0].truth
+        for k, r in enumerate(runs)
+    ]
+    return trajectories, runs[0].truth

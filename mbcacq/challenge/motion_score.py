@@ -1,64 +1,84 @@
-"""The opened envelope of a moving arm against the diagnosis."""
+"""Score of a diagnosis of motion against the injected effects."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-TURN = {"phase_deg": 360.0}
-NEAR_ORDER = 0.5
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
+
+Truth = Mapping[str, Any]
+Location = tuple[str, tuple[str, ...]]
+
+PERIOD = {"phase_deg": 360.0}  # of a parameter that is an angle of a periodic component
+SAME_ORDER = 0.5  # periods per turn within which two periodic components are the same
 
 
-def judge(
-    truth: list[dict[str, Any]], matters: list[bool], diagnosis: dict[str, Any]
-) -> tuple[bool, list[str], list[str], dict[str, float]]:
-    """(every fault that matters is told, name and place, before anything that is not concealed; names told that were not concealed;
-    all names told; errors of parameters in stated sigmas)."""
-    effects = [e for e in diagnosis["effects"] if e["name"] != "unknown"]
-    concealed = {_place(t) for t in truth}
-    wanted = {_place(t) for t, m in zip(truth, matters, strict=True) if m}
-    told = [_place(e) for e in effects]
-    first = []
-    for place in told:
-        if place not in concealed:
+@dataclass(frozen=True)
+class MotionScore:
+    """identified: every effect that is detectable is reported, with name and location, before any that was not injected. false_names:
+    effects reported that were not injected; reported: all. sigmas: errors of parameters in stated standard deviations."""
+
+    identified: bool
+    false_names: list[str]
+    reported: list[str]
+    sigmas: dict[str, float]
+
+
+def score_motion(truth: Sequence[Truth], detectable: Sequence[bool], diagnosis: MotionDiagnosis) -> MotionScore:
+    """truth: the injected effects, each with name, where and parameters; detectable: which of them must be found."""
+    injected = {_location(t) for t in truth}
+    required = {_location(t) for t, needed in zip(truth, detectable, strict=True) if needed}
+    reported = {(e.name, e.where): e.parameters for e in diagnosis.named_effects}
+    first: list[Location] = []
+    for location in reported:
+        if location not in injected:
             break
-        first.append(place)
+        first.append(location)
     sigmas: dict[str, float] = {}
     for t in truth:
-        mine = next((e for e in effects if _place(e) == _place(t)), None)
-        if mine is not None:
-            sigmas |= {f"{t['name']}:{k}": v for k, v in _errors(t["parameters"], mine["parameters"]).items()}
-    return wanted <= set(first), [_words(p) for p in told if p not in concealed], [_words(p) for p in told], sigmas
+        if _location(t) in reported:
+            errors = _errors(t["parameters"], reported[_location(t)])
+            sigmas |= {f"{t['name']}:{key}": value for key, value in errors.items()}
+    false_names = [_text(location) for location in reported if location not in injected]
+    return MotionScore(required <= set(first), false_names, [_text(location) for location in reported], sigmas)
 
 
-def _place(effect: dict[str, Any]) -> tuple[str, tuple[str, ...]]:
-    return effect["name"], tuple(effect["where"])
+def _location(truth: Truth) -> Location:
+    return truth["name"], tuple(truth["where"])
 
 
-def _words(place: tuple[str, tuple[str, ...]]) -> str:
-    return f"{place[0]}:{'+'.join(place[1])}"
+def _text(location: Location) -> str:
+    return f"{location[0]}:{'+'.join(location[1])}"
 
 
-def _errors(truth: dict[str, Any], told: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """Worst component of each parameter; of several waves the one of the nearest order."""
+def _errors(truth: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Largest error among the components of each parameter; of several periodic components that of the nearest order counts."""
+    component = _nearest_order(truth, found)
+    if component is not None and component < 0:
+        return {}
     out = {}
-    order = next((k for k in truth if k.endswith(".order")), None)
-    pick = None
-    if order is not None and order in told:
-        orders = np.atleast_1d(told[order]["value"])
-        pick = int(np.argmin(np.abs(orders - truth[order])))
-        if abs(orders[pick] - truth[order]) > NEAR_ORDER:
-            return {}
-    for key, true in truth.items():
-        if key not in told:
-            continue
-        value, std = np.atleast_1d(told[key]["value"]).astype(float), np.atleast_1d(told[key]["std"]).astype(float)
-        if pick is not None:
-            value, std = value[[pick]], std[[pick]]
-        away = value - np.atleast_1d(true)
-        turn = TURN.get(key.rpartition(".")[2])
-        away = (away + turn / 2) % turn - turn / 2 if turn else away
+    for key in [k for k in truth if k in found]:
+        value, std = (np.atleast_1d(found[key][part]).astype(float) for part in ("value", "std"))
+        if component is not None:
+            value, std = value[[component]], std[[component]]
+        error = value - np.atleast_1d(truth[key])
+        period = PERIOD.get(key.rpartition(".")[2])
+        if period is not None:
+            error = (error + period / 2) % period - period / 2
         if (std > 0).all():
-            out[key] = float(np.max(np.abs(away) / std))
+            out[key] = float(np.max(np.abs(error) / std))
     return out
+
+
+def _nearest_order(truth: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> int | None:
+    """Which of several periodic components is meant, -1 if none is near; None for an effect without an order."""
+    key = next((k for k in truth if k.endswith(".order")), None)
+    if key is None or key not in found:
+        return None
+    distances = np.abs(np.atleast_1d(found[key]["value"]) - truth[key])
+    nearest = int(np.argmin(distances))
+    return nearest if distances[nearest] <= SAME_ORDER else -1

@@ -46,11 +46,11 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
 
 def diagnose_in_time(folders: tuple[Path, ...]) -> tuple[dict, str]:
     from mbcacq.diagnosis.motion import diagnose_trajectories
-    from mbcacq.diagnosis.motion.text import trajectory_words
+    from mbcacq.diagnosis.motion.text import motion_text
     from mbcacq.recording import read_trajectory_set
 
-    content = diagnose_trajectories([read_trajectory_set(folder) for folder in folders])
-    return content, trajectory_words(content)
+    diagnosis = diagnose_trajectories([read_trajectory_set(folder) for folder in folders])
+    return diagnosis.to_json(), motion_text(diagnosis)
 
 
 def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: int | None) -> tuple[dict, str]:
@@ -93,8 +93,8 @@ def beside_motion(data: Path, content: dict, text: str) -> tuple[dict, str]:
     if not stretches:
         return content, text
     click.echo("comparing the motion between the poses ...", err=True)
-    content = combine.joined(content, diagnose_trajectories(stretches))
-    return content, combine.words(content, text)
+    motion = diagnose_trajectories(stretches)
+    return combine.combined(content, motion), combine.combined_text(content, text, motion)
 
 
 def is_run(data: Path) -> bool:

@@ -1,63 +1,76 @@
-"""A run has both: poses at standstill and the motion between them. What was found in both must agree."""
+"""A run has both: poses at standstill and the motion between them. A parameter found in both must agree."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.text import trajectory_words
+from mbcacq.diagnosis.motion.options import DEFAULTS
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.output.text import number
 
-AGREE = 3.0  # sigmas
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard deviation."""
+
+    value: float
+    std: float
+
+    def __str__(self) -> str:
+        return f"{number(self.value)} +- {number(self.std)}"
 
 
-def joined(poses: dict[str, Any], motion: dict[str, Any]) -> dict[str, Any]:
-    """The diagnosis of the poses with that of the motion beside it (``motion``), and what both measured (``agreement``)."""
-    return poses | {"motion": motion, "agreement": agreement(poses, motion)}
+@dataclass(frozen=True)
+class ParameterAgreement:
+    """A parameter of an effect that was found in the poses and in the motion. sigmas: their distance in combined standard deviations."""
+
+    name: str
+    parameter: str
+    poses: Estimate
+    motion: Estimate
+    sigmas: float
+    agrees: bool
 
 
-def agreement(poses: dict[str, Any], motion: dict[str, Any]) -> list[dict[str, Any]]:
-    """Every parameter that both told: its two values with their standard deviations, how many sigmas they are apart, whether they agree."""
-    told = {(e["name"], key): p for e in motion["effects"] for key, p in e["parameters"].items()}
+def combined(poses: dict[str, Any], motion: MotionDiagnosis) -> dict[str, Any]:
+    """The JSON of the pose diagnosis with that of the motion (``motion``), and what both found (``agreement``)."""
+    return poses | {"motion": motion.to_json(), "agreement": [asdict(a) for a in agreement(poses, motion)]}
+
+
+def agreement(poses: dict[str, Any], motion: MotionDiagnosis, sigmas: float = DEFAULTS.agreement_sigmas) -> list[ParameterAgreement]:
+    """Every parameter that both found, as single numbers. poses: JSON of the pose diagnosis; sigmas: within which two values agree."""
+    found = {(e.name, key): p for e in motion.effects for key, p in e.parameters.items()}
     out = []
     for effect in poses["effects"]:
-        for key, mine in effect["parameters"].items():
-            other = told.get((effect["name"], key))
-            values = None if other is None else [mine.get("value"), mine.get("std"), other.get("value"), other.get("std")]
-            if values is None or any(v is None or np.ndim(v) for v in values):
+        for key, entry in effect["parameters"].items():
+            mine, other = _estimate(entry), _estimate(found.get((effect["name"], key), {}))
+            if mine is None or other is None:
                 continue
-            apart = abs(values[0] - values[2]) / max(float(np.hypot(values[1], values[3])), 1e-300)
-            out.append(
-                {
-                    "name": effect["name"],
-                    "parameter": key,
-                    "poses": {"value": values[0], "std": values[1]},
-                    "motion": {"value": values[2], "std": values[3]},
-                    "sigmas": float(apart),
-                    "agrees": bool(apart <= AGREE),
-                }
-            )
+            distance = float(abs(mine.value - other.value) / max(float(np.hypot(mine.std, other.std)), 1e-300))
+            out.append(ParameterAgreement(effect["name"], key, mine, other, distance, distance <= sigmas))
     return out
 
 
-def words(content: dict[str, Any], poses: str) -> str:
-    """poses: the text of the pose diagnosis."""
-    lines = [
-        "Poses, at standstill",
-        "====================",
-        poses,
-        "",
-        "Motion, between the poses",
-        "=========================",
-        trajectory_words(content["motion"]),
-    ]
-    if content["agreement"]:
+def _estimate(entry: Any) -> Estimate | None:
+    """None for a parameter that is missing, not finite or a list."""
+    value, std = entry.get("value"), entry.get("std")
+    return None if value is None or std is None or np.ndim(value) or np.ndim(std) else Estimate(value, std)
+
+
+def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:
+    """poses, text: the pose diagnosis as JSON and in words."""
+    lines = ["Poses, at standstill", "====================", text, ""]
+    lines += ["Motion, between the poses", "=========================", motion_text(motion)]
+    found = agreement(poses, motion)
+    if found:
         lines += ["", "Found in both:"]
         lines += [
-            f"  {a['parameter']}: {number(a['poses']['value'])} +- {number(a['poses']['std'])} from the poses, "
-            f"{number(a['motion']['value'])} +- {number(a['motion']['std'])} from the motion: "
-            f"{'they agree' if a['agrees'] else 'they do not agree'} ({a['sigmas']:.1f} sigma)"
-            for a in content["agreement"]
+            f"  {a.parameter}: {a.poses} from the poses, {a.motion} from the motion: "
+            f"{'they agree' if a.agrees else 'they do not agree'} ({a.sigmas:.1f} sigma)"
+            for a in found
         ]
     return "\n".join(lines)

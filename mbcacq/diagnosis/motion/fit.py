@@ -1,174 +1,208 @@
-"""The chosen effects fitted to everything: parameters with uncertainty, continuous hyper-parameters among them, and what is left."""
+"""The selected effects fitted to all data: parameters with uncertainty, continuous hyper-parameters among them, and the residuals."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
-from mbcacq.diagnosis.motion.hyperparameters import refine, slopes
-from mbcacq.diagnosis.motion.load_uncertainty import load_doubt
-from mbcacq.diagnosis.motion.noise import covariance
-from mbcacq.diagnosis.motion.normal_store import NormalStore
-from mbcacq.diagnosis.motion.time_alignment import lateness
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate
+from mbcacq.diagnosis.motion.channel_delay import shift_difference
+from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
+from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
+from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
+from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
+from mbcacq.effects.motion.effect import ChannelGroup, Parameters
+
+ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 
 
 @dataclass(frozen=True)
-class FoundTerm:
-    """One effect of the catalogue at one place, with all its refinements. held_before, held_after: (J,) mean square without and with.
+class FitStep:
+    """One form of an effect, in the order of selection. adds: names of its parameters; before, after: (J,) held-out mean square."""
 
-    steps: what each part of it gained, in the order taken. contributions: (T,) per run and joint of the group, what it adds.
+    adds: list[str]
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True)
+class FittedEffect:
+    """One effect of the catalogue at one location, with all its forms.
+
+    gain: (J,) reduction of the held-out mean square. contributions: (T,) by joint of the group and run, what it adds to the mismatch.
     """
 
     name: str
-    where: list[str]
+    where: tuple[str, ...]
     depends_on: str
-    parameters: dict[str, dict]
+    parameters: Parameters
     p_value: float
     joints: tuple[int, ...]
     gain: np.ndarray
-    steps: list[dict]
-    rivals: list[dict]
-    contributions: list[list[np.ndarray]]
+    steps: list[FitStep]
+    alternatives: list[AlternativeEffect]
+    contributions: ByRun
 
 
 @dataclass(frozen=True)
 class MotionFit:
-    """A group with what was found. before, after: left per joint and run by the base alone and with all effects; used: which samples
-    count. links: torque (T,) per joint and run by which the links differ from their description, as fitted; load_doubt:
-    (J,) relative standard deviation of the torque that passes the gear. held_start, held_end,
-    train_start, train_end: (J,) mean squares."""
+    """A group of channels with the effects found.
+
+    residual_before, residual_after: with the base alone and with all effects; used: which samples count. links: torque by which the
+    links differ from their description, as fitted; load_uncertainty: (J,) relative standard deviation of the torque that passes the
+    gear. held_out_before, held_out_after, train_before, train_after: (J,) mean squares; floor: (J,) standard deviation of the
+    channels' noise.
+    """
 
     group: ChannelGroup
-    found: list[FoundTerm]
-    before: list[list[np.ndarray]]
-    after: list[list[np.ndarray]]
-    used: list[list[np.ndarray]]
-    held_start: np.ndarray
-    held_end: np.ndarray
-    train_start: np.ndarray
-    train_end: np.ndarray
+    effects: list[FittedEffect]
+    residual_before: ByRun
+    residual_after: ByRun
+    used: ByRun
+    held_out_before: np.ndarray
+    held_out_after: np.ndarray
+    train_before: np.ndarray
+    train_after: np.ndarray
+    floor: np.ndarray
     split: str
-    links: list[list[np.ndarray]]
-    load_doubt: np.ndarray
+    links: ByRun
+    load_uncertainty: np.ndarray
 
 
-def conclude(selection: ForwardSelection) -> MotionFit:
-    ledger = selection.ledger
-    refine(selection)
-    delay = ledger.delay
-    ledger.retime(0.0)  # what there was to explain is what was recorded
-    start = np.array(ledger.base)
-    x0 = ledger.solve(ledger.normal(selection.weights(start)), start)
-    before, train_start = _left(selection, start, x0), ledger.errors(start, x0).sum(axis=0)
-    ledger.retime(delay)
-    chosen = selection.chosen()
-    weights = selection.weights(chosen)
-    N = ledger.normal(weights)
-    x = ledger.solve(N, chosen)
-    held = selection.mean_square(selection.held(weights, chosen))
-    slope = slopes(selection, chosen, x)
-    ids = np.concatenate([chosen, *(i for _, i in slope)]).astype(int)
-    everything = np.concatenate([x, np.zeros(len(slope))])
-    # A part held out tells a prediction, not how sure it is: there the quicker estimate does.
-    spread = (covariance if ledger.whole else NormalStore.covariance)(ledger, weights, ids, everything)
-    hyper_std = {id(t): float(np.sqrt(max(spread[len(chosen) + k, len(chosen) + k], 0.0))) for k, (t, _) in enumerate(slope)}
-    position = {int(c): i for i, c in enumerate(chosen)}
-    found = _found(selection, x, spread, position, hyper_std)
-    n = np.maximum(ledger.count.sum(axis=0), 1.0)
+def fit_selected(selection: ForwardSelection) -> MotionFit:
+    """Fit what was selected to all data that take part."""
+    model = selection.model
+    store, joints = model.store, range(len(model.group.joints))
+    estimate_hyperparameters(model)
+    residual_before, train_before = _base_alone(model)
+    chosen = model.chosen()
+    weights = model.weights(chosen)
+    x = store.solve(store.normal(weights), chosen)
+    held_out = model.held_out_mean_square(chosen, model.fold_normals(weights))
+    spread = _covariance(model, weights, chosen, x)
+    n = np.maximum(store.count.sum(axis=0), 1.0)
     result = MotionFit(
-        selection.group,
-        found,
-        before,
-        _left(selection, chosen, x),
-        [[u[:, k] for u in selection.group.use] for k in range(len(selection.group.joints))],
-        selection.mean_square(selection.start),
-        held,
-        train_start / n,
-        ledger.errors(chosen, x).sum(axis=0) / n,
-        ledger.split,
-        _links(selection, x),
-        load_doubt(selection, chosen, x, spread),
+        model.group,
+        _effects(model, x, spread),
+        residual_before,
+        _residuals(model, chosen, x),
+        [[use[:, j] for use in model.group.use] for j in joints],
+        selection.start,
+        held_out,
+        train_before / n,
+        store.errors(chosen, x).sum(axis=0) / n,
+        model.floor,
+        store.split,
+        _links(model, x),
+        load_uncertainty(model, chosen, x, spread),
     )
-    ledger.forget(selection.mark)
+    selection.pool.forget_step()
     return result
 
 
-def _left(selection: ForwardSelection, chosen: np.ndarray, x: np.ndarray) -> list[list[np.ndarray]]:
-    out = []
-    for k in range(len(selection.group.joints)):
-        left = selection.ledger.residual(k, chosen, x)
-        out.append([left[selection.ledger.slices(r)] for r in range(len(selection.runs))])
+def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
+    """Residuals and squared errors (J,) of the base, with the channel as it was recorded."""
+    store, delay = model.store, model.store.delay
+    store.correct_delay(0.0)
+    base = np.array(store.base)
+    x = store.solve(store.normal(model.weights(base)), base)
+    out = _residuals(model, base, x), store.errors(base, x).sum(axis=0)
+    store.correct_delay(delay)
     return out
 
 
-def _links(selection: ForwardSelection, x: np.ndarray) -> list[list[np.ndarray]]:
-    group, n, J = selection.group, selection.runs[0].q.shape[1], len(selection.group.joints)
+def _covariance(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Of the coefficients x, then of the continuous hyper-parameters, all together."""
+    store = model.store
+    derivatives = add_derivatives(model, chosen, x)
+    ids = np.concatenate([chosen, *derivatives]).astype(int)
+    everything = np.concatenate([x, np.zeros(len(derivatives))])
+    if store.whole:
+        return covariance(store, weights, ids, everything, model.options.correlation_s)
+    return sandwich_covariance(store, weights, ids, everything)  # with a part held out only the prediction is used: the quicker one does
+
+
+def _residuals(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> ByRun:
+    out = []
+    for j in range(len(model.group.joints)):
+        residual = model.store.residual(j, chosen, x)
+        out.append([residual[model.store.slices(run)] for run in range(len(model.runs))])
+    return out
+
+
+def _links(model: MotionModel, x: np.ndarray) -> ByRun:
+    group, n, J = model.group, model.runs[0].q.shape[1], len(model.group.joints)
     if group.name != "tau":
-        return [[np.zeros(len(r.q)) for r in selection.runs] for _ in group.joints]
-    inertial = x[J : len(selection.ledger.base) - n]  # the base: an offset a joint, inertial parameters, one column a rotor
-    return [[group.base[r][:, k, :-n] @ inertial for r in range(len(selection.runs))] for k in range(J)]
+        return [[np.zeros(len(run.q)) for run in model.runs] for _ in group.joints]
+    inertial = x[J : len(model.store.base) - n]  # the base: an offset a joint, inertial parameters, one column a rotor
+    return [[group.base[run][:, j, :-n] @ inertial for run in range(len(model.runs))] for j in range(J)]
 
 
-def _found(selection: ForwardSelection, x: np.ndarray, spread: np.ndarray, position: dict[int, int], hyper_std: dict) -> list[FoundTerm]:
-    out: dict[tuple, FoundTerm] = {}
-    for t in selection.taken:
-        at = [position[int(i)] for i in t.variant.ids]
-        c, v = x[at], spread[np.ix_(at, at)]
-        told = t.candidate.report(c, v, t.variant.hyper, hyper_std.get(id(t), 0.0))
-        added = _late(selection, t, c) if t.candidate.tuned else _contribution(selection, t.candidate, t.variant.hyper, c)
-        step = {"adds": list(told), "before": t.before.tolist(), "after": t.after.tolist()}
-        key = t.candidate.place
-        if key not in out:
-            out[key] = FoundTerm(
-                t.candidate.name,
-                list(t.candidate.where),
-                t.candidate.depends_on,
-                told,
-                t.p_value,
-                t.candidate.joints,
-                t.before - t.after,
-                [step],
-                t.rivals,
-                added,
-            )
-            continue
-        mine = out[key]
-        added = [[a + b for a, b in zip(p, q, strict=True)] for p, q in zip(mine.contributions, added, strict=True)]
-        out[key] = FoundTerm(
-            mine.name,
-            mine.where,
-            mine.depends_on,
-            _join(mine.parameters, told),
-            min(mine.p_value, t.p_value),
-            mine.joints,
-            mine.gain + t.before - t.after,
-            [*mine.steps, step],
-            mine.rivals,
-            added,
-        )
+def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
+    chosen = model.chosen()
+    position = {int(c): i for i, c in enumerate(chosen)}
+    continuous = continuous_effects(model)
+    out: dict[tuple, FittedEffect] = {}
+    for effect in model.selected:
+        hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
+        hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
+        at = [position[int(i)] for i in effect.variant.ids]
+        fitted = _fitted(model, effect, x[at], spread[np.ix_(at, at)], hyper_std)
+        known = out.get(effect.candidate.location)
+        out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
     return list(out.values())
 
 
-def _join(one: dict, other: dict) -> dict:
-    """Parameters of both; what both have (several waves) becomes lists."""
+def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
+    candidate = effect.candidate
+    parameters = candidate.report(c, v, effect.variant.hyper, hyper_std)
+    return FittedEffect(
+        candidate.name,
+        candidate.where,
+        candidate.depends_on,
+        parameters,
+        effect.p_value,
+        candidate.joints,
+        effect.before - effect.after,
+        [FitStep(list(parameters), effect.before, effect.after)],
+        effect.alternatives,
+        _delayed(model, effect, c) if candidate.channel_delay else _contribution(model, effect, c),
+    )
+
+
+def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
+    """An effect with one form more."""
+    added = zip(first.contributions, other.contributions, strict=True)
+    (step,) = other.steps
+    return replace(
+        first,
+        parameters=_joined_parameters(first.parameters, other.parameters),
+        p_value=min(first.p_value, other.p_value),
+        gain=first.gain + step.before - step.after,
+        steps=[*first.steps, *other.steps],
+        contributions=[[a + b for a, b in zip(p, q, strict=True)] for p, q in added],
+    )
+
+
+def _joined_parameters(one: Parameters, other: Parameters) -> Parameters:
+    """Parameters of both; those that both have (several periodic components) become lists."""
     out = dict(one)
     for key, entry in other.items():
         out[key] = entry if key not in one else {k: [*np.atleast_1d(one[key][k]).tolist(), entry[k]] for k in ("value", "std")}
     return out
 
 
-def _contribution(selection: ForwardSelection, candidate: MotionCandidate, hyper: float | None, c: np.ndarray) -> list[list[np.ndarray]]:
+def _contribution(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
+    candidate = effect.candidate
     return [
-        [candidate.columns(run, joint, hyper) @ c if joint in candidate.joints else np.zeros(len(run.q)) for run in selection.runs]
-        for joint in selection.group.joints
+        [candidate.columns(run, j, effect.variant.hyper) @ c if j in candidate.joints else np.zeros(len(run.q)) for run in model.runs]
+        for j in model.group.joints
     ]
 
 
-def _late(selection: ForwardSelection, t: SelectedEffect, c: np.ndarray) -> list[list[np.ndarray]]:
+def _delayed(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
+    delay, signals = effect.variant.value + float(c[0]), model.group.signal
     return [
-        [-lateness(selection.group, run, k, place, t.variant.hyper + float(c[0])) for k, run in enumerate(selection.runs)]
-        for place in range(len(selection.group.joints))
+        [-shift_difference(signals[k][:, j], run.step_s, delay) for k, run in enumerate(model.runs)] for j in range(len(model.group.joints))
     ]

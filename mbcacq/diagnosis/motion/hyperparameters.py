@@ -3,93 +3,91 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.time_alignment import fitted, settle
-from mbcacq.effects.motion.effect import OF_THE_DRIVE
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.time_alignment import estimate_delay
+from mbcacq.effects.motion.effect import MOTOR_SIDE_EFFECTS, MotionCandidate
 
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
-
-ROUNDS = 4
-SMALL = 1e-3  # relative step of a hyper-parameter for its derivative
+SMALLEST_HYPER = 1e-9  # of a numerical derivative's relative step
 
 
-def refine(selection: ForwardSelection) -> None:
+def estimate_hyperparameters(model: MotionModel) -> None:
     """Gauss-Newton on the continuous hyper-parameters, all coefficients refitted, within the spacing of what was tried."""
-    ledger = selection.ledger
-    settle(selection)
-    renew(selection)
-    free = [t for t in selection.taken if t.variant.hyper is not None and t.candidate.refine]
+    estimate_delay(model)
+    update_load(model)
+    free = continuous_effects(model)
     if not free:
         return
-    spans = {id(t): _neighbours(t) for t in free}
-    best = None
-    for _ in range(ROUNDS):
-        chosen = selection.chosen()
-        weights = selection.weights(chosen)
-        x = ledger.solve(ledger.normal(weights), chosen)
-        cost = float(np.log(np.maximum(ledger.errors(chosen, x).sum(axis=0), 1e-300)) @ ledger.count.sum(axis=0))
-        if best is not None and cost > best:
+    bounds = [_neighbours(effect) for effect in free]
+    store, best = model.store, None
+    for _ in range(model.options.hyper_rounds):
+        chosen = model.chosen()
+        weights = model.weights(chosen)
+        x = store.solve(store.normal(weights), chosen)
+        deviance = float(np.log(np.maximum(store.errors(chosen, x).sum(axis=0), 1e-300)) @ store.count.sum(axis=0))
+        if best is not None and deviance > best:
             break
-        best = cost
-        mark = len(ledger.prior)
-        slope = slopes(selection, chosen, x)
-        ids = np.concatenate([chosen, *(i for _, i in slope)]).astype(int)
-        step = ledger.solve(ledger.normal(weights), ids)[len(chosen) :]
-        ledger.forget(mark)
-        for (t, _), s in zip(slope, step, strict=True):
-            low, high = spans[id(t)]
-            t.variant.hyper = float(np.clip(t.variant.hyper + s, low, high))
-            t.variant.ids = ledger.candidate(t.candidate, t.variant.hyper)
-    settle(selection)
-    renew(selection)
+        best = deviance
+        mark = len(store.prior)
+        ids = np.concatenate([chosen, *add_derivatives(model, chosen, x)]).astype(int)
+        steps = store.solve(store.normal(weights), ids)[len(chosen) :]
+        store.forget(mark)
+        for effect, step, (low, high) in zip(free, steps, bounds, strict=True):
+            hyper = float(np.clip(effect.variant.value + step, low, high))
+            effect.at(hyper, model.add(effect.candidate, hyper))
+    estimate_delay(model)
+    update_load(model)
 
 
-def renew(selection: ForwardSelection) -> None:
-    """Effects that follow the load see it as it is now known, no longer as the arm is described."""
-    by_load = [t for t in selection.taken if t.candidate.by_load]
-    if not by_load:
+def continuous_effects(model: MotionModel) -> list[SelectedEffect]:
+    """The selected effects whose hyper-parameter is estimated."""
+    return [e for e in model.selected if e.variant.hyper is not None and e.candidate.continuous]
+
+
+def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> list[np.ndarray]:
+    """For each of ``continuous_effects`` add the column d(effect)/d(hyper) to the store. Returns their numbers.
+
+    x: coefficients of the columns ``chosen``.
+    """
+    position = {int(c): i for i, c in enumerate(chosen)}
+    out = []
+    for effect in continuous_effects(model):
+        c = x[[position[int(i)] for i in effect.variant.ids]]
+        h = effect.variant.value
+        d = model.options.hyper_step * max(abs(h), SMALLEST_HYPER)
+        columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.joints]
+        out.append(model.store.add(model.joint_indices(effect.candidate), columns))
+    return out
+
+
+def _derivative(model: MotionModel, candidate: MotionCandidate, joint: int, h: float, d: float, c: np.ndarray) -> np.ndarray:
+    """(Ttot, 1) by a central difference of step d about the value h; c: coefficients (k,)."""
+    rates = [(candidate.columns(run, joint, h + d) - candidate.columns(run, joint, h - d)) @ c / (2 * d) for run in model.runs]
+    return np.concatenate(rates)[:, None]
+
+
+def update_load(model: MotionModel) -> None:
+    """Let effects that follow the load see it as it is now known, no longer as the arm is described."""
+    if not any(effect.candidate.follows_load for effect in model.selected):
         return
-    x = fitted(selection)
-    position = {int(c): i for i, c in enumerate(selection.chosen())}
+    x = model.coefficients()
     runs = []
-    for k, run in enumerate(selection.runs):
+    for k, run in enumerate(model.runs):
+        assert run.rigid is not None, "effects that follow the load are offered for torques only"
         load = run.rigid.copy()
-        for place, joint in enumerate(selection.group.joints):
-            load[:, joint] += selection.simulated(place, k, x, position, OF_THE_DRIVE, rotors=False)
+        for j, joint in enumerate(model.group.joints):
+            load[:, joint] += model.simulated(j, k, x, without=MOTOR_SIDE_EFFECTS, rotors=False)
         runs.append(replace(run, load=load))
-    selection.runs = selection.ledger.runs = tuple(runs)
-    for t in by_load:
-        columns = [selection.ledger.columns(t.candidate, j, t.variant.hyper) for j in t.candidate.joints]
-        selection.ledger.replace(t.variant.ids, [selection.group.joints.index(j) for j in t.candidate.joints], columns)
+    model.set_runs(tuple(runs))
 
 
-def _neighbours(t: SelectedEffect) -> tuple[float, float]:
-    values = np.sort(t.candidate.hyper)
-    k = int(np.argmin(np.abs(values - t.variant.hyper)))
+def _neighbours(effect: SelectedEffect) -> tuple[float, float]:
+    """The values tried next to the present one; beyond the largest, one more step."""
+    assert effect.candidate.hyper is not None
+    values = np.sort(effect.candidate.hyper)
+    k = int(np.argmin(np.abs(values - effect.variant.value)))
     low = values[k - 1] if k else values[0]
     high = values[k + 1] if k + 1 < len(values) else 2 * values[-1] - values[-2]
     return float(low), float(high)
-
-
-def slopes(selection: ForwardSelection, chosen: np.ndarray, x: np.ndarray) -> list[tuple[SelectedEffect, np.ndarray]]:
-    """Per continuous hyper-parameter the column d(effect)/d(hyper), added to the ledger."""
-    position = {int(c): i for i, c in enumerate(chosen)}
-    out = []
-    for t in selection.taken:
-        if t.variant.hyper is None or not t.candidate.refine:
-            continue
-        c = x[[position[int(i)] for i in t.variant.ids]]
-        h, d = t.variant.hyper, SMALL * max(abs(t.variant.hyper), 1e-9)
-        places = [selection.group.joints.index(j) for j in t.candidate.joints]
-        columns = [
-            np.concatenate([(t.candidate.columns(r, j, h + d) - t.candidate.columns(r, j, h - d)) @ c / (2 * d) for r in selection.runs])[
-                :, None
-            ]
-            for j in t.candidate.joints
-        ]
-        out.append((t, selection.ledger.add(places, columns)))
-    return out

@@ -1,39 +1,40 @@
-"""The load on a gear is itself an estimate: by how much it may be off."""
+"""Relative uncertainty of the torque that passes a gear, which is itself an estimate."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from mbcacq.effects.motion.effect import OF_THE_DRIVE
-
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
+from mbcacq.diagnosis.motion.motion_model import MotionModel
+from mbcacq.effects.motion.effect import MOTOR_SIDE_EFFECTS
 
 
-def load_doubt(selection: ForwardSelection, chosen: np.ndarray, x: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """(J,) by what share the load may be off that winds up a gear: of the links' torque and of what effects add behind the gear, that part
-    which goes with the load itself. chosen, x: what stands and its coefficients, spread: their covariance."""
-    if selection.group.name != "tau":
-        return np.zeros(len(selection.group.joints))
+def load_uncertainty(model: MotionModel, chosen: np.ndarray, x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(J,) relative standard deviation of the load: of the links' torque and of the effects behind the gear, that part which is
+    proportional to the load itself.
+
+    chosen, x: columns and their coefficients, covariance: (c, c) theirs.
+    """
+    if model.group.name != "tau":
+        return np.zeros(len(model.group.joints))
     out = []
-    for place in range(len(selection.group.joints)):
-        load, columns, at = _load(selection, place, chosen, x)
-        present = selection.ledger.present(place)
+    for j in range(len(model.group.joints)):
+        load, columns, at = _load(model, j, chosen, x)
+        present = model.store.present(j)
         load = load - present * load.sum() / max(present.sum(), 1.0)
         share = load @ columns / max(float(load @ load), 1e-300)
-        out.append(np.sqrt(max(float(share @ spread[np.ix_(at, at)] @ share), 0.0)))
+        out.append(np.sqrt(max(float(share @ covariance[np.ix_(at, at)] @ share), 0.0)))
     return np.array(out)
 
 
-def _load(selection: ForwardSelection, place: int, chosen: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The torque that passes a gear (Ttot,), zero where a sample takes no part; the columns (Ttot, k) by which it was adapted, and where
-    they stand in ``chosen``."""
-    group, ledger = selection.group, selection.ledger
-    behind = {int(i) for i in ledger.base[len(group.joints) : -selection.runs[0].q.shape[1]]}
-    behind |= {int(i) for t in selection.taken if t.candidate.name not in OF_THE_DRIVE for i in t.variant.ids}
-    columns, at = ledger.taking_part(place, chosen)
-    mine = np.array([i for i, number in enumerate(chosen[at]) if int(number) in behind], dtype=int)
-    rigid = np.concatenate([r.rigid[:, group.joints[place]] for r in selection.runs]) * ledger.present(place)
-    return rigid + columns[:, mine] @ x[at[mine]], columns[:, mine], at[mine]
+def _load(model: MotionModel, j: int, chosen: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The torque that passes a gear (Ttot,), zero where a sample takes no part; the columns (Ttot, k) by which it was fitted, and their
+    positions in ``chosen``."""
+    group, store = model.group, model.store
+    links = store.base[len(group.joints) : -model.runs[0].q.shape[1]]  # the first are offsets, the last the rotors
+    behind_gear = {int(i) for i in links}
+    behind_gear |= {int(i) for e in model.selected if e.candidate.name not in MOTOR_SIDE_EFFECTS for i in e.variant.ids}
+    columns, at = store.training_columns(j, chosen)
+    own = np.array([i for i, number in enumerate(chosen[at]) if int(number) in behind_gear], dtype=int)
+    rigid = [run.rigid[:, group.joints[j]] for run in model.runs if run.rigid is not None]
+    load = np.concatenate(rigid) * store.present(j)
+    return load + columns[:, own] @ x[at[own]], columns[:, own], at[own]

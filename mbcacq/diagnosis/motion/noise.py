@@ -1,63 +1,100 @@
-"""How far coefficients may be off: what is left after a fit is coloured, and samples that go together are not so many witnesses.
+"""Noise of a channel, and the uncertainty of coefficients that are fitted in coloured noise.
 
-Three estimates of what the noise does to the normal equations. White: by how much is left alone. Spectral: by how what is left goes
-together within a second, which few data tell well. Pieces (sandwich): however it goes together within half a second, and louder in
-some places than in others; but with few pieces to a coefficient it comes out too small. None may be undercut. What is known of a
-coefficient beforehand is known only so well: the prior's own spread is part of all three.
+Three estimates of what the noise does to the normal equations. White: from the size of the residual alone. Spectral: from the
+residual's autocovariance within a second, which few data determine poorly. Segments (sandwich): however residuals are correlated within
+half a second, and with a variance that changes along the recording; with few segments to a coefficient it comes out too small. The
+largest of the three is taken. What is known of a coefficient beforehand has a standard deviation of its own: the prior's spread is part
+of all three.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.linalg import cho_solve
 
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.normal_store import NormalStore
-
-TOGETHER_S = 1.0  # what is left further apart than that counts as independent
+from mbcacq.diagnosis.motion.normal_store import MISMATCH, NormalStore
 
 
-def covariance(ledger: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(c, c) of the coefficients x of the columns ``chosen``; weights: (J,) one over the mean square left."""
-    factor, scale = ledger.factor(ledger.normal(weights), chosen)
-    inverse = cho_solve(factor, np.eye(len(chosen)), check_finite=False) * np.outer(scale, scale)
-    known = np.diag(1.0 / np.array(ledger.prior)[chosen] ** 2)
-    white = inverse * max(float((ledger.errors(chosen, x) @ weights).sum()) / max(ledger.count.sum() - len(chosen), 1.0), 1.0)
-    scores = ledger.scores(weights, chosen, x)
-    n = len(scores)
-    pieces = inverse @ (scores.T @ scores * n / max(n - 1, 1) + known) @ inverse
-    coloured = inverse @ (_spectral(ledger, weights, chosen, x) + known) @ inverse
-    least = np.maximum(np.maximum(np.diag(white), np.diag(pieces)), np.diag(coloured))
+def third_difference_noise(signals: tuple[np.ndarray, ...]) -> float:
+    """Standard deviation of white noise on smooth signals (T,), from the median of their third differences."""
+    third = np.concatenate([np.diff(m, 3) for m in signals])
+    return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-12)
+
+
+def covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray, correlation_s: float) -> np.ndarray:
+    """(c, c) of the coefficients x of the columns ``chosen``; weights: (J,) one over the mean square of the residual.
+
+    correlation_s: residuals further apart than that count as independent.
+    """
+    inverse = _inverse(store, weights, chosen)
+    known = np.diag(1.0 / np.array(store.prior)[chosen] ** 2)
+    white = inverse * max(_chi2_dof(store, weights, chosen, x), 1.0)
+    by_segment = inverse @ (_spread_of_scores(store, weights, chosen, x) + known) @ inverse
+    coloured = inverse @ (_spectral(store, weights, chosen, x, correlation_s) + known) @ inverse
+    least = np.maximum(np.maximum(np.diag(white), np.diag(by_segment)), np.diag(coloured))
     grow = np.sqrt(least / np.maximum(np.diag(coloured), 1e-300))
     return coloured * np.outer(grow, grow)
 
 
-def _spectral(ledger: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(c, c) spread of the scores, from the autocovariance of what is left of each joint (Bartlett's window)."""
+def sandwich_covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """(c, c) from segments that count as independent, never less than for white noise; quicker than ``covariance``."""
+    inverse = _inverse(store, weights, chosen)
+    robust = inverse @ _spread_of_scores(store, weights, chosen, x) @ inverse
+    least = np.diag(inverse * max(_chi2_dof(store, weights, chosen, x), 1e-300))
+    known = np.maximum(np.diag(robust), 1e-9 * least + 1e-300)
+    grow = np.sqrt(np.maximum(least / known, 1.0))
+    return robust * np.outer(grow, grow) + np.diag(np.maximum(least - np.diag(robust) * grow**2, 0.0))
+
+
+def _inverse(store: NormalStore, weights: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    factor, scale = store.factor(store.normal(weights), chosen)
+    return cho_solve(factor, np.eye(len(chosen)), check_finite=False) * np.outer(scale, scale)
+
+
+def _chi2_dof(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> float:
+    return float((store.errors(chosen, x) @ weights).sum()) / max(store.count.sum() - len(chosen), 1.0)
+
+
+def _spread_of_scores(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """(c, c) from the scores of segments: weighted residual times each column, summed over each segment."""
+    scores = np.zeros((len(store.segments), len(chosen)))
+    position = store.positions(chosen)
+    for j, numbers in enumerate(store.numbers):
+        own = np.flatnonzero((numbers >= 0) & (position[numbers] >= 0))
+        full = np.zeros(len(numbers))
+        full[own], full[numbers == MISMATCH] = -x[position[numbers[own]]], 1.0
+        scores[:, position[numbers[own]]] += weights[j] * (store.products[j] @ full)[:, own]
+    n = len(scores)
+    return scores.T @ scores * n / max(n - 1, 1)
+
+
+def _spectral(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray, correlation_s: float) -> np.ndarray:
+    """(c, c) spread of the scores, from the autocovariance of each joint's residual (Bartlett's window)."""
     out = np.zeros((len(chosen), len(chosen)))
-    longest = max(int(TOGETHER_S / ledger.runs[0].step_s), 1)
-    window = 1.0 - np.arange(longest + 1) / (longest + 1)
-    length = 2 ** int(np.ceil(np.log2(max(len(r.q) for r in ledger.runs) + longest + 1)))
-    for place in range(len(ledger.Z)):
-        columns, at = ledger.taking_part(place, chosen)
-        left = ledger.residual(place, chosen, x) * ledger.training
-        present = ledger.present(place)
-        power, pairs, spectra = np.zeros(length // 2 + 1), np.zeros(length // 2 + 1), []
-        for k in range(len(ledger.runs)):
-            here = ledger.slices(k)
-            power += np.abs(np.fft.rfft(left[here], length)) ** 2
-            pairs += np.abs(np.fft.rfft(present[here], length)) ** 2
-            spectra.append(np.fft.rfft(columns[here], length, axis=0))
-        together = np.fft.irfft(power, length)[: longest + 1] / np.maximum(np.fft.irfft(pairs, length)[: longest + 1], 1.0)
-        lags = np.zeros(length)
-        lags[: longest + 1] = window * together
-        lags[length - longest :] = lags[longest:0:-1]
-        density = np.maximum(np.fft.rfft(lags).real, 0.0) * weights[place] ** 2
-        density[1:-1] *= 2.0  # the other half of the frequencies
-        root = np.sqrt(density / length)[:, None]
-        for s in spectra:
-            both = np.concatenate([s.real * root, s.imag * root])
+    longest = max(int(correlation_s / store.steps[0]), 1)
+    length = 2 ** int(np.ceil(np.log2(max(*store.lengths, 0) + longest + 1)))
+    for j in range(len(store.matrix)):
+        columns, at = store.training_columns(j, chosen)
+        residual = store.residual(j, chosen, x) * store.training
+        root = np.sqrt(_density(store, residual, store.present(j), longest, length) * weights[j] ** 2 / length)[:, None]
+        for run in range(len(store.lengths)):
+            spectrum = np.fft.rfft(columns[store.slices(run)], length, axis=0)
+            both = np.concatenate([spectrum.real * root, spectrum.imag * root])
             out[np.ix_(at, at)] += both.T @ both
     return out
+
+
+def _density(store: NormalStore, residual: np.ndarray, present: np.ndarray, longest: int, length: int) -> np.ndarray:
+    """(length // 2 + 1,) power spectral density of a residual (Ttot,) with gaps, both halves of the frequencies together."""
+    power, pairs = np.zeros(length // 2 + 1), np.zeros(length // 2 + 1)
+    for run in range(len(store.lengths)):
+        here = store.slices(run)
+        power += np.abs(np.fft.rfft(residual[here], length)) ** 2
+        pairs += np.abs(np.fft.rfft(present[here], length)) ** 2
+    autocovariance = np.fft.irfft(power, length)[: longest + 1] / np.maximum(np.fft.irfft(pairs, length)[: longest + 1], 1.0)
+    lags = np.zeros(length)
+    lags[: longest + 1] = (1.0 - np.arange(longest + 1) / (longest + 1)) * autocovariance
+    lags[length - longest :] = lags[longest:0:-1]
+    density = np.maximum(np.fft.rfft(lags).real, 0.0)
+    density[1:-1] *= 2.0
+    return density

@@ -1,85 +1,115 @@
-"""What the named effects leave behind in a channel: is it noise, and if not, what does it depend on?"""
+"""Structure in the residual of a channel that the effects do not explain: is it noise, and if not, what does it depend on?"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import t as t_distribution
 
 from mbcacq.diagnosis.motion.fit import MotionFit
-from mbcacq.diagnosis.motion.forward_selection import improvement_p
+from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.result import MotionMismatch, UnmodelledMotionEffect
 from mbcacq.effects.motion.effect import MotionSignals
 
-BINS = 24
-PIECES = 24  # of a channel's residual, taken as independent witnesses
-LEAST_SHARE = 0.15  # of what is left that one variable must explain, on the other part of the data, to be worth saying
-LEAST_CHI2 = 2.0
+FEWEST_BINS = 3  # a table of fewer has no shape
 
 
-def structure(explained: MotionFit, place: int, runs: tuple[MotionSignals, ...], floor: float, weight: float) -> dict | None:
-    """The covariate that predicts most of what is left of one joint, fitted on one part and tested on the other; None for noise.
+@dataclass(frozen=True)
+class Dependence:
+    """How a residual depends on one covariate. share: of its mean square, predicted on held-out data; x, y: bins and their means."""
 
-    weight: share of all that was there to explain which is left at this joint.
+    covariate: str
+    share: float
+    p_value: float
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+
+def residual_structure(
+    fit: MotionFit, j: int, runs: tuple[MotionSignals, ...], weight: float, options: MotionOptions
+) -> tuple[MotionMismatch | None, UnmodelledMotionEffect | None]:
+    """The covariate that predicts most of the residual of joint j of the group, fitted on one part and tested on the other.
+
+    (None, None) for noise; no effect where no covariate predicts enough. weight: the residual of this joint as a share of the whole
+    mismatch of its group.
     """
-    group, joint = explained.group, explained.group.joints[place]
-    used = explained.used[place]
-    left = [a[u] for a, u in zip(explained.after[place], used, strict=True)]
-    total = float(np.mean(np.concatenate(left) ** 2))
-    if total < LEAST_CHI2 * floor**2:
-        return None
-    best_name, best_share, best_shape, p = "time", 0.0, None, 1.0
-    covariates = _covariates(group.name, runs, joint)
+    used = fit.used[j]
+    residual = [r[u] for r, u in zip(fit.residual_after[j], used, strict=True)]
+    mean_square, floor = float(np.mean(np.concatenate(residual) ** 2)), float(fit.floor[j])
+    if mean_square < options.residual_chi2_dof * floor**2:
+        return None, None
+    best = _strongest(_covariates(fit.group.name, runs, fit.group.joints[j]), used, residual, options)
+    axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
+    if best is None or best.share < options.least_residual_share:
+        segments = options.residual_segments
+        return MotionMismatch(axis, channel, "time", weight, float(chi2.sf(segments * mean_square / floor**2, segments))), None
+    share = best.share * weight
+    effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, best.x, best.y)
+    return MotionMismatch(axis, channel, best.covariate, share, best.p_value), effect
+
+
+def _strongest(
+    covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], residual: list[np.ndarray], options: MotionOptions
+) -> Dependence | None:
+    """The dependence of the largest share, its p-value corrected for the number of covariates; None if none predicts anything."""
+    best = None
     for name, values in covariates.items():
-        share, shape, one = _cross_validated([v[u] for v, u in zip(values, used, strict=True)], left)
-        if share > best_share:
-            best_name, best_share, best_shape, p = name, share, shape, min(one * len(covariates), 1.0)
-    where = {"at": f"A{joint + 1}", "channel": group.name, "depends_on": best_name, "share": best_share * weight, "p_value": p}
-    if best_shape is None or best_share < LEAST_SHARE:
-        rest = {"depends_on": "time", "p_value": float(chi2.sf(PIECES * total / floor**2, PIECES)), "share": weight}
-        return {"mismatch": where | rest}
-    effect = {
-        "name": "unknown",
-        "where": [f"A{joint + 1}"],
-        "channel": group.name,
-        "depends_on": best_name,
-        "parameters": {},
-        "p_value": p,
-        "held_out_gain": best_share * weight,
-        "shape": best_shape,
-        "alternatives": [],
-    }
-    return {"mismatch": where, "effect": effect}
+        found = _dependence(name, [v[u] for v, u in zip(values, used, strict=True)], residual, len(covariates), options)
+        if found is not None and found.share > (0.0 if best is None else best.share):
+            best = found
+    return best
 
 
-def _covariates(name: str, runs: tuple[MotionSignals, ...], joint: int) -> dict[str, list[np.ndarray]]:
-    out = {f"q{k + 1}": [r.q[:, k] for r in runs] for k in range(runs[0].q.shape[1])}
-    out |= {f"qd{k + 1}": [r.qd[:, k] for r in runs] for k in range(runs[0].q.shape[1])}
-    out[f"qdd{joint + 1}"] = [r.qdd[:, joint] for r in runs]
-    if runs[0].torque is not None and name != "tau":
-        out[f"tau{joint + 1}"] = [r.torque[:, joint] for r in runs]
+def _covariates(channel: str, runs: tuple[MotionSignals, ...], joint: int) -> dict[str, list[np.ndarray]]:
+    n = runs[0].q.shape[1]
+    out = {f"q{k + 1}": [run.q[:, k] for run in runs] for k in range(n)}
+    out |= {f"qd{k + 1}": [run.qd[:, k] for run in runs] for k in range(n)}
+    out[f"qdd{joint + 1}"] = [run.qdd[:, joint] for run in runs]
+    torque = [run.torque[:, joint] for run in runs if run.torque is not None]
+    if len(torque) == len(runs) and channel != "tau":
+        out[f"tau{joint + 1}"] = torque
     return out
 
 
-def _cross_validated(values: list[np.ndarray], left: list[np.ndarray]) -> tuple[float, dict | None, float]:
-    """Share of the mean square that a table over the covariate (quantile bins) predicts on the other half; the table; a p-value of the
-    improvement, from pieces of the residual."""
-    v, r = np.concatenate(values), np.concatenate(left)
-    half = (
-        np.concatenate([np.arange(len(x)) * 4 // len(x) % 2 for x in values])
-        if len(values) == 1
-        else np.concatenate([np.full(len(x), k % 2) for k, x in enumerate(values)])
-    )
-    edges = np.unique(np.quantile(v, np.linspace(0, 1, BINS + 1)))
-    if len(edges) < 4:
-        return 0.0, None, 1.0
-    bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
+def _dependence(
+    name: str, values: list[np.ndarray], residual: list[np.ndarray], covariates: int, options: MotionOptions
+) -> Dependence | None:
+    """A table over the covariate (quantile bins), fitted on each half of the data and tested on the other."""
+    v, r = np.concatenate(values), np.concatenate(residual)
+    half = _halves(values)
+    edges = np.unique(np.quantile(v, np.linspace(0, 1, options.residual_bins + 1)))
+    number = len(edges) - 1
+    if number < FEWEST_BINS:
+        return None
+    bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, number - 1)
     predicted = np.zeros_like(r)
     for test in (0, 1):
         train = half != test
-        count = np.bincount(bins[train], minlength=len(edges) - 1)
-        mean = np.bincount(bins[train], r[train], minlength=len(edges) - 1) / np.maximum(count, 1)
-        predicted[~train] = mean[bins[~train]]
-    before, after = (np.array([np.mean(piece**2) for piece in np.array_split(x, PIECES)]) for x in (r, r - predicted))
-    count = np.bincount(bins, minlength=len(edges) - 1)
-    mean = np.bincount(bins, r, minlength=len(edges) - 1) / np.maximum(count, 1)
+        predicted[~train] = _means(bins[train], r[train], number)[bins[~train]]
+    errors = (np.array_split(error, options.residual_segments) for error in (r, r - predicted))
+    before, after = (np.array([np.mean(segment**2) for segment in segments]) for segments in errors)
     share = 1.0 - float(((r - predicted) ** 2).sum() / (r**2).sum())
-    return share, {"x": (0.5 * (edges[1:] + edges[:-1])).tolist(), "y": mean.tolist()}, improvement_p(before, after)
+    p = min(improvement_p_value(before, after) * covariates, 1.0)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    return Dependence(name, share, p, tuple(centres.tolist()), tuple(_means(bins, r, number).tolist()))
+
+
+def _halves(values: list[np.ndarray]) -> np.ndarray:
+    """Number of the half, 0 or 1, of each sample: whole runs alternately, or quarters of the only one."""
+    if len(values) == 1:
+        return np.concatenate([np.arange(len(x)) * 4 // len(x) % 2 for x in values])
+    return np.concatenate([np.full(len(x), k % 2) for k, x in enumerate(values)])
+
+
+def _means(bins: np.ndarray, values: np.ndarray, number: int) -> np.ndarray:
+    """(number,) mean value in each bin, zero in an empty one."""
+    return np.bincount(bins, values, minlength=number) / np.maximum(np.bincount(bins, minlength=number), 1)
+
+
+def improvement_p_value(before: np.ndarray, after: np.ndarray) -> float:
+    """One-sided p-value that the squared error of blocks (B,) became smaller: paired t-test of its square root."""
+    gain = np.sqrt(before) - np.sqrt(after)
+    spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return float(t_distribution.sf(gain.mean() / max(spread, 1e-300), len(gain) - 1))

@@ -1,131 +1,235 @@
-"""What was found in all groups as one mbcacq-diagnosis/1 object."""
+"""The diagnosis of motion as one object, and as the JSON (mbcacq-diagnosis/1) that other programs read."""
 
 from __future__ import annotations
 
+import html
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
 import numpy as np
 
-from mbcacq.diagnosis.motion.fit import FoundTerm, MotionFit
-from mbcacq.diagnosis.motion.normal_store import third_difference_noise
-from mbcacq.diagnosis.motion.residual_structure import structure
 from mbcacq.diagnosis.result import FORMAT, plain
-from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.errors import ConfigError
 
-LEFT = 2.0  # held-out chi2 per degree of freedom above which something is unexplained
+Json = dict[str, Any]
 
 
-def outcome(explained: list[MotionFit], runs: tuple[MotionSignals, ...], proof: dict[str, np.ndarray] | None) -> dict:
-    """proof: mean squares (2, J) before and after by kind of mismatch, on parts that took no part in choosing or fitting; None for
-    the figures by which effects were chosen."""
-    effects, mismatch, fits = [], [], []
-    for e in explained:
-        floor = noise_floor(e)
-        excess = total_excess(e, floor)
-        for f in e.found:
-            effects.append(_effect(e, f, floor, excess))
-        mismatch += _mismatch(e, floor)
-        for place in range(len(e.group.joints)):
-            shown = np.stack([e.held_start, e.held_end]) if proof is None else proof[e.group.name]
-            fits.append(_fit(e, place, floor[place], shown[:, place]))
-            # What is left of a joint, as a share of all that was there to explain.
-            weight = max(float(e.held_end[place]) / floor[place] ** 2 - 1.0, 0.0) / total_excess(e, floor)
-            found = structure(e, place, runs, float(floor[place]), min(weight, 1.0))
-            if found is not None:
-                mismatch.append(found["mismatch"])
-                effects += [found["effect"]] if "effect" in found else []
-    mismatch.sort(key=lambda m: -m["share"])
-    named = [x for x in effects if x["name"] != "unknown"]
-    left = any(f["held_out"]["after_chi2_dof"] > LEFT for f in fits)
-    there = any(f["held_out"]["before_chi2_dof"] > LEFT for f in fits)
-    verdict = "explained" if named and not left else "partly_explained" if named else "unexplained" if there else "none"
-    return plain(
-        {
-            "format": FORMAT,
-            "verdict": verdict,
-            "mismatch": mismatch,
-            "effects": sorted(effects, key=lambda x: -x["held_out_gain"]),
-            "fit": {"train": _mean(fits, "train"), "held_out": _mean(fits, "held_out") | {"split": explained[0].split}, "channels": fits},
-            "not_separable": [],
-            "advice": [],
+@dataclass(frozen=True)
+class MotionMismatch:
+    """A dependence of one kind of mismatch. at: joint or channel; share: of that kind's held-out excess over the noise."""
+
+    at: str
+    channel: str
+    depends_on: str
+    share: float
+    p_value: float
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionMismatch:
+        share, p = _number(content["share"]), _number(content["p_value"])
+        return cls(content["at"], content["channel"], content["depends_on"], share, p)
+
+
+@dataclass(frozen=True)
+class MotionAlternative:
+    """Another effect that would have explained part of the same mismatch. held_out_gain: as that of the effect."""
+
+    name: str
+    where: tuple[str, ...]
+    held_out_gain: float
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionAlternative:
+        return cls(content["name"], tuple(content["where"]), _number(content["held_out_gain"]))
+
+
+@dataclass(frozen=True)
+class MotionStep:
+    """One form of an effect, in the order of selection. adds: names of its parameters; held_out_before_rms, held_out_after_rms: by joint,
+    in the unit of the channel (deg, N m)."""
+
+    adds: tuple[str, ...]
+    held_out_before_rms: Mapping[str, float]
+    held_out_after_rms: Mapping[str, float]
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionStep:
+        return cls(tuple(content["adds"]), content["held_out_before_rms"], content["held_out_after_rms"])
+
+
+@dataclass(frozen=True)
+class MotionEffect:
+    """A parametric effect that was found.
+
+    parameters: name (its unit is the ending) -> ``{"value": .., "std": ..}``, numbers or lists of numbers. held_out_gain: share of the
+    excess of its kind of mismatch over the noise that it removes on held-out data; held_out_gain_here: of that of its own joints.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    depends_on: str
+    channel: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    p_value: float
+    held_out_gain: float
+    held_out_gain_here: float
+    alternatives: tuple[MotionAlternative, ...]
+    steps: tuple[MotionStep, ...]
+
+    def to_json(self) -> Json:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionEffect:
+        alternatives = tuple(MotionAlternative.from_json(a) for a in content["alternatives"])
+        steps = tuple(MotionStep.from_json(s) for s in content["steps"])
+        gains = _number(content["held_out_gain"]), _number(content["held_out_gain_here"])
+        where, p = tuple(content["where"]), _number(content["p_value"])
+        return cls(content["name"], where, content["depends_on"], content["channel"], content["parameters"], p, *gains, alternatives, steps)
+
+
+@dataclass(frozen=True)
+class UnmodelledMotionEffect:
+    """Structure in a residual that no effect of the catalogue explains: its mean ``y`` over bins ``x`` of the covariate ``depends_on``,
+    in SI units. It is named 'unknown'."""
+
+    where: tuple[str, ...]
+    channel: str
+    depends_on: str
+    p_value: float
+    held_out_gain: float
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+    name = "unknown"
+
+    @property
+    def parameters(self) -> Mapping[str, Mapping[str, Any]]:
+        return {}
+
+    def to_json(self) -> Json:
+        return {
+            "name": self.name,
+            "where": self.where,
+            "channel": self.channel,
+            "depends_on": self.depends_on,
+            "parameters": {},
+            "p_value": self.p_value,
+            "held_out_gain": self.held_out_gain,
+            "shape": {"x": self.x, "y": self.y},
+            "alternatives": [],
         }
-    )
+
+    @classmethod
+    def from_json(cls, content: Json) -> UnmodelledMotionEffect:
+        shape, gain = content["shape"], _number(content["held_out_gain"])
+        x, y = tuple(shape["x"]), tuple(shape["y"])
+        return cls(tuple(content["where"]), content["channel"], content["depends_on"], _number(content["p_value"]), gain, x, y)
 
 
-def _mean(fits: list[dict], part: str) -> dict[str, float]:
-    return {k: float(np.mean([f[part][k] for f in fits])) for k in ("before_chi2_dof", "after_chi2_dof")}
+@dataclass(frozen=True)
+class ErrorBeforeAfter:
+    """Root mean square, in the unit of the channel, and chi2 per degree of freedom: of the base alone, and with the effects."""
+
+    before_rms: float
+    after_rms: float
+    before_chi2_dof: float
+    after_chi2_dof: float
 
 
-def _effect(e: MotionFit, f: FoundTerm, floor: np.ndarray, excess: float) -> dict:
-    at = [e.group.joints.index(j) for j in f.joints]
-    here = float(np.maximum(e.held_start[at] / floor[at] ** 2 - 1.0, 0.0).sum())
-    drop = float((f.gain / floor**2).sum())
-    alternatives = [{"name": r["name"], "where": r["where"], "held_out_gain": r["gain"] * drop / max(excess, 1e-300)} for r in f.rivals]
-    return {
-        "name": f.name,
-        "where": f.where,
-        "depends_on": f.depends_on,
-        "channel": e.group.name,
-        "parameters": f.parameters,
-        "p_value": f.p_value,
-        "held_out_gain": drop / max(excess, 1e-300),
-        "held_out_gain_here": float((f.gain[at] / floor[at] ** 2).sum()) / max(here, 1e-300),
-        "alternatives": alternatives,
-        "steps": [{"adds": s["adds"], **_in_units(e, s, at)} for s in f.steps],
-    }
+@dataclass(frozen=True)
+class ChannelFit:
+    """How well one joint of one channel is explained. unit: 'deg' or 'N m', also of noise_floor (one standard deviation)."""
+
+    channel: str
+    at: str
+    unit: str
+    noise_floor: float
+    train: ErrorBeforeAfter
+    held_out: ErrorBeforeAfter
+
+    @classmethod
+    def from_json(cls, content: Json) -> ChannelFit:
+        errors = (ErrorBeforeAfter(**{k: _number(v) for k, v in content[part].items()}) for part in ("train", "held_out"))
+        return cls(content["channel"], content["at"], content["unit"], _number(content["noise_floor"]), *errors)
 
 
-def _in_units(e: MotionFit, step: dict, at: list[int]) -> dict:
-    scale = _scale(e)
-    return {f"held_out_{k}_rms": {f"A{e.group.joints[i] + 1}": scale * float(np.sqrt(step[k][i])) for i in at} for k in ("before", "after")}
+@dataclass(frozen=True, repr=False)
+class MotionDiagnosis:
+    """What was found in recordings of motion.
 
+    verdict: 'none', 'explained', 'partly_explained' or 'unexplained'. mismatch: by falling share. effects: by falling held-out gain.
+    channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
+    """
 
-def _mismatch(e: MotionFit, floor: np.ndarray) -> list[dict]:
-    """One entry a named dependence; share: of the held-out excess of this kind of mismatch over the noise."""
-    excess = total_excess(e, floor)
-    out = []
-    for f in e.found:
-        place = f.where[0] if len(f.joints) == 1 and f.name != "wrist_coupling" else f.where[-1]
-        out.append(
+    verdict: str
+    mismatch: tuple[MotionMismatch, ...]
+    effects: tuple[MotionEffect | UnmodelledMotionEffect, ...]
+    channels: tuple[ChannelFit, ...]
+    split: str
+
+    @property
+    def named_effects(self) -> tuple[MotionEffect, ...]:
+        """The parametric effects."""
+        return tuple(e for e in self.effects if isinstance(e, MotionEffect))
+
+    def to_json(self) -> Json:
+        """The contract mbcacq-diagnosis/1; what is not finite is null."""
+        return plain(
             {
-                "at": place,
-                "channel": e.group.name,
-                "depends_on": f.depends_on,
-                "share": float((f.gain / floor**2).sum()) / excess,
-                "p_value": f.p_value,
+                "format": FORMAT,
+                "verdict": self.verdict,
+                "mismatch": [asdict(m) for m in self.mismatch],
+                "effects": [e.to_json() for e in self.effects],
+                "fit": {
+                    "train": _mean([c.train for c in self.channels]),
+                    "held_out": _mean([c.held_out for c in self.channels]) | {"split": self.split},
+                    "channels": [asdict(c) for c in self.channels],
+                },
+                "not_separable": [],
+                "advice": [],
             }
         )
-    return out
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionDiagnosis:
+        """From what ``to_json`` gave. Raises ConfigError for another format or a diagnosis of poses."""
+        if content.get("format") != FORMAT or "channels" not in content.get("fit", {}):
+            raise ConfigError(f"this is not the diagnosis of a motion: it needs format {FORMAT} and fit.channels")
+        mismatch = tuple(MotionMismatch.from_json(m) for m in content["mismatch"])
+        kinds = ((e, UnmodelledMotionEffect if e["name"] == UnmodelledMotionEffect.name else MotionEffect) for e in content["effects"])
+        channels = tuple(ChannelFit.from_json(c) for c in content["fit"]["channels"])
+        effects = tuple(kind.from_json(e) for e, kind in kinds)
+        return cls(content["verdict"], mismatch, effects, channels, content["fit"]["held_out"]["split"])
+
+    def __repr__(self) -> str:
+        lines = [f"MotionDiagnosis: {self.verdict}, {len(self.effects)} effects"]
+        for effect in self.effects:
+            lines.append(f"  {effect.name} at {', '.join(effect.where)} ({effect.channel}): held-out gain {effect.held_out_gain:.1%}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """A table for a notebook."""
+        heads = "".join(f"<th>{head}</th>" for head in ("effect", "where", "channel", "held-out gain", "parameters"))
+        rows = "".join(
+            f"<tr><td>{html.escape(e.name)}</td><td>{html.escape(', '.join(e.where))}</td><td>{html.escape(e.channel)}</td>"
+            f"<td>{e.held_out_gain:.1%}</td><td>{html.escape(_parameters(e))}</td></tr>"
+            for e in self.effects
+        )
+        return f"<p>Verdict: <b>{html.escape(self.verdict)}</b></p><table><tr>{heads}</tr>{rows}</table>"
 
 
-def total_excess(e: MotionFit, floor: np.ndarray) -> float:
-    """Held-out chi2 over the noise, of all joints of a kind of mismatch before any effect."""
-    return max(float(np.maximum(e.held_start / floor**2 - 1.0, 0.0).sum()), 1e-300)
+def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
+    """Mean chi2 per degree of freedom over all channels."""
+    before, after = [e.before_chi2_dof for e in errors], [e.after_chi2_dof for e in errors]
+    return {"before_chi2_dof": float(np.mean(before)), "after_chi2_dof": float(np.mean(after))}
 
 
-def noise_floor(e: MotionFit) -> np.ndarray:
-    """(J,) standard deviation of what no physics of an arm can follow."""
-    return np.array([third_difference_noise(tuple(m[:, place] for m in e.group.mismatch)) for place in range(len(e.group.joints))])
+def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
+    return "; ".join(f"{name} = {p['value']} +- {p['std']}" for name, p in effect.parameters.items())
 
 
-def _scale(e: MotionFit) -> float:
-    return float(np.degrees(1)) if e.group.unit == "rad" else 1.0
-
-
-def _fit(e: MotionFit, place: int, floor: float, proof: np.ndarray) -> dict:
-    scale = _scale(e)
-
-    def entry(before: float, after: float) -> dict:
-        return {
-            "before_rms": scale * float(np.sqrt(before)),
-            "after_rms": scale * float(np.sqrt(after)),
-            "before_chi2_dof": float(before / floor**2),
-            "after_chi2_dof": float(after / floor**2),
-        }
-
-    return {
-        "channel": e.group.name,
-        "at": f"A{e.group.joints[place] + 1}",
-        "unit": "deg" if e.group.unit == "rad" else e.group.unit,
-        "noise_floor": scale * float(floor),
-        "train": entry(e.train_start[place], e.train_end[place]),
-        "held_out": entry(*proof),
-    }
+def _number(value: float | None) -> float:
+    """A number of the JSON; null stands for one that is not finite."""
+    return float("nan") if value is None else value

@@ -1,4 +1,4 @@
-"""Recorded trajectories on an equidistant clock, with rates and the torque of the rigid-body simulation."""
+"""Recorded trajectories at equidistant times, with rates and the torque of the rigid-body simulation."""
 
 from __future__ import annotations
 
@@ -8,56 +8,51 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
+from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
+from mbcacq.effects.motion.effect import MotionSignals
 from mbcacq.errors import ConfigError
-from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor
+from mbcacq.geometry.dynamics import nominal_parameters, regressor
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.trajectory import Trajectory
 
-WINDOW_S = 0.09  # of the local quintic that gives rates: short against any motion, long against the clock
-PRESLIDING_RAD = 2e-5  # a joint's sense has turned after so much travel
-STANDSTILL = 0.02  # of a joint's fastest speed: below, friction may be anything up to the stiction
-HIGHEST_RATE_HZ = 500.0
-FEWEST_SAMPLES = 200
-EDGE_S = 0.05  # at both ends: a late channel has its past there, or its future, outside the recording
+Resample = Callable[[np.ndarray], np.ndarray]
 
 
-def prepare(trajectory) -> tuple[MotionSignals, np.ndarray]:
-    """One recording as a Run, and the torque (T, n, n, 10) by unit inertial parameter of each link, without copies of what is not needed.
+def prepare(trajectory: Trajectory, options: MotionOptions = DEFAULTS) -> tuple[MotionSignals, np.ndarray]:
+    """The signals of one recording, and the torque (T, n, n, 10) by unit inertial parameter of each link.
 
     Raises ConfigError for a recording that is too short or whose times do not rise.
     """
-    time = np.asarray(trajectory.time_s, dtype=float)
-    steps = np.diff(time)
-    if len(time) < FEWEST_SAMPLES:
-        raise ConfigError(f"a trajectory of {len(time)} samples is too short to diagnose; record at least {FEWEST_SAMPLES}")
-    if not np.all(steps > 0):
-        raise ConfigError(f"time_s does not rise at sample {int(np.argmin(steps)) + 1}; sort the recording and remove doubles")
-    step = max(float(np.median(steps)), 1.0 / HIGHEST_RATE_HZ)
+    time, step = _times(trajectory, options)
     resample = _resampler(time, step)
     robot, q = trajectory.robot, resample(trajectory.q)
-    smooth, qd, qdd = (rates(q, step, d) for d in (0, 1, 2))
-    torque, rigid, gravity, rigid_set = _torque(trajectory, resample), None, None, None
-    q_set = resample(trajectory.q_set)
-    set_rates = [None] * 3 if q_set is None else _exact_rates(q_set, step)
-    parameters = nominal_parameters(robot.mass, robot.com, robot.payload_mass, robot.payload_com)
-    inertial, payload = np.zeros((len(q), robot.n, robot.n, 10)), None
-    if torque is not None or (trajectory.q_joint is not None and robot.mass.any()):
+    smooth, qd, qdd = (rates(q, step, d, options.rate_window_s) for d in (0, 1, 2))
+    torque, q_joint = _torque(trajectory, resample), _optional(trajectory.q_joint, resample)
+    inertial = np.zeros((len(q), robot.n, robot.n, 10))
+    rigid, gravity, payload = None, None, None
+    if torque is not None or (q_joint is not None and robot.mass.any()):
         inertial = regressor(robot.chain, smooth, qd, qdd, robot.gravity)
-        rigid = np.einsum("tjlk,lk->tj", inertial, parameters)
+        rigid = _rigid(inertial, robot)
         still = np.zeros_like(q)
-        gravity = np.einsum("tjlk,lk->tj", regressor(robot.chain, smooth, still, still, robot.gravity), parameters)
+        gravity = _rigid(regressor(robot.chain, smooth, still, still, robot.gravity), robot)
         payload = inertial[:, :, -1]
-    if q_set is not None and robot.mass.any():
-        rigid_set = np.einsum("tjlk,lk->tj", regressor(robot.chain, rates(q_set, step, 0), *set_rates[:2], robot.gravity), parameters)
-    run = MotionSignals(
+    q_set, rigid_set = _optional(trajectory.q_set, resample), None
+    qd_set, qdd_set, qddd_set = (None, None, None) if q_set is None else _exact_rates(q_set, step)
+    if q_set is not None and qd_set is not None and qdd_set is not None and robot.mass.any():
+        smooth_set = rates(q_set, step, 0, options.rate_window_s)
+        rigid_set = _rigid(regressor(robot.chain, smooth_set, qd_set, qdd_set, robot.gravity), robot)
+    signals = MotionSignals(
         step,
         q,
         qd,
         qdd,
-        sense(q, step),
+        direction_of_rotation(q, step, options),
         smooth,
         q_set,
-        *set_rates,
-        resample(trajectory.q_joint),
+        qd_set,
+        qdd_set,
+        qddd_set,
+        q_joint,
         torque,
         rigid,
         rigid,
@@ -66,34 +61,64 @@ def prepare(trajectory) -> tuple[MotionSignals, np.ndarray]:
         payload,
         robot.gear_ratio,
     )
-    return run, inertial
+    return signals, inertial
 
 
-def rates(signal: np.ndarray, step: float, derivative: int) -> np.ndarray:
+def rates(signal: np.ndarray, step: float, derivative: int, window_s: float) -> np.ndarray:
     """Derivative (T, n) by a local quintic (Savitzky-Golay): zero phase, and no noise of differences."""
-    window = min(max(2 * int(WINDOW_S / step / 2) + 1, 7), (len(signal) - 1) // 2 * 2 - 1)
-    return savgol_filter(signal, window, 5, deriv=derivative, delta=step, axis=0)
+    window = min(max(2 * int(window_s / step / 2) + 1, 7), (len(signal) - 1) // 2 * 2 - 1)
+    return np.asarray(savgol_filter(signal, window, 5, deriv=derivative, delta=step, axis=0))
 
 
-def _exact_rates(command: np.ndarray, step: float) -> list[np.ndarray]:
-    """First to third derivative of a command, which has no noise; joints that were not commanded stay NaN."""
-    out = [np.full(command.shape, np.nan) for _ in range(3)]
-    time = step * np.arange(len(command))
-    for j in np.flatnonzero(np.isfinite(command).all(axis=0)):
-        spline = CubicSpline(time, command[:, j])
-        for d in range(3):
-            out[d][:, j] = spline(time, d + 1)
+def direction_of_rotation(q: np.ndarray, step: float, options: MotionOptions) -> np.ndarray:
+    """Direction of the last motion (T, n) in -1..1, which changes over a short travel (Dahl's model of presliding) and stays at
+    standstill."""
+    smooth = rates(q, step, 0, options.rate_window_s)
+    out = np.zeros_like(q)
+    for joint in range(q.shape[1]):
+        travel = np.diff(smooth[:, joint])
+        keep, target = np.exp(-np.abs(travel) / options.presliding_rad), np.sign(travel)
+        state, column = 0.0, [0.0]
+        for a, s in zip(keep.tolist(), target.tolist(), strict=True):
+            state = s + (state - s) * a
+            column.append(state)
+        moved = np.flatnonzero(np.abs(column) > 0.5)
+        if len(moved):  # before the first motion it is unknown; that of the first motion disturbs least
+            column[: moved[0]] = [column[moved[0]]] * int(moved[0])
+        out[:, joint] = column
     return out
 
 
-def _resampler(time: np.ndarray, step: float) -> Callable[[np.ndarray | None], np.ndarray | None]:
+def _times(trajectory: Trajectory, options: MotionOptions) -> tuple[np.ndarray, float]:
+    """Recorded times (T,) and the step to resample them to."""
+    time = np.asarray(trajectory.time_s, dtype=float)
+    steps = np.diff(time)
+    fewest = options.fewest_samples
+    if len(time) < fewest:
+        raise ConfigError(f"a trajectory of {len(time)} samples is too short to diagnose; record at least {fewest}")
+    if not np.all(steps > 0):
+        sample = int(np.argmin(steps)) + 1
+        raise ConfigError(f"time_s does not rise at sample {sample}; sort the recording and remove doubles")
+    return time, max(float(np.median(steps)), 1.0 / options.highest_rate_hz)
+
+
+def _exact_rates(command: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First to third derivative of a command, which has no noise; joints that were not commanded stay NaN."""
+    first, second, third = (np.full(command.shape, np.nan) for _ in range(3))
+    time = step * np.arange(len(command))
+    for j in np.flatnonzero(np.isfinite(command).all(axis=0)):
+        spline = CubicSpline(time, command[:, j])
+        for out, derivative in ((first, 1), (second, 2), (third, 3)):
+            out[:, j] = spline(time, derivative)
+    return first, second, third
+
+
+def _resampler(time: np.ndarray, step: float) -> Resample:
     even = np.arange(time[0], time[-1] + 0.5 * step, step)
     even = even[even <= time[-1] + 1e-6 * step]
     same = len(even) == len(time) and np.allclose(even, time, rtol=0, atol=1e-3 * step)
 
-    def resample(signal: np.ndarray | None) -> np.ndarray | None:
-        if signal is None:
-            return None
+    def resample(signal: np.ndarray) -> np.ndarray:
         if same:
             return np.array(signal, dtype=float)
         out = np.full((len(even), signal.shape[1]), np.nan)
@@ -105,102 +130,18 @@ def _resampler(time: np.ndarray, step: float) -> Callable[[np.ndarray | None], n
     return resample
 
 
-def _torque(trajectory, resample) -> np.ndarray | None:
-    torque = resample(trajectory.torque)
-    if torque is None and trajectory.motor_torque is not None:
-        robot = trajectory.robot
-        torque = resample(trajectory.motor_torque) * (1.0 if robot.gear_ratio is None else np.abs(robot.gear_ratio))
-    return torque
+def _optional(signal: np.ndarray | None, resample: Resample) -> np.ndarray | None:
+    return None if signal is None else resample(signal)
 
 
-def sense(q: np.ndarray, step: float) -> np.ndarray:
-    """Sense of the last motion (T, n) in -1..1, turning over a short travel (Dahl's model of presliding), kept at standstill."""
-    smooth = rates(q, step, 0)
-    out = np.zeros_like(q)
-    for joint in range(q.shape[1]):
-        share = np.exp(-np.abs(np.diff(smooth[:, joint])) / PRESLIDING_RAD)
-        to = np.sign(np.diff(smooth[:, joint]))
-        state, column = 0.0, [0.0]
-        for a, s in zip(share.tolist(), to.tolist(), strict=True):
-            state = s + (state - s) * a
-            column.append(state)
-        moved = np.flatnonzero(np.abs(column) > 0.5)
-        if len(moved):  # before the first motion: unknown; the sense it then takes disturbs least
-            column[: moved[0]] = [column[moved[0]]] * int(moved[0])
-        out[:, joint] = column
-    return out
+def _torque(trajectory: Trajectory, resample: Resample) -> np.ndarray | None:
+    """Torque of the drives at the joints, recorded there or at the motors."""
+    if trajectory.torque is not None or trajectory.motor_torque is None:
+        return _optional(trajectory.torque, resample)
+    ratio = trajectory.robot.gear_ratio
+    return resample(trajectory.motor_torque) * (1.0 if ratio is None else np.abs(ratio))
 
 
-def groups(runs: tuple[MotionSignals, ...], inertial: list[np.ndarray], robot) -> list[ChannelGroup]:
-    """Every kind of mismatch that these recordings can show."""
-    out = []
-    inner = tuple(_inside(run) for run in runs)
-    if all(run.torque is not None for run in runs):
-        joints = _finite([run.torque for run in runs])
-        if joints:
-            sigma, fastest = inertial_sigma(robot), np.max([np.abs(run.qd).max(axis=0) for run in runs], axis=0)
-            wanted = sigma > 0
-            base = tuple(
-                np.concatenate([(c * sigma)[:, joints][:, :, wanted], _rotors(run, robot, joints)], axis=2)
-                for c, run in zip(inertial, runs, strict=True)
-            )
-            out.append(
-                ChannelGroup(
-                    "tau",
-                    "N m",
-                    joints,
-                    tuple((run.torque - run.rigid)[:, joints] for run in runs),
-                    tuple((_moving(run, fastest) & k)[:, joints] for run, k in zip(runs, inner, strict=True)),
-                    base,
-                    np.ones(base[0].shape[2]),
-                    refit=False,
-                    signal=tuple(run.torque[:, joints] for run in runs),
-                )
-            )
-    for name, signal, sign in (("q_joint", "q_joint", 1.0), ("q_set", "q_set", -1.0)):
-        if any(getattr(run, signal) is None for run in runs):
-            continue
-        joints = _finite([getattr(run, signal) for run in runs])
-        if joints:
-            mismatch = tuple(sign * (getattr(run, signal) - run.q)[:, joints] for run in runs)
-            base = tuple(np.zeros((len(run.q), len(joints), 0)) for run in runs)
-            late = name == "q_joint"  # a late set point and a late drive are one and the same
-            use = tuple((k if late else np.ones_like(k))[:, joints] for k in inner)
-            out.append(
-                ChannelGroup(
-                    name,
-                    "rad",
-                    joints,
-                    mismatch,
-                    use,
-                    base,
-                    np.zeros(0),
-                    refit=True,
-                    signal=tuple(run.q_joint[:, joints] for run in runs) if late else (),
-                )
-            )
-    return out
-
-
-def _finite(signals: list[np.ndarray]) -> tuple[int, ...]:
-    return tuple(j for j in range(signals[0].shape[1]) if all(np.isfinite(s[:, j]).all() for s in signals))
-
-
-def _inside(run: MotionSignals) -> np.ndarray:
-    """(T, n): away from both ends of the recording."""
-    out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(EDGE_S / run.step_s))
-    out[:edge] = out[len(out) - edge :] = False
-    return out
-
-
-def _moving(run: MotionSignals, fastest: np.ndarray) -> np.ndarray:
-    """(T, n): the joint moves, well away from a reversal. fastest: (n,) rad/s of all recordings: in some a joint may stand all the time."""
-    return np.abs(run.qd) > STANDSTILL * fastest
-
-
-def _rotors(run: MotionSignals, robot, joints: tuple[int, ...]) -> np.ndarray:
-    """(T, J, n): torque of each rotor, by as much inertia as the links behind it may have about its axis."""
-    reach = np.cumsum((np.abs(robot.chain.a) + np.abs(robot.chain.d))[::-1])[::-1] * 1e-3
-    behind = np.maximum(np.cumsum(np.maximum(robot.mass, 1.0)[::-1])[::-1], 1.0)
-    scale = behind * np.maximum(reach, 0.1) ** 2
-    return np.einsum("tj,jl->tjl", run.qdd[:, joints], np.eye(robot.n)[list(joints)] * scale)
+def _rigid(inertial: np.ndarray, robot: RobotModel) -> np.ndarray:
+    """(T, n) torque of the rigid arm as it is described."""
+    return np.einsum("tjlk,lk->tj", inertial, nominal_parameters(robot.mass, robot.com, robot.payload_mass, robot.payload_com))

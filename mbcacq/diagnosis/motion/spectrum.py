@@ -1,49 +1,54 @@
-"""Periods of a residual in a joint's own angle, by one transform: the residual is summed in fine steps of angle first."""
+"""Periodic components of a residual in a joint's own angle, by a Fourier transform of the residual summed in fine steps of angle."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.motion.options import MotionOptions
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
-from mbcacq.effects.motion.torque_ripple import range_of_orders, wave
-
-FINER = 8  # steps of angle per shortest period, and steps of order per distinguishable one
-NEIGHBOURS = 61  # orders about a line that say how high the ground is there
+from mbcacq.effects.motion.torque_ripple import OrderRange, periodic_component, range_of_orders
 
 
-def lines(
-    group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, left: np.ndarray, training: np.ndarray
+def periodic_candidates(
+    group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, residual: np.ndarray, training: np.ndarray, options: MotionOptions
 ) -> list[MotionCandidate]:
-    """Candidates for the strongest waves in ``left`` (Ttot,): strongest of all, strongest above its surroundings, at motor orders.
-
-    training: (Ttot,) which samples take part.
-    """
+    """Candidates for the strongest spectral lines of a residual (Ttot,): the strongest, the strongest above its background, and those
+    near one and two periods per motor turn. training: (Ttot,) which samples take part."""
     limits = range_of_orders(group, runs, joint)
     if limits is None:
         return []
-    lowest, highest, spacing = limits
-    step = 2 * np.pi / (highest * FINER)
-    low = min(float(run.q[:, joint].min()) for run in runs)
     q = np.concatenate([run.q[:, joint] for run in runs])
-    seen = (float(q[training > 0].min()), float(q[training > 0].max()))
-    bins = np.round((q - low) / step).astype(int)
-    length = int(2 ** np.ceil(np.log2(max(FINER * 2 * np.pi / spacing / step, bins.max() + 2))))
-    power = np.abs(np.fft.rfft(np.bincount(bins, left * training, minlength=length), length)) ** 2
-    orders = 2 * np.pi * np.arange(len(power)) / (length * step)
-    inside = (orders >= lowest) & (orders <= highest)
-    if inside.sum() < 3:
+    observed = (float(q[training > 0].min()), float(q[training > 0].max()))
+    power, orders = _power(q, residual * training, limits, options.spectrum_oversampling)
+    if len(power) < 3:
         return []
-    power, orders = power[inside], orders[inside]
-    tried = (highest - lowest) / spacing
-    picks = {int(np.argmax(power))}
-    if len(power) > 2 * NEIGHBOURS:
-        kernel = np.ones(NEIGHBOURS) / NEIGHBOURS
-        ground = np.exp(np.convolve(np.pad(np.log(power + 1e-300), NEIGHBOURS // 2, mode="edge"), kernel, mode="valid"))
-        picks.add(int(np.argmax(power / ground[: len(power)])))
-    ratio = None if runs[0].gear_ratio is None else abs(float(runs[0].gear_ratio[joint]))
-    found = [(float(orders[i]), tried) for i in picks]
-    for turns in (1, 2) if ratio is not None else ():
-        near = np.flatnonzero(np.abs(orders - turns * ratio) <= spacing)
+    tried = (limits.highest - limits.lowest) / limits.spacing
+    found = [(float(orders[i]), tried) for i in _strongest(power, options.background_orders)]
+    ratio = runs[0].gear_ratio
+    motor_orders = [] if ratio is None else [turns * abs(float(ratio[joint])) for turns in (1, 2)]
+    for motor_order in motor_orders:
+        near = np.flatnonzero(np.abs(orders - motor_order) <= limits.spacing)
         if len(near):
-            found.append((float(orders[near[np.argmax(power[near])]]), 4.0))
-    return [wave(group, joint, order, spacing / 2, trials, seen) for order, trials in found]
+            found.append((float(orders[near[np.argmax(power[near])]]), options.motor_order_trials))
+    return [periodic_component(group, joint, order, limits.spacing / 2, trials, observed) for order, trials in found]
+
+
+def _power(q: np.ndarray, residual: np.ndarray, limits: OrderRange, oversampling: int) -> tuple[np.ndarray, np.ndarray]:
+    """Power of a residual (Ttot,) over the angle q, and its orders, both within the limits."""
+    step = 2 * np.pi / (limits.highest * oversampling)
+    bins = np.round((q - float(q.min())) / step).astype(int)
+    length = int(2 ** np.ceil(np.log2(max(oversampling * 2 * np.pi / limits.spacing / step, bins.max() + 2))))
+    power = np.abs(np.fft.rfft(np.bincount(bins, residual, minlength=length), length)) ** 2
+    orders = 2 * np.pi * np.arange(len(power)) / (length * step)
+    inside = (orders >= limits.lowest) & (orders <= limits.highest)
+    return power[inside], orders[inside]
+
+
+def _strongest(power: np.ndarray, background: int) -> set[int]:
+    """Positions of the strongest line and of the strongest one above the geometric mean of its ``background`` neighbours."""
+    picks = {int(np.argmax(power))}
+    if len(power) > 2 * background:
+        kernel = np.ones(background) / background
+        ground = np.exp(np.convolve(np.pad(np.log(power + 1e-300), background // 2, mode="edge"), kernel, mode="valid"))
+        picks.add(int(np.argmax(power / ground[: len(power)])))
+    return picks

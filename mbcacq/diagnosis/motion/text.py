@@ -1,30 +1,41 @@
-"""The diagnosis of trajectories in plain words."""
+"""The diagnosis of motion in plain words."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
 from mbcacq.diagnosis.output.text import VERDICTS, number
 
-PLACE = {"q_joint": "joint-side against motor-side angle", "q_set": "actual angle against set point", "tau": "torque against the rigid arm"}
+CHANNELS = {
+    "q_joint": "joint-side against motor-side angle",
+    "q_set": "actual angle against set point",
+    "tau": "torque against the rigid arm",
+}
+MOST_ROWS = 12  # of the mismatch
 
 
-def trajectory_words(result: dict) -> str:
-    lines = [VERDICTS[result["verdict"]], ""]
-    if result["mismatch"]:
+def motion_text(diagnosis: MotionDiagnosis) -> str:
+    """Verdict, mismatch, effects with their parameters, and residuals on held-out data, in lines."""
+    lines = [VERDICTS[diagnosis.verdict], ""]
+    if diagnosis.mismatch:
         lines.append("Where simulation and recording part:")
-        for m in result["mismatch"][:12]:
-            channel = f" ({PLACE[m['channel']]})" if "channel" in m else ""
-            lines.append(f"  {m['at']:<8} depends on {m['depends_on']:<14} share {m['share']:.0%}{channel}")
+        for m in diagnosis.mismatch[:MOST_ROWS]:
+            lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {m.share:.0%} ({CHANNELS[m.channel]})")
         lines.append("")
-    for effect in result["effects"]:
-        gain = effect.get("held_out_gain_here", effect["held_out_gain"])
-        where = ", ".join(effect["where"])
-        lines.append(f"{effect['name']} at {where} (removes {gain:.1%} of the excess there, on data that took no part)")
-        for name, p in effect["parameters"].items():
-            values, stds = (x if isinstance(x, list) else [x] for x in (p["value"], p["std"]))
-            lines.append(f"  {name} = {', '.join(f'{number(v)} +- {number(s)}' for v, s in zip(values, stds, strict=True))}")
-    lines.append("")
-    lines.append(f"On data that took no part (by {result['fit']['held_out']['split']}):")
-    for f in result["fit"]["channels"]:
-        held = f["held_out"]
-        lines.append(f"  {f['at']} {PLACE[f['channel']]}: {held['before_rms']:.4g} {f['unit']} before, {held['after_rms']:.4g} after")
+    for effect in diagnosis.effects:
+        gain = effect.held_out_gain_here if isinstance(effect, MotionEffect) else effect.held_out_gain
+        where = ", ".join(effect.where)
+        lines.append(f"{effect.name} at {where} (removes {gain:.1%} of the excess there, on data that took no part)")
+        lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
+    lines += ["", f"On data that took no part (by {diagnosis.split}):"]
+    for c in diagnosis.channels:
+        held_out = c.held_out
+        lines.append(f"  {c.at} {CHANNELS[c.channel]}: {held_out.before_rms:.4g} {c.unit} before, {held_out.after_rms:.4g} after")
     return "\n".join(lines)
+
+
+def _values(parameter: Mapping[str, Any]) -> str:
+    values, stds = (x if isinstance(x, list) else [x] for x in (parameter["value"], parameter["std"]))
+    return ", ".join(f"{number(v)} +- {number(s)}" for v, s in zip(values, stds, strict=True))

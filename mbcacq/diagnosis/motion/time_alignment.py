@@ -1,69 +1,45 @@
-"""A channel that was sampled late is put right in time, so that every other effect is seen at the instant at which it acted.
+"""A channel that was sampled late is corrected in time, so that every other effect appears at the instant at which it acted.
 
-A column for the delay beside the others would do for a slow motion only: ripple, waves and friction are late with the channel too, and a
-recorded torque, differentiated, carries noise that shrinks its own coefficient. So the recording is moved, and the slope by which what
-is left of the delay is read is that of the simulation, which has no noise.
+A column for the delay among the others would serve for a slow motion only: periodic components and friction are late with the channel
+too, and a recorded torque, differentiated, carries noise that shrinks its own coefficient. So the recording is shifted, and the slope
+by which the remaining delay is estimated is that of the simulation, which has no noise.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
-
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.forward_selection import ForwardSelection, SelectedEffect
-
-ROUNDS = 6
-LONGEST_S = 0.05  # a longer delay of a channel is not credible
-SETTLED_S = 1e-8
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 
 
-def lateness(group: ChannelGroup, run: MotionSignals, k: int, place: int, delay: float) -> np.ndarray:
-    """What moving the recorded channel forward by ``delay`` s adds to the mismatch (T,) of run number k and the joint at ``place``."""
-    signal = group.signal[k][:, place]
-    if delay == 0.0:
-        return np.zeros(len(signal))
-    time = run.step_s * np.arange(len(signal))
-    return CubicSpline(time, signal)(np.clip(time + delay, 0.0, time[-1])) - signal
-
-
-def settle(selection: ForwardSelection) -> None:
-    """Find the delay of the channel, if one was taken, by Gauss-Newton; all coefficients are refitted."""
-    late = next((t for t in selection.taken if t.candidate.tuned), None)
+def estimate_delay(model: MotionModel) -> None:
+    """Find the delay of the channel, if that effect was selected, by Gauss-Newton; all coefficients are refitted."""
+    late = next((e for e in model.selected if e.candidate.channel_delay), None)
     if late is None:
         return
-    ledger = selection.ledger
-    for _ in range(ROUNDS):
-        x = fitted(selection)
-        position = {int(c): i for i, c in enumerate(selection.chosen())}
-        _slope(selection, late, x, position)
-        step = float(fitted(selection)[position[int(late.variant.ids[0])]])
-        delay = float(np.clip(late.variant.hyper + step, -LONGEST_S, LONGEST_S))
-        moved, late.variant.hyper = abs(delay - late.variant.hyper), delay
-        ledger.retime(delay)
-        if moved < SETTLED_S:
+    options = model.options
+    for _ in range(options.delay_rounds):
+        x = model.coefficients()
+        first = int(np.flatnonzero(model.chosen() == late.variant.ids[0])[0])
+        _update_slope(model, late, x)
+        before, step = late.variant.value, float(model.coefficients()[first])
+        delay = float(np.clip(before + step, -options.longest_delay_s, options.longest_delay_s))
+        late.at(delay, late.variant.ids)
+        model.store.correct_delay(delay)
+        if abs(delay - before) < options.delay_tolerance_s:
             return
 
 
-def fitted(selection: ForwardSelection) -> np.ndarray:
-    """Coefficients of all that stands."""
-    chosen = selection.chosen()
-    return selection.ledger.solve(selection.ledger.normal(selection.weights(chosen)), chosen)
-
-
-def _slope(selection: ForwardSelection, late: SelectedEffect, x: np.ndarray, position: dict[int, int]) -> None:
+def _update_slope(model: MotionModel, late: SelectedEffect, x: np.ndarray) -> None:
     """The column of the delay: for a torque, minus the rate of all that is simulated."""
-    if selection.group.name != "tau":
+    if model.group.name != "tau":
         return
     columns = []
-    for place, joint in enumerate(selection.group.joints):
-        parts = []
-        for k, run in enumerate(selection.runs):
-            torque = run.rigid[:, joint] + selection.simulated(place, k, x, position, (late.candidate.name,), rotors=True)
-            parts.append(-np.gradient(torque, run.step_s))
-        columns.append(np.concatenate(parts)[:, None])
-    selection.ledger.replace(late.variant.ids, list(range(len(columns))), columns)
+    for j, joint in enumerate(model.group.joints):
+        rates = []
+        for k, run in enumerate(model.runs):
+            assert run.rigid is not None, "a torque is compared with that of the rigid arm"
+            torque = run.rigid[:, joint] + model.simulated(j, k, x, without=(late.candidate.name,), rotors=True)
+            rates.append(-np.gradient(torque, run.step_s))
+        columns.append(np.concatenate(rates)[:, None])
+    model.store.replace(late.variant.ids, list(range(len(columns))), columns)

@@ -1,4 +1,4 @@
-"""The torque that passes the gears, as far as it is known: without what stays in the drive (friction, rotor, ripple, a late clock)."""
+"""The torque that passes the gears, as far as it is known: without friction, rotor, torque ripple, delay, which act on the motor side."""
 
 from __future__ import annotations
 
@@ -7,35 +7,38 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.diagnosis.motion.fit import MotionFit
-from mbcacq.diagnosis.motion.result import noise_floor
-from mbcacq.effects.motion.effect import OF_THE_DRIVE, MotionSignals
-
-LOAD_WINDOW_S = 0.1
-DOUBT = 0.05  # of a load that is the drive's torque: a rotor's part of it is not told apart
-UNDERSTOOD = 4.0  # chi2 per degree of freedom below which the torque of a joint counts as explained
+from mbcacq.diagnosis.motion.fit import FittedEffect, MotionFit
+from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.effects.motion.effect import MOTOR_SIDE_EFFECTS, MotionSignals, available
 
 
-def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:
-    """The runs with the torque that passes the gears, joint by joint.
+def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit, options: MotionOptions) -> tuple[MotionSignals, ...]:
+    """The runs with the torque that passes the gears, joint by joint, and its relative uncertainty.
 
-    Where the torque is explained, that of the arm as it was found, without what stays in the drive: friction, rotor, ripple, a late
-    clock. Else what the drive gave, less its friction.
+    Where the torque is explained, that of the arm as it was found, without what acts on the motor side; else the drive's torque, less
+    its friction.
     """
+    explained = torque.train_after < options.explained_chi2_dof * torque.floor**2
+    uncertainty = np.zeros(runs[0].q.shape[1])
+    for j, joint in enumerate(torque.group.joints):
+        uncertainty[joint] = torque.load_uncertainty[j] if explained[j] else options.unexplained_load_uncertainty
     out = []
-    understood = torque.train_end < UNDERSTOOD * noise_floor(torque) ** 2
     for k, run in enumerate(runs):
-        load = run.rigid.copy()
-        window = min(max(2 * int(LOAD_WINDOW_S / run.step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
-        for place, joint in enumerate(torque.group.joints):
-            if understood[place]:
-                others = sum(f.contributions[place][k] for f in torque.found if f.name not in OF_THE_DRIVE)
-                load[:, joint] += torque.links[place][k] + others
-            else:  # smoothed: noise of a covariate would shrink its coefficient
-                lost = sum(f.contributions[place][k] for f in torque.found if f.name in OF_THE_DRIVE)
-                load[:, joint] = savgol_filter(run.torque[:, joint] - lost, window, 2)
-        doubt = np.zeros(load.shape[1])
-        for place, joint in enumerate(torque.group.joints):
-            doubt[joint] = torque.load_doubt[place] if understood[place] else DOUBT
-        out.append(replace(run, load=load, load_doubt=doubt))
+        load = available(run.rigid).copy()
+        for j, joint in enumerate(torque.group.joints):
+            if explained[j]:
+                load[:, joint] += torque.links[j][k] + _sum([e for e in torque.effects if e.name not in MOTOR_SIDE_EFFECTS], j, k)
+            else:
+                lost = _sum([e for e in torque.effects if e.name in MOTOR_SIDE_EFFECTS], j, k)
+                load[:, joint] = _smooth(available(run.torque)[:, joint] - lost, run.step_s, options)
+        out.append(replace(run, load=load, load_uncertainty=uncertainty))
     return tuple(out)
+
+
+def _sum(effects: list[FittedEffect], j: int, run: int) -> np.ndarray | float:
+    return sum((e.contributions[j][run] for e in effects), 0.0)
+
+
+def _smooth(load: np.ndarray, step_s: float, options: MotionOptions) -> np.ndarray:
+    window = min(max(2 * int(options.load_window_s / step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
+    return np.asarray(savgol_filter(load, window, 2))

@@ -1,5 +1,5 @@
-"""Effects that show in time: in the joint-side encoder, in following the set point, in the torque. One small file an effect.
+"""Effects that act during motion: in the joint-side encoder, in following the set point, in the torque. One small file an effect.
 
-Each module has NAME and ``candidates(channel, runs)``. A channel is one recorded signal of one joint (or of all joints, for what
-they share); its mismatch is recorded minus simulated.
+Each module has NAME and ``candidates(group, runs)``. A group is one kind of recorded signal of all joints that have it; its mismatch is
+recorded minus simulated.
 """

@@ -1,7 +1,7 @@
 """Two channels were not sampled at one instant: the late one shows the past.
 
-Seen as minus the rate of the channel; once it is there the recording itself is put right in time (``tuned``), for long delays of fast
-motion are not linear, and everything else in the channel is late with it.
+The column is minus the rate of the channel. Once the effect is selected the recording itself is corrected in time (``channel_delay``),
+because long delays of fast motion are not linear, and everything else in the channel is late with it.
 """
 
 from __future__ import annotations
@@ -9,19 +9,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Report
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available
 
 NAME = "channel_latency"
-RESOLUTION_S = 1e-7  # two clocks are not compared better: splines between samples
+RESOLUTION_S = 1e-7  # splines between samples compare two time bases no better
 WINDOW_S = 0.25  # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
-    if group.name == "q_set":  # a late set point and a late drive are one and the same: drive_lag says it, joint by joint
+    if group.name == "q_set":  # a late set point and a late drive are indistinguishable: drive_lag reports it, joint by joint
         return []
     columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
     return [
-        MotionCandidate(NAME, (group.name,), depends, group.joints, columns, _report(), hyper=np.array([0.0]), refine=False, tuned=True)
+        MotionCandidate(
+            NAME, (group.name,), depends, group.joints, columns, _report, hyper=np.array([0.0]), continuous=False, channel_delay=True
+        )
     ]
 
 
@@ -31,12 +33,9 @@ def _encoder(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
 
 def _torque(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
     window = min(max(2 * int(WINDOW_S / run.step_s / 2) + 1, 7), (len(run.q) - 1) // 2 * 2 - 1)
-    return -savgol_filter(run.torque[:, joint], window, 5, deriv=1, delta=run.step_s)[:, None]
+    return -np.asarray(savgol_filter(available(run.torque)[:, joint], window, 5, deriv=1, delta=run.step_s))[:, None]
 
 
-def _report() -> Report:
-    def report(c: np.ndarray, v: np.ndarray, delay: float | None, _: float) -> dict:
-        """What the recording was moved by, and what is left of it."""
-        return {"latency_s": {"value": float(delay or 0.0) + float(c[0]), "std": float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), RESOLUTION_S))}}
-
-    return report
+def _report(c: np.ndarray, v: np.ndarray, delay: float | None, _: float) -> Parameters:
+    """The shift that was corrected in the recording, and the remaining delay."""
+    return {"latency_s": {"value": float(delay or 0.0) + float(c[0]), "std": float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), RESOLUTION_S))}}

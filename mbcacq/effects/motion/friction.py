@@ -1,6 +1,6 @@
-"""Torque lost in the drive train: Coulomb and viscous; then, where they show, the Stribeck bump, growth with load, unequal senses.
+"""Torque lost in the drive train: Coulomb and viscous; where they show, Stribeck friction, growth with load, difference by direction.
 
-Coulomb friction follows the sense of the last motion and keeps its value at standstill only in sign: samples at standstill take no
+Coulomb friction follows the direction of the last motion and keeps its value at standstill only in sign: samples at standstill take no
 part (there the drive may give anything up to the stiction). Form: Olsson et al., Friction models and friction compensation, 1998.
 """
 
@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, plain_report
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
 
 NAME = "friction"
 LEAST_LOAD = 0.05  # change of the load, as a share of the torque's, without which no dependence on it can be seen
+LEAST_SPEED = 1e-3  # rad/s; a joint that is slower throughout stands still
+STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # tried, as shares of the fastest speed: outside, it looks like Coulomb or viscous friction
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
@@ -19,49 +21,47 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
         return []
     out = []
     for j in group.joints:
-        axis, depends = f"A{j + 1}", f"qd{j + 1}"
         fastest = max(float(np.abs(run.qd[:, j]).max()) for run in runs)
-        if fastest < 1e-3:
-            continue
-        place = ((axis,), depends, (j,))
-        out += [
-            MotionCandidate(NAME, *place, _plain, plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad"), positive=True),
-            MotionCandidate(
-                NAME,
-                *place,
-                _stribeck,
-                plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s"),
-                hyper=np.geomspace(0.01, 0.4, 8) * fastest,
-                search=3.0,
-                extends=True,
-                tag="stribeck",
-            ),
-            MotionCandidate(
-                NAME,
-                *place,
-                _uneven,
-                plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad"),
-                extends=True,
-                tag="direction",
-            ),
-        ]
-        if all(np.ptp(np.abs(run.rigid[:, j])) > LEAST_LOAD * np.ptp(run.torque[:, j]) for run in runs):
-            out.append(MotionCandidate(NAME, *place, _load, plain_report(f"{axis}.load_dependent"), extends=True, tag="load", by_load=True))
+        if fastest >= LEAST_SPEED:
+            out += _of_joint(j, fastest, with_load=all(_load_changes(run, j) for run in runs))
     return out
 
 
+def _of_joint(j: int, fastest: float, with_load: bool) -> list[MotionCandidate]:
+    axis = f"A{j + 1}"
+    here = ((axis,), f"qd{j + 1}", (j,))
+    plain = plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad")
+    stribeck = plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s")
+    uneven = plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad")
+    load = plain_report(f"{axis}.load_dependent")
+    speeds = STRIBECK_SPEEDS * fastest
+    out = [
+        MotionCandidate(NAME, *here, _plain, plain, positive=True),
+        MotionCandidate(NAME, *here, _stribeck, stribeck, hyper=speeds, trials=3.0, extends=True, form="stribeck"),
+        MotionCandidate(NAME, *here, _uneven, uneven, extends=True, form="direction"),
+    ]
+    if with_load:
+        out.append(MotionCandidate(NAME, *here, _load, load, extends=True, form="load", follows_load=True))
+    return out
+
+
+def _load_changes(run: MotionSignals, joint: int) -> bool:
+    return bool(np.ptp(np.abs(available(run.rigid)[:, joint])) > LEAST_LOAD * np.ptp(available(run.torque)[:, joint]))
+
+
 def _plain(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
-    return np.stack([run.sense[:, joint], run.qd[:, joint]], axis=1)
+    return np.stack([run.direction[:, joint], run.qd[:, joint]], axis=1)
 
 
 def _stribeck(run: MotionSignals, joint: int, speed: float | None) -> np.ndarray:
-    return (run.sense[:, joint] * np.exp(-((run.qd[:, joint] / speed) ** 2)))[:, None]
+    assert speed is not None
+    return (run.direction[:, joint] * np.exp(-((run.qd[:, joint] / speed) ** 2)))[:, None]
 
 
 def _load(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
-    load = run.rigid if run.load is None else run.load
-    return (run.sense[:, joint] * np.abs(load[:, joint]))[:, None]
+    load = available(run.rigid) if run.load is None else run.load
+    return (run.direction[:, joint] * np.abs(load[:, joint]))[:, None]
 
 
 def _uneven(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
-    return np.stack([np.abs(run.sense[:, joint]), np.abs(run.qd[:, joint])], axis=1)
+    return np.stack([np.abs(run.direction[:, joint]), np.abs(run.qd[:, joint])], axis=1)

@@ -1,4 +1,4 @@
-"""The gearbox winds up under load: the joint side lags the motor side by compliance times the torque that passes the gear.
+"""The gear winds up under load: the joint side lags the motor side by compliance times the torque that passes the gear.
 
 Friction in front of the gear winds nothing up, so the load is the drive's torque without the friction found in its own channel;
 where no torque was recorded, that of the rigid-body simulation.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, Report, available
 
 NAME = "joint_compliance"
 
@@ -16,25 +16,19 @@ NAME = "joint_compliance"
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    return [
-        MotionCandidate(
-            NAME,
-            (f"A{j + 1}",),
-            f"tau{j + 1}",
-            (j,),
-            lambda run, joint, _: -run.load[:, [joint]],
-            _report(f"A{j + 1}.compliance_rad_per_Nm", runs, j),
-            positive=True,
-        )
-        for j in group.joints
-    ]
+    return [MotionCandidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), _columns, _report(runs, j), positive=True) for j in group.joints]
 
 
-def _report(name: str, runs: tuple[MotionSignals, ...], joint: int):
-    """The load is known only as well as the arm's inertial parameters: that much the compliance is uncertain besides."""
-    doubt = max(0.0 if run.load_doubt is None else float(run.load_doubt[joint]) for run in runs)
+def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    return -available(run.load)[:, [joint]]
 
-    def report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> dict:
-        return {name: {"value": float(c[0]), "std": float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), doubt * c[0]))}}
+
+def _report(runs: tuple[MotionSignals, ...], joint: int) -> Report:
+    """The load is known only as well as the arm's inertial parameters: that relative uncertainty is added to the compliance's own."""
+    relative = max(0.0 if run.load_uncertainty is None else float(run.load_uncertainty[joint]) for run in runs)
+
+    def report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> Parameters:
+        std = float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), relative * c[0]))
+        return {f"A{joint + 1}.compliance_rad_per_Nm": {"value": float(c[0]), "std": std}}
 
     return report

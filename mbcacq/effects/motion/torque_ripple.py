@@ -1,20 +1,38 @@
-"""Periodic effects: a table of sines whose orders (periods per joint turn) are found in the data, never assumed."""
+"""Periodic components in a joint's own angle: gear transmission error in the encoder, torque ripple in the torque.
+
+Each is a sine and cosine whose order (periods per turn of the joint) is found in the data, never assumed.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Report
+from mbcacq.effects.motion.effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, Parameters, Report
 
 ANGLE, TORQUE = "gear_transmission_error", "torque_ripple"
-SLOWEST = {ANGLE: 0.0, TORQUE: 6.0}  # slower waves of torque are gravity's
-BEYOND = np.radians(0.5)
-FASTEST = {ANGLE: 1500.0, TORQUE: 1500.0}  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
+LOWEST_ORDER = {ANGLE: 0.0, TORQUE: 6.0}  # lower orders of a torque are those of gravity
+HIGHEST_ORDER = 1500.0  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
+LEAST_TRAVEL = np.radians(2.0)  # below, a joint hardly moved
+LEAST_PERIODS = 1.5  # in the observed travel: more than one whole period
+OUTSIDE = np.radians(0.5)  # beyond the observed angles, where a phase is still known
 
 
-def wave(group: ChannelGroup, joint: int, order: float, spacing: float, tried: float, seen: tuple[float, float]) -> MotionCandidate:
-    """The candidate of one order. spacing: how far apart two orders are that the travelled angle tells apart; tried: how many; seen: the
-    angles (rad) at which it was seen: elsewhere its phase is not known, and nothing is claimed."""
+@dataclass(frozen=True)
+class OrderRange:
+    """Orders that a recording can show. spacing: the distance of two orders that the travelled angle distinguishes."""
+
+    lowest: float
+    highest: float
+    spacing: float
+
+
+def periodic_component(
+    group: ChannelGroup, joint: int, order: float, spacing: float, trials: float, observed: tuple[float, float]
+) -> MotionCandidate:
+    """The candidate of one order. spacing: of the orders to try around it; trials: how many were compared; observed: lowest and highest
+    angle (rad) of the data that take part: elsewhere its phase is not known, and it is zero."""
     name = ANGLE if group.name == "q_joint" else TORQUE
     key, scale = ("amplitude_deg", float(np.degrees(1))) if name == ANGLE else ("amplitude_Nm", 1.0)
     return MotionCandidate(
@@ -22,52 +40,52 @@ def wave(group: ChannelGroup, joint: int, order: float, spacing: float, tried: f
         (f"A{joint + 1}",),
         f"q{joint + 1}",
         (joint,),
-        _columns(seen),
+        _columns(observed),
         _report(f"A{joint + 1}", key, scale),
         hyper=order + spacing * np.array([-0.5, 0.0, 0.5]),
-        search=tried,
-        tag=f"{order:.4g}",
+        trials=trials,
+        form=f"{order:.4g}",
     )
 
 
-def range_of_orders(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int) -> tuple[float, float, float] | None:
-    """(lowest, highest, spacing) of the orders that the recording can show, None if the joint hardly moved or no wave is physical."""
+def range_of_orders(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int) -> OrderRange | None:
+    """The orders that the recordings can show, None if the joint hardly moved or no periodic component is physical."""
     if group.name == "q_set":
         return None
     name = ANGLE if group.name == "q_joint" else TORQUE
     travel = max(float(np.ptp(run.q[:, joint])) for run in runs)
-    if travel < np.radians(2.0):
+    if travel < LEAST_TRAVEL:
         return None
     fastest = max(float(np.abs(run.qd[:, joint]).max()) * run.step_s for run in runs)
     spacing = 2 * np.pi / travel
-    lowest = max(SLOWEST[name], 1.5 * spacing)  # more than one whole period was seen
-    highest = min(FASTEST[name], np.pi / max(fastest, 1e-9))
-    return (lowest, highest, spacing) if highest > lowest else None
+    lowest = max(LOWEST_ORDER[name], LEAST_PERIODS * spacing)
+    highest = min(HIGHEST_ORDER, np.pi / max(fastest, 1e-9))  # two samples a period at the highest speed
+    return OrderRange(lowest, highest, spacing) if highest > lowest else None
 
 
-def _columns(seen: tuple[float, float]):
+def _columns(observed: tuple[float, float]) -> Columns:
     def columns(run: MotionSignals, joint: int, order: float | None) -> np.ndarray:
+        assert order is not None
         q = run.q[:, joint]
-        inside = (q >= seen[0] - BEYOND) & (q <= seen[1] + BEYOND)
+        inside = (q >= observed[0] - OUTSIDE) & (q <= observed[1] + OUTSIDE)
         return np.stack([np.sin(order * q), np.cos(order * q)], axis=1) * inside[:, None]
 
     return columns
 
 
 def _report(axis: str, amplitude_name: str, scale: float) -> Report:
-    """amplitude * sin(order q + phase) from the coefficients of sin and cos."""
+    """amplitude * sin(order q + phase) from the coefficients of sine and cosine."""
 
-    def report(c: np.ndarray, v: np.ndarray, order: float | None, std: float) -> dict:
+    def report(c: np.ndarray, v: np.ndarray, order: float | None, std: float) -> Parameters:
+        assert order is not None
         amplitude = float(np.hypot(*c))
-        unit = c / max(amplitude, 1e-300)
-        turn = np.array([-unit[1], unit[0]])
+        radial = c / max(amplitude, 1e-300)
+        tangential = np.array([-radial[1], radial[0]])
+        phase_std = np.sqrt(max(tangential @ v @ tangential, 0.0)) / max(amplitude, 1e-300)
         return {
             f"{axis}.order": {"value": float(order), "std": float(std)},
-            f"{axis}.{amplitude_name}": {"value": scale * amplitude, "std": scale * float(np.sqrt(max(unit @ v @ unit, 0.0)))},
-            f"{axis}.phase_deg": {
-                "value": float(np.degrees(np.arctan2(c[1], c[0]))),
-                "std": float(np.degrees(np.sqrt(max(turn @ v @ turn, 0.0)) / max(amplitude, 1e-300))),
-            },
+            f"{axis}.{amplitude_name}": {"value": scale * amplitude, "std": scale * float(np.sqrt(max(radial @ v @ radial, 0.0)))},
+            f"{axis}.phase_deg": {"value": float(np.degrees(np.arctan2(c[1], c[0]))), "std": float(np.degrees(phase_std))},
         }
 
     return report

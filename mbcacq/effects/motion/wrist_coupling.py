@@ -1,27 +1,30 @@
-"""Motion of one wrist axis leaking into another one's encoder."""
+"""Rotation of one wrist axis that appears in the encoder of another one."""
 
 from __future__ import annotations
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, plain_report
+import numpy as np
+
+from mbcacq.effects.motion.effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, plain_report
 
 NAME = "wrist_coupling"
+FIRST_WRIST_JOINT, JOINTS = 3, 6
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
-    n = runs[0].q.shape[1]
-    if group.name != "q_joint" or n != 6:
+    if group.name != "q_joint" or runs[0].q.shape[1] != JOINTS:
         return []
+    wrist = range(FIRST_WRIST_JOINT, JOINTS)
+    pairs = [(j, other) for j in group.joints if j in wrist for other in wrist if other != j]
     return [
         MotionCandidate(
-            NAME,
-            (f"A{other + 1}", f"A{j + 1}"),
-            f"q{other + 1}",
-            (j,),
-            lambda run, joint, _, other=other: run.q[:, [other]],
-            plain_report(f"A{j + 1}_from_A{other + 1}.ratio"),
+            NAME, (f"A{other + 1}", f"A{j + 1}"), f"q{other + 1}", (j,), _columns(other), plain_report(f"A{j + 1}_from_A{other + 1}.ratio")
         )
-        for j in group.joints
-        if j >= 3
-        for other in range(3, n)
-        if other != j
+        for j, other in pairs
     ]
+
+
+def _columns(other: int) -> Columns:
+    def columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+        return run.q[:, [other]]
+
+    return columns

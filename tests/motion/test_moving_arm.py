@@ -1,4 +1,4 @@
-"""The fake arm in motion (MuJoCo bodies, drives with faults): what it conceals is found, by name, place and size."""
+"""The fake arm in motion (MuJoCo bodies, drives with effects): what is injected is found, by name, location and size."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ pytest.importorskip("mujoco")
 from mbcacq_fakes.dynamics.bodies import Bodies
 from mbcacq_fakes.dynamics.recorded import recorded
 
-from mbcacq.challenge.motion_score import judge
+from mbcacq.challenge.motion_score import score_motion
 from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.gravity import gravity_torque
@@ -23,10 +23,10 @@ def kr10():
     return RobotSpec.model_validate(yaml.safe_load(shipped.robot_file("kr10_r1100_2").read_text())).model()
 
 
-def told(robot, faults, seed=7, seconds=10.0):
-    made = [recorded(robot, faults, seed, motion, seconds) for motion in (0, 1)]
-    trajectories = [Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque) for r in made]
-    return diagnose_trajectories(trajectories, proof=False), made[0].truth
+def diagnosed(robot, injected, seed=7, seconds=10.0):
+    recordings = [recorded(robot, injected, seed, motion, seconds) for motion in (0, 1)]
+    trajectories = [Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque) for r in recordings]
+    return diagnose_trajectories(trajectories, cross_validation=False), recordings[0].truth
 
 
 def test_two_engines_hold_the_same_weight(kr10):
@@ -39,14 +39,14 @@ def test_two_engines_hold_the_same_weight(kr10):
 
 
 def test_an_arm_as_described_shows_nothing(kr10):
-    diagnosis, _ = told(kr10, [])
-    assert diagnosis["verdict"] == "none"
-    assert diagnosis["effects"] == []
+    diagnosis, _ = diagnosed(kr10, [])
+    assert diagnosis.verdict == "none"
+    assert diagnosis.effects == ()
 
 
-def test_wind_up_friction_and_a_late_clock_together(kr10):
-    """Friction loads the drive, not the gear: its torque must not be taken for wind-up; a delay must not be taken for either."""
-    diagnosis, truth = told(
+def test_wind_up_friction_and_a_late_channel_together(kr10):
+    """Friction loads the drive, not the gear: its torque must not appear as wind-up; a delay must not appear as either."""
+    diagnosis, truth = diagnosed(
         kr10,
         [
             {"name": "joint_compliance", "where": "A3", "compliance_rad_per_Nm": 6e-6},
@@ -54,34 +54,36 @@ def test_wind_up_friction_and_a_late_clock_together(kr10):
             {"name": "channel_latency", "where": "q_joint", "latency_s": 0.002},
         ],
     )
-    named, extra, _, sigmas = judge(truth, [True] * 3, diagnosis)
-    assert named
-    assert extra == []
-    assert len(sigmas) == 4
-    assert max(sigmas.values()) < 4.0
+    score = score_motion(truth, [True] * 3, diagnosis)
+    assert score.identified
+    assert score.false_names == []
+    assert len(score.sigmas) == 4
+    assert max(score.sigmas.values()) < 4.0
 
 
-def test_a_tool_that_is_not_described_and_a_ripple(kr10):
-    diagnosis, truth = told(kr10, [{"name": "payload", "mass_kg": 4.0}, {"name": "torque_ripple", "where": "A2"}])
-    named, extra, _, sigmas = judge(truth, [True] * 2, diagnosis)
-    assert named
-    assert extra == []
-    assert max(sigmas.values()) < 4.0
+def test_a_tool_that_is_not_described_and_a_torque_ripple(kr10):
+    diagnosis, truth = diagnosed(kr10, [{"name": "payload", "mass_kg": 4.0}, {"name": "torque_ripple", "where": "A2"}])
+    score = score_motion(truth, [True] * 2, diagnosis)
+    assert score.identified
+    assert score.false_names == []
+    assert max(score.sigmas.values()) < 4.0
 
 
-def test_a_current_is_worth_what_the_arm_weighs(kr10):
+def test_torque_constant_of_a_current_follows_from_the_weight_of_the_arm(kr10):
     """Percent of a drive, in proportion to its torque: friction found in N m, without anyone having said what a percent is."""
-    made = recorded(kr10, [{"name": "friction", "where": "A2", "kind": "plain"}], 7, 0, 10.0)
-    percent = made.torque * np.array([0.2, 0.15, 0.4, 2.0, 2.0, 5.0])
-    diagnosis = diagnose_trajectories([Trajectory(kr10, made.time_s, made.q, current=percent, current_unit="percent")], proof=False)
-    found = next(e for e in diagnosis["effects"] if e["where"] == ["A2"])
-    assert found["name"] == "friction"
-    true = made.truth[0]["parameters"]["A2.coulomb_Nm"]
-    assert found["parameters"]["A2.coulomb_Nm"]["value"] == pytest.approx(true, rel=0.08)
+    recording = recorded(kr10, [{"name": "friction", "where": "A2", "kind": "plain"}], 7, 0, 10.0)
+    percent = recording.torque * np.array([0.2, 0.15, 0.4, 2.0, 2.0, 5.0])
+    diagnosis = diagnose_trajectories(
+        [Trajectory(kr10, recording.time_s, recording.q, current=percent, current_unit="percent")], cross_validation=False
+    )
+    found = next(e for e in diagnosis.effects if e.where == ("A2",))
+    assert found.name == "friction"
+    true = recording.truth[0]["parameters"]["A2.coulomb_Nm"]
+    assert found.parameters["A2.coulomb_Nm"]["value"] == pytest.approx(true, rel=0.08)
 
 
-def test_an_unknown_fault_is_refused(kr10):
-    with pytest.raises(ConfigError, match="knows no fault 'rust'"):
+def test_an_unknown_effect_is_refused(kr10):
+    with pytest.raises(ConfigError, match="'rust'"):
         recorded(kr10, [{"name": "rust"}], 1)
 
 

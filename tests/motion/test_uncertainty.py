@@ -1,4 +1,4 @@
-"""Stated standard deviations against the scatter of many recordings, and against what was known before any recording."""
+"""Stated standard deviations against the scatter of many recordings, and against the prior."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ from scipy.signal import lfilter
 
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.normal_store import NormalStore
+from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
 
 STEP, LENGTH = 0.004, 3000
@@ -18,33 +19,33 @@ def run():
     return MotionSignals(STEP, still, still, still, still, still)
 
 
-def ledger(noise):
+def normal_store(noise):
     group = ChannelGroup(
         "q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True
     )
-    return NormalStore(group, (run(),))
+    return NormalStore(group, (run(),), DEFAULTS)
 
 
 def fitted(noise, prior=None):
     """Coefficient of COLUMN in pure noise and its stated standard deviation."""
-    own = ledger(noise)
-    number = own.add([0], [COLUMN], prior)
-    chosen = np.concatenate([own.base, number])
+    store = normal_store(noise)
+    number = store.add([0], [COLUMN], prior)
+    chosen = np.concatenate([store.base, number])
     weights = np.array([1.0 / np.mean(noise**2)])
-    x = own.solve(own.normal(weights), chosen)
-    return x[-1], float(np.sqrt(covariance(own, weights, chosen, x)[-1, -1]))
+    x = store.solve(store.normal(weights), chosen)
+    return x[-1], float(np.sqrt(covariance(store, weights, chosen, x, DEFAULTS.correlation_s)[-1, -1]))
 
 
-@pytest.mark.parametrize("memory_s", [0.0, 0.02, 0.1])
-def test_stated_deviation_is_the_scatter_also_where_noise_has_a_memory(memory_s):
+@pytest.mark.parametrize("correlation_s", [0.0, 0.02, 0.1])
+def test_stated_deviation_is_the_scatter_also_in_coloured_noise(correlation_s):
     rng = np.random.default_rng(5)
-    keep = np.exp(-STEP / memory_s) if memory_s else 0.0
-    told = np.array([fitted(lfilter([1.0], [1.0, -keep], rng.normal(size=LENGTH + 500))[500:]) for _ in range(150)])
-    scatter, stated = told[:, 0].std(), np.median(told[:, 1])
+    keep = np.exp(-STEP / correlation_s) if correlation_s else 0.0
+    fits = np.array([fitted(lfilter([1.0], [1.0, -keep], rng.normal(size=LENGTH + 500))[500:]) for _ in range(150)])
+    scatter, stated = fits[:, 0].std(), np.median(fits[:, 1])
     assert stated == pytest.approx(scatter, rel=0.2)
 
 
-def test_what_the_recording_does_not_determine_stays_as_doubtful_as_it_was():
+def test_a_coefficient_that_the_data_do_not_determine_keeps_its_prior():
     value, std = fitted(1e6 * np.random.default_rng(6).normal(size=LENGTH), np.array([0.3]))
     assert std == pytest.approx(0.3, rel=0.02)
     assert abs(value) < 0.1

@@ -1,6 +1,6 @@
-"""Trajectories with a known truth, made without the code under test: what is hidden is named, what is not there is not."""
+"""Simulated trajectories with a known truth, without the code under test: what is injected is named, nothing else is."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
+from mbcacq.model.trajectory import Trajectory
 
 CHAIN = Chain(np.array([1.0, 1.0]), np.zeros(2), np.array([300.0, 0]), np.array([0.0, 700]), np.radians([-90.0, 0]), np.zeros(2))
 ARM = RobotModel(
@@ -61,11 +62,11 @@ def recording(
     compliance=0.0,
     coulomb=0.0,
     viscous=0.0,
-    wave=0.0,
-    play=0.0,
+    transmission_error=0.0,
+    clearance=0.0,
     noise=True,
     late_torque=0.0,
-    ripple=0.0,
+    torque_ripple=0.0,
     load_share=0.0,
     heavier=1.0,
     flank_s=None,
@@ -75,20 +76,12 @@ def recording(
     tau = heavier * torque(q, qd, qdd)
     late = at(shape, t - latency)
     flank = np.sign(qd) if flank_s is None else follow(np.sign(tau), flank_s)
-    joint = late - compliance * tau + wave * np.sin(20.0 * late + 0.5) - 0.5 * play * flank
-    drive = tau + (coulomb + load_share * np.abs(tau)) * np.sign(qd) + viscous * qd + ripple * np.sin(90.0 * q + 0.5)
+    joint = late - compliance * tau + transmission_error * np.sin(20.0 * late + 0.5) - 0.5 * clearance * flank
+    drive = tau + (coulomb + load_share * np.abs(tau)) * np.sign(qd) + viscous * qd + torque_ripple * np.sin(90.0 * q + 0.5)
     drive = CubicSpline(t, drive)(np.clip(t - late_torque, 0, t[-1]))
     noise = 1.0 if noise else 0.0
-    return SimpleNamespace(
-        time_s=t,
-        q=q,
-        q_set=None,
-        q_joint=joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001,
-        torque=drive + noise * rng.normal(0, 0.3, q.shape),
-        motor_torque=None,
-        current=None,
-        robot=ARM,
-    )
+    q_joint = joint + noise * rng.normal(0, 2e-6, q.shape) + 0.001
+    return Trajectory(ARM, t, q, q_joint=q_joint, torque=drive + noise * rng.normal(0, 0.3, q.shape))
 
 
 def follow(signal, time_constant_s):
@@ -97,24 +90,24 @@ def follow(signal, time_constant_s):
 
 
 def named(result):
-    return {(e["name"], *e["where"]) for e in result["effects"]}
+    return {(e.name, *e.where) for e in result.effects}
 
 
 def value(result, name, key):
-    return next(e for e in result["effects"] if e["name"] == name and key in e["parameters"])["parameters"][key]
+    return next(e for e in result.effects if e.name == name and key in e.parameters).parameters[key]
 
 
 def test_the_pendulum_of_this_test_agrees_with_the_rigid_body_model():
-    """Two independent derivations of the same torque: nothing is left but the noise put in."""
+    """Two independent derivations of the same torque: the residual is the noise that was added."""
     result = diagnose_trajectories([recording(1), recording(2)])
-    for fit in result["fit"]["channels"]:
-        if fit["channel"] == "tau":
-            assert fit["held_out"]["before_rms"] == pytest.approx(0.3, rel=0.15)
+    for fit in result.channels:
+        if fit.channel == "tau":
+            assert fit.held_out.before_rms == pytest.approx(0.3, rel=0.15)
 
 
-def test_nothing_hidden_nothing_claimed():
+def test_an_ideal_arm_shows_no_effect():
     result = diagnose_trajectories([recording(1), recording(2)])
-    assert result["verdict"] == "none"
+    assert result.verdict == "none"
     assert named(result) == set()
 
 
@@ -125,9 +118,9 @@ def test_latency_of_the_joint_encoder():
     assert ("channel_latency", "q_joint") in named(result)
 
 
-def test_ripple_is_late_with_its_channel():
-    """A delay that shifts a fast ripple by half a radian leaves delay and amplitude alone."""
-    result = diagnose_trajectories([recording(k, late_torque=0.004, ripple=5.0) for k in (1, 2)], proof=False)
+def test_torque_ripple_is_late_with_its_channel():
+    """A delay that shifts a fast periodic component by half a radian leaves delay and amplitude alone."""
+    result = diagnose_trajectories([recording(k, late_torque=0.004, torque_ripple=5.0) for k in (1, 2)], cross_validation=False)
     late = value(result, "channel_latency", "latency_s")
     assert abs(late["value"] - 0.004) < 3 * late["std"] < 2e-4
     for axis in ("A1", "A2"):
@@ -135,21 +128,21 @@ def test_ripple_is_late_with_its_channel():
         assert abs(found["value"] - 5.0) < 3 * found["std"] < 0.2
 
 
-def test_friction_grows_with_the_load_there_is_not_with_the_load_described():
-    result = diagnose_trajectories([recording(k, coulomb=5.0, load_share=0.15, heavier=1.08) for k in (1, 2)], proof=False)
+def test_friction_grows_with_the_actual_load_not_with_the_described_one():
+    result = diagnose_trajectories([recording(k, coulomb=5.0, load_share=0.15, heavier=1.08) for k in (1, 2)], cross_validation=False)
     for name, true in (("A2.load_dependent", 0.15), ("A2.coulomb_Nm", 5.0)):
         found = value(result, "friction", name)
         assert abs(found["value"] - true) < 3 * found["std"]
 
 
-def test_play_is_crossed_in_a_time_of_its_own():
-    result = diagnose_trajectories([recording(k, play=1e-4, flank_s=0.012) for k in (1, 2)], proof=False)
+def test_backlash_is_crossed_in_a_time_of_its_own():
+    result = diagnose_trajectories([recording(k, clearance=1e-4, flank_s=0.012) for k in (1, 2)], cross_validation=False)
     width = value(result, "backlash", "A1.width_deg")
     assert abs(width["value"] - np.degrees(1e-4)) < 3 * width["std"] < 0.1 * np.degrees(1e-4)
     assert value(result, "backlash", "A1.crossing_s")["value"] == pytest.approx(0.012, rel=0.3)
 
 
-def test_wind_up_is_told_from_friction_and_latency():
+def test_wind_up_is_distinguished_from_friction_and_latency():
     runs = [recording(k, latency=0.002, compliance=2e-5, coulomb=8.0, viscous=15.0) for k in (1, 2)]
     result = diagnose_trajectories(runs)
     assert {("channel_latency", "q_joint"), ("joint_compliance", "A2"), ("friction", "A1"), ("friction", "A2")} <= named(result)
@@ -161,47 +154,35 @@ def test_wind_up_is_told_from_friction_and_latency():
 
 
 def test_transmission_error_with_its_order():
-    result = diagnose_trajectories([recording(k, wave=3e-5) for k in (1, 2)])
+    result = diagnose_trajectories([recording(k, transmission_error=3e-5) for k in (1, 2)])
     assert {("gear_transmission_error", "A1"), ("gear_transmission_error", "A2")} <= named(result)
     assert value(result, "gear_transmission_error", "A2.order")["value"] == pytest.approx(20.0, abs=0.3)
     assert value(result, "gear_transmission_error", "A2.amplitude_deg")["value"] == pytest.approx(np.degrees(3e-5), rel=0.1)
 
 
-def test_play():
-    result = diagnose_trajectories([recording(k, play=1e-4) for k in (1, 2)])
+def test_backlash():
+    result = diagnose_trajectories([recording(k, clearance=1e-4) for k in (1, 2)])
     assert {("backlash", "A1"), ("backlash", "A2")} <= named(result)
     assert value(result, "backlash", "A1.width_deg")["value"] == pytest.approx(np.degrees(1e-4), rel=0.1)
 
 
-def test_uneven_clock_and_missing_channels():
+def test_uneven_sampling_and_missing_channels():
     run = recording(3, latency=0.003)
     keep = np.random.default_rng(0).uniform(size=len(run.time_s)) > 0.05
-    thin = SimpleNamespace(
-        time_s=run.time_s[keep],
-        q=run.q[keep],
-        q_set=None,
-        q_joint=run.q_joint[keep],
-        torque=None,
-        motor_torque=None,
-        current=None,
-        robot=ARM,
-    )
-    result = diagnose_trajectories([thin])
+    result = diagnose_trajectories([Trajectory(ARM, run.time_s[keep], run.q[keep], q_joint=run.q_joint[keep])])
     assert ("channel_latency", "q_joint") in named(result)
-    assert result["fit"]["held_out"]["split"] == "time block"
+    assert result.split == "time block"
 
 
 def test_what_cannot_be_compared_is_refused():
     run = recording(1)
-    alone = SimpleNamespace(time_s=run.time_s, q=run.q, q_set=None, q_joint=None, torque=None, motor_torque=None, current=None, robot=ARM)
     with pytest.raises(ConfigError, match="nothing to compare"):
-        diagnose_trajectories([alone])
-    back = SimpleNamespace(**{**vars(run), "time_s": run.time_s[::-1]})
+        diagnose_trajectories([Trajectory(ARM, run.time_s, run.q)])
     with pytest.raises(ConfigError, match="does not rise"):
-        diagnose_trajectories([back])
+        diagnose_trajectories([replace(run, time_s=run.time_s[::-1])])
 
 
-def test_a_recording_in_which_a_joint_stands_says_nothing_of_its_friction():
+def test_a_joint_that_stands_in_a_recording_does_not_change_its_friction():
     """There the drive gives anything up to the stiction, whichever way an encoder trembles."""
     runs = [recording(k, coulomb=8.0, viscous=15.0) for k in (1, 2)]
     still = recording(3)
@@ -209,10 +190,8 @@ def test_a_recording_in_which_a_joint_stands_says_nothing_of_its_friction():
     rate = np.stack([np.gradient(q[:, 0], STEP), np.zeros(len(q))], axis=1)
     tau = torque(q, rate, np.stack([np.gradient(rate[:, 0], STEP), np.zeros(len(q))], axis=1))
     tau += np.stack([8.0 * np.sign(rate[:, 0]) + 15.0 * rate[:, 0], 6.0 * np.cos(still.time_s)], axis=1)
-    runs.append(
-        SimpleNamespace(**{**vars(still), "q": q, "q_joint": None, "torque": tau + np.random.default_rng(5).normal(0, 0.3, q.shape)})
-    )
-    result = diagnose_trajectories(runs, proof=False)
+    runs.append(replace(still, q=q, q_joint=None, torque=tau + np.random.default_rng(5).normal(0, 0.3, q.shape)))
+    result = diagnose_trajectories(runs, cross_validation=False)
     for axis in ("A1", "A2"):
         rub = value(result, "friction", f"{axis}.coulomb_Nm")
         assert abs(rub["value"] - 8.0) < 3 * rub["std"] < 1.0

@@ -1,0 +1,93 @@
+"""The candidates of the catalogue of motion, and which of them may be selected next."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+import numpy as np
+
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect, Variant
+from mbcacq.diagnosis.motion.spectrum import periodic_candidates
+from mbcacq.effects import motion as effects
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
+
+
+def all_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+    """Every candidate of every effect file of the catalogue, for one group of channels."""
+    out = []
+    for info in pkgutil.iter_modules(effects.__path__):
+        module = importlib.import_module(f"{effects.__name__}.{info.name}")
+        if hasattr(module, "candidates"):
+            out += module.candidates(group, runs)
+    return out
+
+
+class CandidatePool:
+    """Candidates with their columns in the store of a model. Columns from number ``mark`` on are those of one step of the selection."""
+
+    def __init__(self, model: MotionModel, candidates: list[MotionCandidate]) -> None:
+        self._model, self.candidates = model, candidates
+        self._variants = [v for c in candidates if not c.extends for v in self._of(c)]
+        self.mark = len(model.store.prior)
+
+    def _of(self, candidate: MotionCandidate, only: float | None = None) -> list[Variant]:
+        """One variant for each value of the hyper-parameter that is tried, or for ``only`` one."""
+        hypers: list[float | None] = [None] if candidate.hyper is None else list(candidate.hyper)
+        if only is not None:
+            hypers = [only]
+        if len(candidate.joints) > 1:
+            return [Variant(candidate, h, self._model.add(candidate, h)) for h in hypers]
+        return self._model.add_of_one_joint([candidate] * len(hypers), hypers)
+
+    def open(self) -> list[Variant]:
+        """The variants that may be selected: of an effect at a location one plain form, then its refinements, each form once."""
+        selected = [e.candidate for e in self._model.selected]
+        forms = {(c.location, c.form) for c in selected}
+        plain = {c.location for c in selected if not c.extends}
+        return [
+            v
+            for v in self._variants
+            if (v.candidate.location, v.candidate.form) not in forms and (v.candidate.extends or v.candidate.location not in plain)
+        ]
+
+    def periodic(self, weights: np.ndarray, chosen: np.ndarray) -> list[Variant]:
+        """Periodic components of the present residual, in columns that ``forget_step`` removes."""
+        model = self._model
+        x = model.store.solve(model.store.normal(weights), chosen)
+        found = [
+            candidate
+            for j, joint in enumerate(model.group.joints)
+            for candidate in periodic_candidates(
+                model.group, model.runs, joint, model.store.residual(j, chosen, x), model.store.training, model.options
+            )
+        ]
+        return model.add_of_one_joint(found, [_middle(c) for c in found])
+
+    def keep(self, variant: Variant) -> Variant:
+        """The variant with columns that stay, whatever ``forget_step`` removes."""
+        if any(variant is known for known in self._variants):
+            return variant
+        return Variant(variant.candidate, variant.hyper, self._model.add(variant.candidate, variant.hyper))
+
+    def forget_step(self) -> None:
+        self._model.store.forget(self.mark)
+
+    def extend(self, effect: SelectedEffect) -> None:
+        """Offer the refinements of an effect that was selected; its columns and theirs stay."""
+        candidate = effect.candidate
+        if not candidate.extends:
+            for refinement in self.candidates:
+                if refinement.extends and refinement.location == candidate.location and self._can_be_tested(refinement, candidate):
+                    self._variants += self._of(refinement, effect.variant.hyper if refinement.shares_hyper else None)
+        self.mark = len(self._model.store.prior)
+
+    def _can_be_tested(self, refinement: MotionCandidate, candidate: MotionCandidate) -> bool:
+        """A deviation that accumulates with time can only be tested on another motion, not on other moments of the same."""
+        several = len({s.run for s in self._model.store.segments}) >= 2
+        return not refinement.shares_hyper or (several and not candidate.continuous)
+
+
+def _middle(candidate: MotionCandidate) -> float:
+    assert candidate.hyper is not None
+    return float(candidate.hyper[len(candidate.hyper) // 2])

@@ -1,0 +1,106 @@
+"""The kinds of mismatch that recordings can show: torque, joint side, set point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
+from mbcacq.geometry.dynamics import inertial_sigma
+from mbcacq.model.cell import RobotModel
+
+Runs = tuple[MotionSignals, ...]
+
+
+def channel_groups(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, options: MotionOptions) -> list[ChannelGroup]:
+    """Every kind of mismatch that all of these recordings can show. inertial: (T, n, n, 10) torque by unit inertial parameter, by run."""
+    inside = tuple(_inside(run, options) for run in runs)
+    found = (_torque(runs, inertial, robot, inside, options), _joint_side(runs, inside), _set_point(runs))
+    return [group for group in found if group is not None]
+
+
+def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: tuple, options: MotionOptions) -> ChannelGroup | None:
+    torque, rigid = [run.torque for run in runs if run.torque is not None], [run.rigid for run in runs if run.rigid is not None]
+    if len(torque) < len(runs) or len(rigid) < len(runs):
+        return None
+    joints = _complete(torque)
+    if not joints:
+        return None
+    columns = list(joints)
+    sigma, fastest = inertial_sigma(robot), np.max([np.abs(run.qd).max(axis=0) for run in runs], axis=0)
+    known = sigma > 0
+    base = tuple(
+        np.concatenate([(c * sigma)[:, joints][:, :, known], _rotors(run, robot, joints)], axis=2)
+        for c, run in zip(inertial, runs, strict=True)
+    )
+    return ChannelGroup(
+        "tau",
+        "N m",
+        joints,
+        tuple((t - r)[:, columns] for t, r in zip(torque, rigid, strict=True)),
+        tuple((_moving(run, fastest, options) & k)[:, columns] for run, k in zip(runs, inside, strict=True)),
+        base,
+        np.ones(base[0].shape[2]),
+        refit=False,
+        signal=tuple(t[:, columns] for t in torque),
+    )
+
+
+def _joint_side(runs: Runs, inside: tuple) -> ChannelGroup | None:
+    signals = [run.q_joint for run in runs if run.q_joint is not None]
+    joints = _complete(signals) if len(signals) == len(runs) else ()
+    if not joints:
+        return None
+    columns = list(joints)
+    return ChannelGroup(
+        "q_joint",
+        "rad",
+        joints,
+        tuple((s - run.q)[:, columns] for s, run in zip(signals, runs, strict=True)),
+        tuple(k[:, columns] for k in inside),
+        _no_base(runs, joints),
+        np.zeros(0),
+        refit=True,
+        signal=tuple(s[:, columns] for s in signals),
+    )
+
+
+def _set_point(runs: Runs) -> ChannelGroup | None:
+    """The mismatch is actual angle minus set point. Its channel is not shifted: a late set point and a late drive look the same."""
+    signals = [run.q_set for run in runs if run.q_set is not None]
+    joints = _complete(signals) if len(signals) == len(runs) else ()
+    if not joints:
+        return None
+    columns = list(joints)
+    mismatch = tuple((run.q - s)[:, columns] for s, run in zip(signals, runs, strict=True))
+    use = tuple(np.ones(m.shape, dtype=bool) for m in mismatch)
+    return ChannelGroup("q_set", "rad", joints, mismatch, use, _no_base(runs, joints), np.zeros(0), refit=True)
+
+
+def _no_base(runs: Runs, joints: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    return tuple(np.zeros((len(run.q), len(joints), 0)) for run in runs)
+
+
+def _complete(signals: list[np.ndarray]) -> tuple[int, ...]:
+    """The joints that have the signal in every run."""
+    return tuple(j for j in range(signals[0].shape[1]) if all(np.isfinite(s[:, j]).all() for s in signals))
+
+
+def _inside(run: MotionSignals, options: MotionOptions) -> np.ndarray:
+    """(T, n): away from both ends of the recording."""
+    out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(options.edge_s / run.step_s))
+    out[:edge] = out[len(out) - edge :] = False
+    return out
+
+
+def _moving(run: MotionSignals, fastest: np.ndarray, options: MotionOptions) -> np.ndarray:
+    """(T, n): the joint moves, well away from a reversal. fastest: (n,) rad/s of all recordings: in some a joint may stand all the time."""
+    return np.abs(run.qd) > options.standstill * fastest
+
+
+def _rotors(run: MotionSignals, robot: RobotModel, joints: tuple[int, ...]) -> np.ndarray:
+    """(T, J, n): torque of each rotor, by as much inertia as the links behind it may have about its axis."""
+    reach = np.cumsum((np.abs(robot.chain.a) + np.abs(robot.chain.d))[::-1])[::-1] * 1e-3
+    behind = np.maximum(np.cumsum(np.maximum(robot.mass, 1.0)[::-1])[::-1], 1.0)
+    scale = behind * np.maximum(reach, 0.1) ** 2
+    return np.einsum("tj,jl->tjl", run.qdd[:, joints], np.eye(robot.n)[list(joints)] * scale)

@@ -1,0 +1,134 @@
+"""Diagnosis of recordings of motion: joint-side against motor-side angle, set point against actual, torque against rigid body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis.motion.assemble import assemble
+from mbcacq.diagnosis.motion.channel_groups import channel_groups
+from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected
+from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
+from mbcacq.diagnosis.motion.motion_model import MotionModel
+from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.segments import Part, held_out_parts
+from mbcacq.diagnosis.motion.signals import prepare
+from mbcacq.diagnosis.motion.torque_constants import with_torque
+from mbcacq.diagnosis.motion.transmitted_torque import with_load
+from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.errors import ConfigError
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.trajectory import Trajectory
+
+OPTIONAL = (
+    "q_set",
+    "qd_set",
+    "qdd_set",
+    "qddd_set",
+    "q_joint",
+    "torque",
+    "load",
+    "rigid",
+    "gravity",
+    "rigid_set",
+    "payload",
+    "load_uncertainty",
+)
+
+
+def diagnose_trajectories(
+    trajectories: Sequence[Trajectory], cross_validation: bool = True, options: MotionOptions = DEFAULTS
+) -> MotionDiagnosis:
+    """Diagnose one or several recordings of one robot. Raises ConfigError where they do not fit together.
+
+    The held-out errors of the result's channels are of parts (a trajectory, or a block of the only one) that took no part in selecting
+    or fitting anything; without ``cross_validation``, in a third of the time, of parts that took part in selecting.
+    """
+    recordings = _Recordings(trajectories, options)
+    fits, runs = recordings.explain()
+    return assemble(fits, runs, recordings.cross_validate() if cross_validation else None, options)
+
+
+def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None, options: MotionOptions = DEFAULTS) -> list[MotionFit]:
+    """The fit of each kind of mismatch. held: number of a part (``segments.held_out_parts``) that takes no part."""
+    return _Recordings(trajectories, options).explain(held)[0]
+
+
+def base_alone(trajectories: Sequence[Trajectory], options: MotionOptions = DEFAULTS) -> dict[str, np.ndarray]:
+    """Chi2 per degree of freedom (J,) by kind of mismatch, held out, of offsets and the arm's inertial parameters: no effect is tried."""
+    recordings = _Recordings(trajectories, options)
+    out = {}
+    for group in channel_groups(recordings.runs, recordings.inertial, recordings.robot, options):
+        selection = ForwardSelection(MotionModel(group, recordings.runs, options), candidates=[])
+        out[group.name] = selection.start / selection.model.floor**2
+    return out
+
+
+class _Recordings:
+    """Signals of recordings of one robot."""
+
+    def __init__(self, trajectories: Sequence[Trajectory], options: MotionOptions) -> None:
+        if not trajectories:
+            raise ConfigError("no trajectory was given")
+        if len({t.robot.n for t in trajectories}) > 1:
+            raise ConfigError("the trajectories belong to robots with different numbers of axes; diagnose them separately")
+        prepared = [prepare(t, options) for t in with_torque(list(trajectories), options)]
+        self.options = options
+        self.runs = _common([run for run, _ in prepared])
+        self.inertial = [inertial for _, inertial in prepared]
+        self.robot: RobotModel = trajectories[0].robot
+
+    def explain(self, held: int | None = None) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
+        """Fits, torque first: the load that it gives winds up the gears. Raises ConfigError where there is nothing to compare."""
+        runs, options = self.runs, self.options
+        groups = channel_groups(runs, self.inertial, self.robot, options)
+        if not groups:
+            raise ConfigError(
+                "nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm, motor_tau*_Nm or i*_A in addition to q*_deg"
+            )
+        fits: list[MotionFit] = []
+        for group in groups:
+            selection = ForwardSelection(MotionModel(group, runs, options, held))
+            selection.run()
+            fits.append(fit_selected(selection))
+            if group.name == "tau":
+                runs = with_load(runs, fits[-1], options)
+        return fits, runs
+
+    def cross_validate(self) -> dict[str, np.ndarray]:
+        """Mean squares (2, J) before and after by kind of mismatch, each part predicted by what was selected and fitted on the others."""
+        parts = held_out_parts(self.runs, self.options)[0]
+        with ThreadPoolExecutor(self.options.workers) as pool:
+            passes = list(pool.map(lambda number: self.explain(number)[0], range(len(parts))))
+        total: dict[str, np.ndarray] = {}
+        count: dict[str, np.ndarray] = {}
+        for part, fits in zip(parts, passes, strict=True):
+            for fit in fits:
+                squares, samples = _errors_of(fit, part)
+                total[fit.group.name] = total.get(fit.group.name, 0.0) + squares
+                count[fit.group.name] = count.get(fit.group.name, 0.0) + samples
+        return {name: square / np.maximum(count[name], 1.0) for name, square in total.items()}
+
+
+def _errors_of(fit: MotionFit, part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Squared errors (2, J) before and after in a part of the recordings, and numbers of samples (J,)."""
+    J = len(fit.group.joints)
+    squares, samples = np.zeros((2, J)), np.zeros(J)
+    for j in range(J):
+        for run, stretch in part:
+            use = fit.used[j][run][stretch]
+            for row, residual in enumerate((fit.residual_before, fit.residual_after)):
+                r = residual[j][run][stretch][use]
+                squares[row, j] += float(((r - r.mean()) ** 2).sum() if fit.group.refit else r @ r) if len(r) else 0.0
+            samples[j] += int(use.sum())
+    return squares, samples
+
+
+def _common(runs: list[MotionSignals]) -> tuple[MotionSignals, ...]:
+    """Keep only the signals that every run has."""
+    missing = {name: None for name in OPTIONAL if any(getattr(run, name) is None for run in runs)}
+    return tuple(replace(run, **missing) for run in runs)

@@ -1,0 +1,149 @@
+"""The model of one group of channels: what the rigid arm explains, and the effects that were selected, with their columns."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbcacq.diagnosis.motion.noise import third_difference_noise
+from mbcacq.diagnosis.motion.normal_store import NormalStore
+from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A candidate at one value of its hyper-parameter, with the numbers of its columns."""
+
+    candidate: MotionCandidate
+    hyper: float | None
+    ids: np.ndarray
+
+    @property
+    def value(self) -> float:
+        """The hyper-parameter of a candidate that has one."""
+        assert self.hyper is not None, f"{self.candidate.name} has no hyper-parameter"
+        return self.hyper
+
+
+@dataclass(frozen=True)
+class AlternativeEffect:
+    """A candidate that would have explained part of what the selected one explains. gain: as a share of that one's."""
+
+    name: str
+    where: tuple[str, ...]
+    gain: float
+
+
+@dataclass(eq=False)
+class SelectedEffect:
+    """before, after: held-out mean square (J,) without it and with it. by_prior: selected because without it the description of the arm
+    had to be bent."""
+
+    variant: Variant
+    p_value: float
+    before: np.ndarray
+    after: np.ndarray
+    alternatives: list[AlternativeEffect] = field(default_factory=list)
+    by_prior: bool = False
+
+    @property
+    def candidate(self) -> MotionCandidate:
+        return self.variant.candidate
+
+    def at(self, hyper: float | None, ids: np.ndarray) -> None:
+        """Take another value of the hyper-parameter, whose columns have these numbers."""
+        self.variant = Variant(self.candidate, hyper, ids)
+
+
+class MotionModel:
+    """Columns of a group of channels and the effects selected among them. floor: (J,) standard deviation of the channels' noise."""
+
+    def __init__(
+        self, group: ChannelGroup, runs: tuple[MotionSignals, ...], options: MotionOptions = DEFAULTS, held: int | None = None
+    ) -> None:
+        """held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything."""
+        self.group, self.runs, self.options = group, runs, options
+        self.store = NormalStore(group, runs, options, held)
+        self.selected: list[SelectedEffect] = []
+        joints = range(len(group.joints))
+        self.floor = np.array([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints])
+
+    # columns
+
+    def columns(self, candidate: MotionCandidate, joint: int, hyper: float | None) -> np.ndarray:
+        """(Ttot, k) of a candidate at one joint."""
+        return np.concatenate([candidate.columns(run, joint, hyper) for run in self.runs])
+
+    def joint_indices(self, candidate: MotionCandidate) -> list[int]:
+        return [self.group.index(joint) for joint in candidate.joints]
+
+    def add(self, candidate: MotionCandidate, hyper: float | None) -> np.ndarray:
+        """Add the columns of a candidate. Returns their numbers."""
+        columns = [self.columns(candidate, joint, hyper) for joint in candidate.joints]
+        return self.store.add(self.joint_indices(candidate), columns, np.broadcast_to(candidate.sigma, columns[0].shape[1]))
+
+    def add_of_one_joint(self, candidates: list[MotionCandidate], hypers: list[float | None]) -> list[Variant]:
+        """Candidates of one joint each, at one value of the hyper-parameter each."""
+        joints = [candidate.joints[0] for candidate in candidates]
+        columns = [self.columns(c, joint, h) for c, joint, h in zip(candidates, joints, hypers, strict=True)]
+        sigmas = [np.broadcast_to(c.sigma, column.shape[1]) for c, column in zip(candidates, columns, strict=True)]
+        numbers = self.store.add_many([(self.group.index(j), column) for j, column in zip(joints, columns, strict=True)], sigmas)
+        return [Variant(c, h, ids) for c, h, ids in zip(candidates, hypers, numbers, strict=True)]
+
+    def set_runs(self, runs: tuple[MotionSignals, ...]) -> None:
+        """The same runs with another load; columns of the effects that follow it are computed again."""
+        self.runs = runs
+        for effect in self.selected:
+            if effect.candidate.follows_load:
+                columns = [self.columns(effect.candidate, j, effect.variant.hyper) for j in effect.candidate.joints]
+                self.store.replace(effect.variant.ids, self.joint_indices(effect.candidate), columns)
+
+    # fit
+
+    def chosen(self, without: SelectedEffect | None = None) -> np.ndarray:
+        """Numbers of the columns of the base and of the selected effects."""
+        return np.concatenate([self.store.base, *(e.variant.ids for e in self.selected if e is not without)]).astype(int)
+
+    def weights(self, chosen: np.ndarray) -> np.ndarray:
+        """One over the mean square (J,) of the residual of these columns, joint by joint; weights and coefficients in turn."""
+        store = self.store
+        count = np.maximum(store.count.sum(axis=0), 1.0)
+        weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), 1e-300)
+        for _ in range(self.options.weight_rounds):
+            x = store.solve(store.normal(weights), chosen)
+            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0), 1e-300)
+        return weights
+
+    def coefficients(self) -> np.ndarray:
+        """Coefficients of ``chosen()``."""
+        chosen = self.chosen()
+        return self.store.solve(self.store.normal(self.weights(chosen)), chosen)
+
+    def fold_normals(self, weights: np.ndarray) -> dict[int, np.ndarray]:
+        """Normal matrices by the fold that is left out."""
+        return {f: self.store.normal(weights, f) for f in self.store.folds}
+
+    def held_out_mean_square(self, chosen: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
+        """(J,) of each fold predicted from the others."""
+        return self.store.held_out(chosen, normals).sum(axis=0) / np.maximum(self.store.count.sum(axis=0), 1.0)
+
+    # simulation
+
+    def simulated(self, j: int, run: int, x: np.ndarray, without: Collection[str], rotors: bool) -> np.ndarray:
+        """Sum (T,) of the links, of the rotors if asked for, and of the selected effects except those named in ``without``, at joint j of
+        the group in one run. x: coefficients of ``chosen()``."""
+        signals, joint = self.runs[run], self.group.joints[j]
+        position = {int(c): i for i, c in enumerate(self.chosen())}
+        base = self.group.base[run]
+        out = np.zeros(len(signals.q))
+        if base.shape[2]:
+            inertial = self.store.base[len(self.group.joints) : None if rotors else -signals.q.shape[1]]  # the last are the rotors
+            out += base[:, j, : len(inertial)] @ x[[position[int(i)] for i in inertial]]
+        for effect in self.selected:
+            if effect.candidate.name not in without and joint in effect.candidate.joints:
+                columns = effect.candidate.columns(signals, joint, effect.variant.hyper)
+                out += columns @ x[[position[int(i)] for i in effect.variant.ids]]
+        return out
