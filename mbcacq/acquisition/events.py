@@ -62,7 +62,7 @@ class CyclesReceived(Event):
 
 @dataclass(frozen=True)
 class PoseReached(Event):
-    """The arm stands. pose: number in the plan; q: (n,) rad as reported; direction: (n,) -1, 0, 1 sense of the last motion."""
+    """The arm stands. pose: number in the plan; q: (n,) rad as reported; direction: (n,) -1, 0, 1, of rotation in the last motion."""
 
     pose: int
     station: str

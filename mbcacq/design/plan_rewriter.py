@@ -37,8 +37,8 @@ def _id(station: str) -> str | int:
 
 
 def _view(view: View) -> dict[str, Any]:
-    content = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
-    content = {k: int(v) if float(v).is_integer() else v for k, v in content.items()}
+    angles = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
+    content: dict[str, Any] = {k: int(v) if float(v).is_integer() else v for k, v in angles.items()}
     if any(view.shift_mm):
         content["shift_mm"] = [int(x) if float(x).is_integer() else x for x in view.shift_mm]
     if view.wrist != "any":
