@@ -1,4 +1,4 @@
-"""Imports that are slow or need help, made where they are used."""
+"""Imports of libraries that are slow to load or need preparation, made where they are used."""
 
 from __future__ import annotations
 

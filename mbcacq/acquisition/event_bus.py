@@ -42,7 +42,7 @@ class EventBus:
         self.emit(StateChanged, state)
 
     def message(self, level: str, text: str) -> None:
-        """A sentence for whoever looks on, see :class:`Message`."""
+        """A sentence for the operator, see :class:`Message`."""
         self.emit(Message, level, text)
 
     def gap(self, kind: str, text: str, pose: int | None = None) -> None:

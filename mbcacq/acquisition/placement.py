@@ -34,7 +34,7 @@ class PlacementCheck:
         common = [(b, p, aim[b]) for b, p in zip(ball.tolist(), xyz, strict=True) if b in aim]
         what = f"artefact '{pose.artefact}' at station '{pose.station}'"
         if not common:
-            return f"no ball of {what} is seen where the plan puts it; is it there, and is its side towards the scanner?"
+            return f"no ball of {what} is where the plan puts it; is it there, and is its side towards the scanner?"
         T_base_scanner = self.cell.robot.chain.flange(q[None])[0] @ self.cell.T_flange_scanner
         found = {b: se3.apply(T_base_scanner, p) for b, p, _ in common}
         away = max(float(np.linalg.norm(p - a)) for _, p, a in common)

@@ -63,7 +63,7 @@ def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
     if not hidden:
         return []
     listed = "; ".join(f"{name} ({', '.join(sorted(locations))})" for name, locations in hidden.items())
-    return [PlanFinding("info", "blind", "", place, f"effects that these poses would not show at their usual size: {listed}")]
+    return [PlanFinding("info", "blind", "", place, f"effects that these poses would not detect at their usual size: {listed}")]
 
 
 def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
@@ -83,7 +83,7 @@ def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     if accuracy.correlated:
         lines.append("hard to tell apart: " + _pairs(accuracy.correlated))
     detectable = sum(e.detectable for e in found.effects)
-    lines.append(f"would show {detectable} of {len(found.effects)} catalogued effects at their usual size")
+    lines.append(f"would detect {detectable} of {len(found.effects)} catalogued effects at their usual size")
     if found.indistinguishable:
         lines.append("effects that look alike here: " + _pairs(found.indistinguishable))
     return lines

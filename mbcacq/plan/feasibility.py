@@ -1,4 +1,4 @@
-"""What is wrong or doubtful in a plan, found before anything moves."""
+"""Feasibility of a plan: what is wrong or doubtful in it, found before anything moves."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _singularities(loaded: LoadedPlan, q: np.ndarray) -> Iterator[tuple[str, str
     frames = robot.chain.frames(q[None])[0]
     z, origin = frames[:, :3, 2], frames[:, :3, 3]
     if np.linalg.norm(np.cross(z[3], z[5])) < nearest:
-        yield "wrist-singular", "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly tells their errors apart"
+        yield "wrist-singular", "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly separates their errors"
     shoulder, elbow, wrist = origin[1], origin[2], origin[4]
     upper, lower = elbow - shoulder, wrist - elbow
     if np.linalg.norm(np.cross(upper, lower)) < nearest * np.linalg.norm(upper) * np.linalg.norm(lower):

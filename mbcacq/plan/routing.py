@@ -91,7 +91,7 @@ def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], obstru
     pose = next(p for p in poses if p.number == obstructed.number)
     near = obstructed.closest
     return (
-        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free way to pose {pose.number} was found "
+        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free path to pose {pose.number} was found "
         f"(on the straight one {near.a} comes within {near.distance:.0f} mm of {near.b}); move the station, or put a view between"
     )
 

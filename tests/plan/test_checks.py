@@ -181,11 +181,11 @@ def test_a_pose_without_a_free_path_is_an_error_with_its_line(folder):
     )
     found = [f for f in findings(folder.plan(("artefacts: [", f"obstacles:\n{cage}artefacts: ["), turned)) if f.code == "way"]
     assert found
-    assert "no free way to pose 0 was found" in found[0].sentence
+    assert "no free path to pose 0 was found" in found[0].sentence
     assert found[0].place.endswith("plan.yaml:26")
     loaded = load(folder.path / "plan.yaml")
     poses = expand(loaded)
-    with pytest.raises(ConfigError, match="no free way"):
+    with pytest.raises(ConfigError, match="no free path"):
         path(loaded, poses[:1])
 
 

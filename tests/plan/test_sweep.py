@@ -113,6 +113,7 @@ def test_the_swept_box_holds_every_pose_and_its_speed_is_the_scanners(tmp_path):
     turned = home + np.radians([40.0, 0, 0, 0, 0, 0])
     segment = replace(motions(loaded)[0], start=home, end=turned)
     radius = np.linalg.norm((chain.flange(home[None])[0] @ loaded.cell.T_flange_scanner)[:2, 3])
+    assert loaded.cell.robot.speed is not None
     expected = radius * loaded.plan.robot.speed * loaded.cell.robot.speed[0]
     assert swept(loaded, [segment]).speed_mm_s == pytest.approx(expected, rel=1e-3)
 
