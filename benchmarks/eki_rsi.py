@@ -18,7 +18,7 @@ from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.devices import load_driver
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load, path
-from mbcacq.plan.routing import way_home
+from mbcacq.plan.routing import path_home
 from mbcacq.recording import load as load_run
 from mbcacq.workflow import run
 
@@ -49,7 +49,7 @@ def record(name: str, driver: str, seed: int, folder: Path) -> Path:
     loaded = plan(name, driver, seed)
     poses = expand(loaded)
     with load_driver("fakes", "cell")(loaded, poses, seed=seed) as cell:
-        run.Acquisition(loaded, poses, path(loaded, poses), way_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        run.Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
     return folder
 
 

@@ -18,20 +18,28 @@ Overrides = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class CellDevices:
+    """The devices of one cell, in the order of their plan."""
+
     robot: Robot
     scanner: Scanner
     positioner: Positioner
     sensors: tuple[Sensor, ...] = ()
 
     @property
+    def asks_a_person(self) -> bool:
+        """Whether a person moves the artefact, who can be asked again."""
+        return bool(getattr(self.positioner, "asks", False))
+
+    @property
     def all(self) -> dict[str, Device]:
-        named = {"robot": self.robot, "scanner": self.scanner, "positioner": self.positioner}
+        """Every device by its role."""
+        named: dict[str, Device] = {"robot": self.robot, "scanner": self.scanner, "positioner": self.positioner}
         return named | {f"sensor {i + 1}": s for i, s in enumerate(self.sensors)}
 
     def connect(self) -> None:
         """Connect every device at the same time. Raises ConnectError that names every device that failed, not only the first; a wrong
         setting (ConfigError) of one ends the wait for the others at once."""
-        failures: dict[str, Exception] = {}
+        failures: dict[str, BaseException] = {}
         devices = self.all
         with ThreadPoolExecutor(len(devices)) as pool:
             try:
@@ -81,8 +89,11 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
 
 
 def robot_options(loaded: LoadedPlan) -> dict[str, Any]:
-    """What the robot's driver is told: limits_deg (6, 2), speed_deg_s (6,) where known, the plan's options, which win over them; and what
-    else of the model the driver asks for by ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg)."""
+    """The options that the robot's driver gets: limits_deg (6, 2), speed_deg_s (6,) where known, and the plan's own, which win over them.
+
+    What else of the model the driver needs it names in ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
+    beta_deg).
+    """
     robot, use = loaded.cell.robot, loaded.plan.robot
     facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}
     if robot.speed is not None:

@@ -1,4 +1,4 @@
-"""Drains the robot's raw cycles all the time, also while a scan is being taken."""
+"""Collects the robot's raw cycles all the time, also while a scan is being taken."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ class CycleCollector:
         self._lock = threading.Lock()
         self._quit = threading.Event()
         self._error: BaseException | None = None
-        self.count, self._delay = 0, [np.nan, np.nan]
-        self._last_time, self._steps = np.nan, []  # robot time between neighbouring cycles
-        self._thread = threading.Thread(target=self._work, name="cycle-pump", daemon=True)
+        self.count = 0
+        self._delay = [np.nan, np.nan]  # the controller's counter of late answers, first and last value
+        self._last_time = np.nan
+        self._steps: list[np.ndarray] = []  # robot time between neighbouring cycles
+        self._thread = threading.Thread(target=self._work, name="cycle-collector", daemon=True)
 
     def __enter__(self) -> CycleCollector:
         self._thread.start()
@@ -38,11 +40,12 @@ class CycleCollector:
             self.drain()
 
     def check(self) -> None:
-        """Raise here what a subscriber raised in the pump's thread."""
+        """Raise here what a subscriber raised in the collector's thread."""
         if self._error is not None:
             raise self._error
 
     def drain(self) -> None:
+        """Take the cycles that have come since the last call, and emit them."""
         with self._lock:
             cycles = self._robot.cycles()
             if len(cycles):

@@ -1,4 +1,4 @@
-"""Events to subscribers, from the runner's thread and the cycle pump's."""
+"""Events to subscribers, from the runner's thread and the cycle collector's."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
-from mbcacq.acquisition.events import Event
+from mbcacq.acquisition.events import Event, Gap, Message, StateChanged
 
 Subscriber = Callable[[Event], None]
 
@@ -36,3 +36,16 @@ class EventBus:
                     failure = failure or error
             if failure is not None:
                 raise failure
+
+    def state(self, state: str) -> None:
+        """The run enters a state, see :class:`StateChanged`."""
+        self.emit(StateChanged, state)
+
+    def message(self, level: str, text: str) -> None:
+        """A sentence for the operator, see :class:`Message`."""
+        self.emit(Message, level, text)
+
+    def gap(self, kind: str, text: str, pose: int | None = None) -> None:
+        """Something the recording lacks, see :class:`Gap`; a warning says the same."""
+        self.emit(Gap, kind, text, pose)
+        self.message("warning", text)

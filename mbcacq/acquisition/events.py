@@ -21,7 +21,7 @@ class Event:
 @dataclass(frozen=True)
 class RunStarted(Event):
     """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC. route: number of each
-    pose yet to come -> (k, n) rad, the joint waypoints on the way to it, the pose last. urdf: file that draws the arm, or ''."""
+    pose yet to come -> (k, n) rad, the joint waypoints that lead to it, the pose last. urdf: file that draws the arm, or ''."""
 
     name: str
     started: str
@@ -62,7 +62,7 @@ class CyclesReceived(Event):
 
 @dataclass(frozen=True)
 class PoseReached(Event):
-    """The arm stands. pose: number in the plan; q: (n,) rad as reported; direction: (n,) -1, 0, 1 sense of the last motion."""
+    """The arm stands. pose: number in the plan; q: (n,) rad as reported; direction: (n,) -1, 0, 1, of rotation in the last motion."""
 
     pose: int
     station: str
@@ -125,7 +125,7 @@ class HealthReceived(Event):
 @dataclass(frozen=True)
 class Gap(Event):
     """Something the recording lacks. kind: 'pose' (left out), 'sensor', 'cycles', 'scanner' (was away); text: one sentence; pose: number.
-    A Message says the same to whoever looks on."""
+    A Message says the same to the operator."""
 
     kind: str
     text: str

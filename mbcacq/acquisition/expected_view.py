@@ -1,8 +1,10 @@
-"""What is measured at one pose: several exposures, the balls in each, their mean."""
+"""Ball centres of one pose: where the plan predicts them, and the mean of those found in its exposures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -11,9 +13,22 @@ from mbcacq.model.cell import Cell
 from mbcacq.plan import PlannedPose
 
 
+class Centres(Protocol):
+    """Centres found in one exposure: ball (k,) ids, xyz (k, 3) mm in the scanner frame, n_points (k,), rms_mm (k,) of the fits."""
+
+    @property
+    def ball(self) -> np.ndarray: ...
+    @property
+    def xyz(self) -> np.ndarray: ...
+    @property
+    def n_points(self) -> np.ndarray: ...
+    @property
+    def rms_mm(self) -> np.ndarray: ...
+
+
 @dataclass(frozen=True)
 class MeanCentres:
-    """Centres of a pose: ball (k,) ids, xyz (k, 3) mm mean over the exposures that saw the ball, scatter (k, 3) mm between them."""
+    """Centres of a pose: ball (k,) ids, xyz (k, 3) mm mean over the exposures that show the ball, scatter (k, 3) mm between them."""
 
     ball: np.ndarray
     xyz: np.ndarray
@@ -22,8 +37,8 @@ class MeanCentres:
     scatter_mm: np.ndarray
 
 
-def mean_centres(found: list) -> MeanCentres:
-    """Average the exposures of one pose (``FoundBalls`` each). A ball counts only if at least half of the exposures saw it."""
+def mean_centres(found: Sequence[Centres]) -> MeanCentres:
+    """Average the exposures of one pose. A ball counts only if it was found in at least half of them."""
     ids = np.concatenate([f.ball for f in found]) if found else np.zeros(0, int)
     xyz = np.concatenate([f.xyz for f in found]) if found else np.zeros((0, 3))
     n_points = np.concatenate([f.n_points for f in found]) if found else np.zeros(0)
@@ -44,7 +59,6 @@ def mean_centres(found: list) -> MeanCentres:
 def predicted_centres(cell: Cell, pose: PlannedPose) -> np.ndarray:
     """Where the plan expects the balls of a pose: (k, 3) mm in the scanner frame, in the order of ``pose.balls``."""
     artefact = cell.artefact(pose.artefact)
-    station = next(s for s in cell.stations if s.id == pose.station)
     T_base_scanner = cell.robot.chain.flange(pose.q[None])[0] @ cell.T_flange_scanner
     centres = artefact.centres[[artefact.ball_ids.index(b) for b in pose.balls]]
-    return se3.apply(se3.inverse(T_base_scanner) @ station.T_base_station, centres)
+    return se3.apply(se3.inverse(T_base_scanner) @ cell.station(pose.station).planned_pose, centres)

@@ -1,4 +1,4 @@
-"""Looks after the arm while the run waits for something else: an operator, a positioner, a scanner that starts again."""
+"""Monitors the arm while the run waits for something else: an operator, a positioner, a scanner that starts again."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ PERIOD_S = 0.05
 
 
 class RobotMonitor:
-    """Context manager. As soon as the robot reports what stopped it, ``interrupt`` is called from a thread, so that the wait ends; what
-    stopped the robot is then raised in place of whatever the interrupted wait raised."""
+    """Context manager around a wait. As soon as the robot reports what stopped it, ``interrupt`` is called from a thread, so that the wait
+    ends; what stopped the robot is then raised in place of whatever the interrupted wait raised."""
 
     def __init__(self, robot: Robot, interrupt: Callable[[], None]) -> None:
         self._robot, self._interrupt = robot, interrupt
-        self._quit, self._error = threading.Event(), None
-        self._thread = threading.Thread(target=self._work, name="robot-watch", daemon=True)
+        self._quit = threading.Event()
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._work, name="robot-monitor", daemon=True)
 
     @property
     def error(self) -> Exception | None:
+        """What stopped the robot, if anything did."""
         return self._error
 
     def __enter__(self) -> Self:

@@ -12,14 +12,14 @@ from mbcacq.model.cell import Cell
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration
 
 POLL_S = 0.003
-MOVED = 1e-4  # rad; less is no motion that could change the sense of a gear
+MOVED = 1e-4  # rad; less is no motion that could bring a gear to its other flank
 
 
 class Mover:
     """Moves the arm and remembers from which side each axis arrived."""
 
-    def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, pump: CycleCollector) -> None:
-        self._robot, self._joint_limits, self._limits, self._pump = robot, cell.robot.limits, limits, pump
+    def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, collector: CycleCollector) -> None:
+        self._robot, self._joint_limits, self.limits, self._collector = robot, cell.robot.limits, limits, collector
         self._arms = arms_beyond(cell)
         self.direction = np.zeros(cell.robot.n, dtype=int)
 
@@ -29,10 +29,10 @@ class Mover:
         start = self._robot.state()
         travel = target - start.q
         self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)
-        self._robot.move_to(target, self._limits)
-        deadline = start.time_s + longest_duration(travel, self._limits, self._arms)
+        self._robot.move_to(target, self.limits)
+        deadline = start.time_s + longest_duration(travel, self.limits, self._arms)
         while True:
-            self._pump.check()
+            self._collector.check()
             state = self._robot.state()
             if state.arrived:
                 return state

@@ -45,14 +45,14 @@ def run(
 ) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.plan import path
-    from mbcacq.plan.routing import way_home
+    from mbcacq.plan.routing import path_home
     from mbcacq.recording import load
     from mbcacq.workflow.run import Acquisition
 
     secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": concealed}}))
     folder.mkdir(parents=True, exist_ok=True)
     with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=envelope.seed) as cell:
-        Acquisition(loaded, poses, path(loaded, poses), way_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
         truth = cell.truth()
     return without(load(folder), envelope.missing), truth
 

@@ -60,7 +60,7 @@ def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) 
     )
     places = ", ".join(f"{key} {value}" for key, value in use.options.items() if isinstance(value, str) and value)
     yield f"{robot.name} (driver {use.driver}{', ' + places if places else ''}) is going to move:"
-    yield f"  poses      {len(poses)}, in {sweep.legs} motions"
+    yield f"  poses      {len(poses)}, in {sweep.segments} motions"
     yield f"  speed      {100 * use.speed:g} % of the axes' largest speeds; the scanner up to {sweep.speed_mm_s:.0f} mm/s"
     yield f"  workspace  {box} mm in the base frame, swept by flange and scanner; {fence}"
     yield f"  first      straight from where it stands to home, {_angles(np.radians(use.home_deg))}"

@@ -53,7 +53,7 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
 
     Errors end with exit code 2.
     """
-    from mbcacq.design.plan_findings import insight, words
+    from mbcacq.design.plan_findings import identifiability_findings, sentences
     from mbcacq.plan import load
     from mbcacq.plan.expansion import expand_reachable
     from mbcacq.plan.feasibility import check
@@ -65,18 +65,18 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
     poses, _ = expand_reachable(loaded)
     routes = find_paths(loaded, poses)
     findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
-    more, outlook, sight = ([], None, None) if quick else insight(loaded, poses, content, routes)
+    more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
     findings += more
     errors = sum(f.level == "error" for f in findings)
     if as_json:
         content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
-        content |= {"prospect": outlook and outlook.to_dict(), "visibility": sight and sight.to_dict()}
+        content |= {"prospect": accuracy and accuracy.to_dict(), "visibility": effects and effects.to_dict()}
         click.echo(json.dumps(content))
     else:
         colour = {"error": "red", "warning": "yellow", "info": "cyan"}
         for f in findings if every else merged(findings):
             click.echo(f"{click.style(f.level, fg=colour[f.level])} {f}", color=_colour())
-        for line in words(outlook, sight) if outlook and sight else []:
+        for line in sentences(accuracy, effects) if accuracy and effects else []:
             click.echo(line)
         click.echo(_time_sentence(content))
         click.echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
@@ -105,7 +105,8 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     Views that can be taken are drawn at random; the best of them are chosen by greedy growth and exchange. The poses of the phases
     'translation', 'orientation' and 'verification' stay. Both plans are then compared, in expectation and by simulated cells.
     """
-    from mbcacq.design.optimal_design import compare, design
+    from mbcacq.design.optimal_design import design
+    from mbcacq.design.plan_comparison import compare
     from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
 

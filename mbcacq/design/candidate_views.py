@@ -6,20 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.design.options import DesignOptions
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.clearance import Clearance
-from mbcacq.plan.expansion_targets import aims, seen
+from mbcacq.plan.expansion import aim_points, visible_balls
 from mbcacq.plan.field_of_view import T_base_scanner
-from mbcacq.plan.ik_selection import DEFAULT_SPEED, cheapest
-from mbcacq.plan.kinematics import InverseKinematics
-from mbcacq.plan.occlusion import STEEPEST, occluded
+from mbcacq.plan.ik_selection import select_solutions
+from mbcacq.plan.inverse_kinematics import InverseKinematics
+from mbcacq.plan.occlusion import occluded
 from mbcacq.plan.schema import View
-
-LIMIT_MARGIN = np.radians(4.0)
-SINGULAR = np.radians(8.0)
-SHIFTS = np.array([16.0, 24.0, 20.0])  # mm, largest
-FEWEST = 4  # balls that a view must show, or all where there are fewer
 
 
 @dataclass(frozen=True)
@@ -32,89 +28,104 @@ class CandidateView:
     pose: PlannedPose
 
 
-def random_views(count: int, steepest_deg: float, rng: np.random.Generator) -> list[View]:
-    """On a grid coarse enough to be written down: whole degrees and millimetres, both wrist branches alike."""
+def random_views(count: int, steepest_deg: float, rng: np.random.Generator, options: DesignOptions | None = None) -> list[View]:
+    """Views on a grid coarse enough to be written down: whole degrees and millimetres, both wrist branches alike."""
     # Uniform over the cap of directions, not over the angle.
     tilt = np.degrees(np.arccos(1 - rng.uniform(0, 1, count) * (1 - np.cos(np.radians(steepest_deg)))))
     azimuth, roll = rng.integers(-36, 36, (2, count)) * 5
-    shift = np.rint(rng.uniform(-1, 1, (count, 3)) * SHIFTS)
+    shift = np.rint(rng.uniform(-1, 1, (count, 3)) * np.array((options or DesignOptions()).shifts_mm))
     return [
         View(
             tilt_deg=float(np.rint(t)),
             azimuth_deg=float(a),
             roll_deg=float(r),
-            shift_mm=tuple(map(float, s)),
+            shift_mm=(float(s[0]), float(s[1]), float(s[2])),
             wrist="positive" if k % 2 else "negative",
         )
         for k, (t, a, r, s) in enumerate(zip(tilt, azimuth, roll, shift, strict=True))
     ]
 
 
-def candidates(loaded: LoadedPlan, stations: list[str], per_station: int, steepest_deg: float, seed: int) -> list[CandidateView]:
+def candidates(
+    loaded: LoadedPlan, stations: list[str], steepest_deg: float, seed: int, options: DesignOptions | None = None
+) -> list[CandidateView]:
     """Random views that can be taken: within the limits less a margin, wrist bent, enough balls in view and not hidden, nothing near."""
-    rng = np.random.default_rng(seed)
-    solver, clearance = InverseKinematics.of(loaded.cell.robot), Clearance(loaded)
+    options, rng = options or DesignOptions(), np.random.default_rng(seed)
+    choice = _Choice(loaded, options)
+    steepest_deg = min(steepest_deg, np.degrees(loaded.planning.steepest_view))
     out: list[CandidateView] = []
     for station in stations:
         single = single_aims(loaded, station)
         for aim in single:
-            views = random_views(per_station // len(single), min(steepest_deg, np.degrees(STEEPEST)), rng)
-            out += _at_station(loaded, station, aim, views, solver, clearance)
+            out += choice.at_station(station, aim, random_views(options.views_per_station // len(single), steepest_deg, rng, options))
     return out
 
 
-def single_aims(loaded: LoadedPlan, station: str) -> list[int | None]:
+def single_aims(loaded: LoadedPlan, station: str) -> list[int] | list[None]:
     """The balls to be looked at one by one where the artefact is longer than the view is wide, else None for all together."""
-    artefact = loaded.cell.artefact(next(s for s in loaded.cell.stations if s.id == station).artefact)
+    artefact = loaded.cell.artefact(loaded.cell.station(station).artefact)
     size = np.linalg.norm(artefact.centres[:, None] - artefact.centres, axis=2).max()
     return list(artefact.ball_ids) if size > 2 * max(loaded.plan.scanner.field_of_view.far_half_mm) else [None]
 
 
-def _at_station(
-    loaded: LoadedPlan, station: str, aim: int | None, views: list[View], solver: InverseKinematics, clearance: Clearance
-) -> list[CandidateView]:
-    cell, robot = loaded.cell, loaded.cell.robot
-    place = next(s for s in cell.stations if s.id == station)
-    artefact = cell.artefact(place.artefact)
-    point = aims(artefact, "all" if aim is None else (aim,))[0]
-    fewest = min(FEWEST, len(artefact.ball_ids)) if aim is None else 1
-    T_base_scanners = np.stack([T_base_scanner(place.T_base_station, point, v) for v in views])
-    flanges = T_base_scanners @ se3.inverse(cell.T_flange_scanner)
-    xyz = se3.apply(se3.inverse(T_base_scanners)[:, None] @ place.T_base_station, artefact.centres)
-    speed = np.full(robot.n, DEFAULT_SPEED) if robot.speed is None else robot.speed
-    home = np.radians(loaded.plan.robot.home_deg)
-    out = []
-    for view, flange, centres, found in zip(views, flanges, xyz, solver.solutions(flanges), strict=True):
-        balls = seen(loaded, station, flange)
+class _Choice:
+    """Keeps of many views those that can be taken."""
+
+    def __init__(self, loaded: LoadedPlan, options: DesignOptions) -> None:
+        self._loaded, self._options = loaded, options
+        self._solver, self._clearance = InverseKinematics.of(loaded.cell.robot), Clearance(loaded)
+
+    def at_station(self, station: str, aim: int | None, views: list[View]) -> list[CandidateView]:
+        """Those of ``views`` of one ball, or of all (None), that can be taken."""
+        cell, T_base_station = self._loaded.cell, self._loaded.cell.station(station).planned_pose
+        artefact = cell.artefact(cell.station(station).artefact)
+        point = aim_points(artefact, "all" if aim is None else (aim,))[0]
+        fewest = min(self._options.fewest_balls, len(artefact.ball_ids)) if aim is None else 1
+        T_base_scanners = np.stack([T_base_scanner(T_base_station, point, v) for v in views])
+        flanges = T_base_scanners @ se3.inverse(cell.T_flange_scanner)
+        xyz = se3.apply(se3.inverse(T_base_scanners)[:, None] @ T_base_station, artefact.centres)
+        out = []
+        for view, flange, centres, found in zip(views, flanges, xyz, self._solver.solutions(flanges), strict=True):
+            balls = self._unhidden(station, flange, centres, fewest)
+            q = self._posture(found, view, station) if balls else None
+            if q is not None:
+                out.append(CandidateView(station, aim, view, self._pose(len(out), station, q, balls)))
+        return out
+
+    def _unhidden(self, station: str, flange: np.ndarray, centres: np.ndarray, fewest: int) -> tuple[int, ...]:
+        """The balls in view, or none where they are too few or one hides another."""
+        planning, field = self._loaded.planning, self._loaded.plan.scanner.field_of_view
+        artefact = self._loaded.cell.artefact(self._loaded.cell.station(station).artefact)
+        balls = visible_balls(self._loaded, station, flange)
+        if len(balls) < fewest:
+            return ()
+        hidden = {artefact.ball_ids[b] for _, b in occluded(centres, artefact.diameters / 2, field, planning.hidden_share)}
+        return () if hidden & set(balls) else balls
+
+    def _posture(self, found: np.ndarray, view: View, station: str) -> np.ndarray | None:
+        """Of the positions (k, n) that reach a view the one that the plan's expansion will take, or None where that one is poor."""
+        loaded, robot, options = self._loaded, self._loaded.cell.robot, self._options
         found = found[(1 if view.wrist == "positive" else -1) * found[:, 4] >= 0]
-        if len(balls) < fewest or not len(found):
-            continue
-        hidden = {artefact.ball_ids[b] for _, b in occluded(centres, artefact.diameters / 2, loaded.plan.scanner.field_of_view)}
-        if hidden & set(balls):
-            continue
-        # The posture that the plan's expansion will take; where that one is poor, the view is left out.
-        q = found[cheapest(home, [found], [False], robot, speed)[0]]
-        if np.minimum(q - robot.limits[:, 0], robot.limits[:, 1] - q).min() < LIMIT_MARGIN or abs(q[4]) < SINGULAR:
-            continue
-        if clearance.at(q, station).distance < loaded.plan.clearance_mm + 5:
-            continue
-        out.append(
-            CandidateView(
-                station,
-                aim,
-                view,
-                PlannedPose(
-                    number=len(out),
-                    step=0,
-                    step_name="design",
-                    phase="position",
-                    station=station,
-                    artefact=artefact.id,
-                    q=q,
-                    balls=balls,
-                    exposures=loaded.plan.exposures,
-                    line=0,
-                ),
-            )
+        if not len(found):
+            return None
+        q = found[select_solutions(loaded, [found], [False])[0]]
+        near_limit = np.minimum(q - robot.limits[:, 0], robot.limits[:, 1] - q).min() < options.limit_margin
+        if near_limit or abs(q[4]) < options.wrist_bend:
+            return None
+        if self._clearance.at(q, station).distance < loaded.plan.clearance_mm + options.spare_clearance_mm:
+            return None
+        return q
+
+    def _pose(self, number: int, station: str, q: np.ndarray, balls: tuple[int, ...]) -> PlannedPose:
+        return PlannedPose(
+            number=number,
+            step=0,
+            step_name="design",
+            phase="position",
+            station=station,
+            artefact=self._loaded.cell.station(station).artefact,
+            q=q,
+            balls=balls,
+            exposures=self._loaded.plan.exposures,
+            line=0,
         )
-    return out

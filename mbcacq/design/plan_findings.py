@@ -1,89 +1,93 @@
-"""What a plan can and cannot see, as findings and as plain words."""
+"""What a plan can and cannot identify, as findings and as sentences for a terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from mbcacq.design.effect_detectability import Detectability, visibility
-from mbcacq.design.expected_accuracy import ExpectedAccuracy, prospect
+from mbcacq.design.effect_detectability import Detectability, detectability
+from mbcacq.design.options import DesignOptions
+from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy
 from mbcacq.errors import CalibrationError
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.findings import PlanFinding
 from mbcacq.plan.routing import Routes, find_paths
 
-WEAK_MM = 0.1  # uncertainty of a point somewhere in reach that deserves a warning
-Figures = tuple[list[PlanFinding], ExpectedAccuracy | None, Detectability | None]
+Figures = tuple[list[PlanFinding], PredictedAccuracy | None, Detectability | None]
 
 
-def insight(loaded: LoadedPlan, poses: Sequence[PlannedPose], summary: dict[str, Any], routes: Routes | None = None) -> Figures:
+def identifiability_findings(
+    loaded: LoadedPlan,
+    poses: Sequence[PlannedPose],
+    summary: dict[str, Any],
+    routes: Routes | None = None,
+    options: DesignOptions | None = None,
+) -> Figures:
     """Findings about identifiability; the figures behind them, or None where the poses do not suffice to compute them."""
+    options = options or DesignOptions()
     place = f"{loaded.path}:{loaded.lines.get(('steps',), 1)}"
-    seeing = [p for p in poses if p.balls]
-    if not any(p.phase != "verification" for p in seeing):
-        return (
-            [PlanFinding("warning", "undetermined", "", place, "there is no pose to calibrate with; add steps of another phase")],
-            None,
-            None,
-        )
+    useful = [p for p in poses if p.balls]
+    if not any(p.phase != "verification" for p in useful):
+        sentence = "there is no pose to calibrate with; add steps of another phase"
+        return [PlanFinding("warning", "undetermined", "", place, sentence)], None, None
     try:
-        outlook = prospect(loaded, seeing)
+        accuracy = predicted_accuracy(loaded, useful)
     except CalibrationError as error:
         return [PlanFinding("warning", "undetermined", "", place, str(error))], None, None
     starts = {p["pose"]: p["start_s"] for p in summary["poses"]}
     transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
-    sight = visibility(loaded, seeing, [transits[p.number] for p in seeing], [starts[p.number] for p in seeing])
-    return [*_of_prospect(outlook, place), *_of_sight(sight, place)], outlook, sight
+    effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful], options)
+    return [*_of_accuracy(accuracy, place, options.weak_mm), *_of_detectability(effects, place)], accuracy, effects
 
 
-def _of_prospect(outlook: ExpectedAccuracy, place: str) -> list[PlanFinding]:
-    out = []
-    harmful = [u for u in outlook.undetermined if not u.harmless]
+def _of_accuracy(accuracy: PredictedAccuracy, place: str, weak_mm: float) -> list[PlanFinding]:
+    harmful = [u for u in accuracy.undetermined if not u.harmless]
     if harmful:
         names = ", ".join(u.name for u in harmful)
         sentence = f"these poses do not determine {names}; add stations at other places and poses with a larger range of joint angles"
-        out.append(PlanFinding("warning", "undetermined", "", place, sentence))
-    elif outlook.workspace_mm is not None and outlook.workspace_mm > WEAK_MM:
+        return [PlanFinding("warning", "undetermined", "", place, sentence)]
+    if accuracy.workspace_mm is not None and accuracy.workspace_mm > weak_mm:
         sentence = (
-            f"a point measured anywhere in reach will be uncertain by {outlook.workspace_mm:.2f} mm; add stations at other places, "
+            f"a point measured anywhere in reach will be uncertain by {accuracy.workspace_mm:.2f} mm; add stations at other places, "
             f"heights and distances"
         )
-        out.append(PlanFinding("warning", "weak", "", place, sentence))
-    return out
+        return [PlanFinding("warning", "weak", "", place, sentence)]
+    return []
 
 
-def _of_sight(sight: Detectability, place: str) -> list[PlanFinding]:
-    blind = {}
-    for effect in sight.effects:
-        if not effect.seen:
-            blind.setdefault(effect.name, []).append(effect.where)
-    if not blind:
+def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
+    hidden: dict[str, list[str]] = {}
+    for effect in found.effects:
+        if not effect.detectable:
+            hidden.setdefault(effect.name, []).append(effect.location)
+    if not hidden:
         return []
-    listed = "; ".join(f"{name} ({', '.join(sorted(where))})" for name, where in blind.items())
-    return [PlanFinding("info", "blind", "", place, f"effects that these poses would not show at their usual size: {listed}")]
+    listed = "; ".join(f"{name} ({', '.join(sorted(locations))})" for name, locations in hidden.items())
+    return [PlanFinding("info", "blind", "", place, f"effects that these poses would not detect at their usual size: {listed}")]
 
 
-def words(outlook: ExpectedAccuracy, sight: Detectability) -> list[str]:
+def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     """A few lines for a terminal."""
-    o = outlook.indices
-    lines = [
-        f"determines {outlook.determined} of {outlook.parameters} parameters of arm and hand-eye; observability "
-        + ", ".join(f"{k} {v:.3g}" for k, v in o.items())
-    ]
-    if outlook.bar_mm is not None:
-        spread = [e for _, e in outlook.places]
-        parts = f"{outlook.bar_cell_mm:.4f} mm from the calibration, the rest from measuring them"
+    indices = ", ".join(f"{k} {v:.3g}" for k, v in accuracy.indices.items())
+    lines = [f"determines {accuracy.determined} of {accuracy.parameters} parameters of arm and hand-eye; observability {indices}"]
+    if accuracy.distance_mm is not None:
+        spread = [e for _, e in accuracy.distances]
+        parts = f"{accuracy.calibration_mm:.4f} mm from the calibration, the rest from measuring them"
         lines.append(
-            f"expected error of the certified distances: mean {outlook.bar_mm:.4f} mm ({parts}; standard uncertainty "
+            f"expected error of the certified distances: mean {accuracy.distance_mm:.4f} mm ({parts}; standard uncertainty "
             f"{min(spread):.4f} to {max(spread):.4f} mm by place)"
         )
-    if outlook.workspace_mm is not None:
-        lines.append(f"expected uncertainty of a point anywhere in reach: {outlook.workspace_mm:.3f} mm rms")
-    lines.append("least well determined: " + ", ".join(f"{n} (+-{s:.2g} {u})" for n, s, u in outlook.weakest))
-    if outlook.correlated:
-        lines.append("hard to tell apart: " + ", ".join(f"{a} / {b} ({c:+.2f})" for a, b, c in outlook.correlated[:6]))
-    seen = sum(e.seen for e in sight.effects)
-    lines.append(f"would show {seen} of {len(sight.effects)} catalogued effects at their usual size")
-    if sight.alike:
-        lines.append("effects that look alike here: " + ", ".join(f"{a} / {b} ({c:+.2f})" for a, b, c in sight.alike[:6]))
+    if accuracy.workspace_mm is not None:
+        lines.append(f"expected uncertainty of a point anywhere in reach: {accuracy.workspace_mm:.3f} mm rms")
+    lines.append("least well determined: " + ", ".join(f"{n} (+-{s:.2g} {u})" for n, s, u in accuracy.weakest))
+    if accuracy.correlated:
+        lines.append("hard to tell apart: " + _pairs(accuracy.correlated))
+    detectable = sum(e.detectable for e in found.effects)
+    lines.append(f"would detect {detectable} of {len(found.effects)} catalogued effects at their usual size")
+    if found.indistinguishable:
+        lines.append("effects that look alike here: " + _pairs(found.indistinguishable))
     return lines
+
+
+def _pairs(correlated: Sequence[tuple[str, str, float]]) -> str:
+    return ", ".join(f"{a} / {b} ({c:+.2f})" for a, b, c in correlated[:6])

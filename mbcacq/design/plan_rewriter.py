@@ -16,8 +16,7 @@ Chosen = dict[tuple[str, int | None], list[View]]
 
 
 def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
-    """The text of the plan with its 'position' steps replaced by one step a station (and
-    ball), at the place of the first of them (or first)."""
+    """The text of the plan with its 'position' steps replaced by one step a station (and ball), where the first of them stood, or first."""
     steps = [_step(station, aim, views) for (station, aim), views in chosen.items()]
     text = _spliced(loaded, steps)
     expected = _replaced(loaded, steps)
@@ -37,8 +36,8 @@ def _id(station: str) -> str | int:
 
 
 def _view(view: View) -> dict[str, Any]:
-    content = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
-    content = {k: int(v) if float(v).is_integer() else v for k, v in content.items()}
+    angles = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
+    content: dict[str, Any] = {k: int(v) if float(v).is_integer() else v for k, v in angles.items()}
     if any(view.shift_mm):
         content["shift_mm"] = [int(x) if float(x).is_integer() else x for x in view.shift_mm]
     if view.wrist != "any":
@@ -56,7 +55,7 @@ def _replaced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
-    """By lines, or None where steps share lines."""
+    """The text with lines replaced and everything else kept, or None where steps share lines."""
     lines, plan = loaded.text.splitlines(), loaded.plan
     starts = [loaded.lines["steps", i] - 1 for i in range(len(plan.steps))]
     if len(set(starts)) < len(starts) or not all(lines[s].lstrip().startswith("- ") for s in starts):
@@ -65,7 +64,7 @@ def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
     after = [i for i in range(starts[-1] + 1, len(lines)) if lines[i] and not lines[i].startswith((indent + " ", indent + "#"))]
     bounds = [*starts, after[0] if after else len(lines)]
     old = [i for i, s in enumerate(plan.steps) if s.phase == "position"]
-    new = [f"{indent}# Chosen by `mbcacq plan design`, of many views that can be taken, for what they tell about the arm."]
+    new = [f"{indent}# Chosen by `mbcacq plan design`, of many views that can be taken, for what they determine of the arm."]
     new += [indent + line if line else line for step in steps for line in [*_lines(step), ""]]
     out = lines[: starts[0]]
     for i in range(len(plan.steps)):

@@ -1,4 +1,4 @@
-"""Where a driver's options lead: to this computer only, where nothing but a fake can answer, or into the world."""
+"""Whether the addresses in a driver's options lead only to this computer, where nothing but a fake can answer."""
 
 from __future__ import annotations
 

@@ -39,14 +39,14 @@ def survey() -> Iterator[Installed]:
         points = sorted(entry_points(group=f"mbcacq.{kind}"), key=lambda point: (point.name, point.value))
         count = Counter(point.name for point in points)
         for point in points:
-            problem, tried = _look(kind, point)
+            problem, tried = _inspect(kind, point)
             if count[point.name] > 1:
                 problem = f"{count[point.name]} packages register this name; uninstall all but one"
             package, version = (point.dist.name, point.dist.version) if point.dist is not None else ("", "")
             yield Installed(kind, point.name, point.value, package, version, problem, tried)
 
 
-def _look(kind: str, point: EntryPoint) -> tuple[str, str]:
+def _inspect(kind: str, point: EntryPoint) -> tuple[str, str]:
     try:
         target = point.load()
     except Exception as error:  # an outside package may raise anything when it is imported

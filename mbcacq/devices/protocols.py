@@ -101,14 +101,17 @@ class Device(Protocol):
 
     def connect(self) -> None:
         """Open the connection and identify the device. Raises ConnectError, IdentityError."""
+        ...
 
     def describe(self) -> Description: ...
 
     def stop(self) -> None:
         """Bring the device to rest. Idempotent, allowed in any state and from any thread; never raises."""
+        ...
 
     def close(self) -> None:
         """Stop, then release everything. Idempotent."""
+        ...
 
     def __enter__(self) -> Self: ...
 
@@ -122,27 +125,33 @@ class Robot(Device, Protocol):
 
         Raises SafetyStop if the target may not be approached, and any error the connection met since the last call.
         """
+        ...
 
     def state(self) -> RobotState:
         """The latest state, from any thread. Raises the error that stopped the robot, if one did."""
+        ...
 
     def cycles(self) -> Cycles:
         """Every cycle received since the last call (possibly none); nothing is dropped silently. Never raises."""
+        ...
 
 
 @runtime_checkable
 class Scanner(Device, Protocol):
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose once and return the scan. Raises DeviceTimeout, ProtocolError, DeviceFault."""
+        ...
 
 
 @runtime_checkable
 class Positioner(Device, Protocol):
     def go_to(self, station: str, prompt: str) -> None:
         """Bring the artefact to a station and return when it stands still. ``prompt`` is what an operator would be asked."""
+        ...
 
 
 @runtime_checkable
 class Sensor(Device, Protocol):
     def read(self) -> dict[str, float]:
         """Current values by field name, in the units of ``describe()``."""
+        ...

@@ -129,7 +129,7 @@ def _hand_eye(obs: Observations) -> ParameterBlock:
     names = tuple(f"hand_eye.{c}" for c in HAND_EYE)
     block = ParameterBlock("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
     if obs.cell.measurement == TARGET_IN_BASE:
-        blind = not obs.sees_target_turn
+        blind = not obs.shows_target_orientation
         reason = "only the target's position is measured"
     else:
         blind = bool(np.abs(obs.xyz).max(initial=0.0) < 1e-9)

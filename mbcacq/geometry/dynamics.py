@@ -17,8 +17,8 @@ INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 def regressor(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: np.ndarray) -> np.ndarray:
     """Drive torque per inertial parameter: (T, n, n, 10) N m per unit of link l's parameter k, recursive Newton-Euler.
 
-    q, qd, qdd: (T, n) rad, rad/s, rad/s^2 in the controller's sense; gravity: (3,) unit vector in the base frame. The torque
-    counts in the controller's sense and is what the drives must exert.
+    q, qd, qdd: (T, n) rad, rad/s, rad/s^2, counted in the controller's direction of rotation; gravity: (3,) unit vector in the base
+    frame. The torque counts in the same direction and is what the drives must exert.
     """
     H = chain.link_transforms(q)
     R, t = H[..., :3, :3], H[..., :3, 3] * 1e-3

@@ -1,4 +1,4 @@
-"""Joint torque that gravity asks of a serial arm."""
+"""Joint torque by gravity of a serial arm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def gravity_torque(
     payload_com: np.ndarray,
     gravity: np.ndarray,
 ) -> np.ndarray:
-    """Torque that gravity exerts about each joint axis, counted in the controller's sense of rotation.
+    """Torque that gravity exerts about each joint axis, counted in the controller's direction of rotation.
 
     frames: (P, n+1, 4, 4) from ``Chain.frames``; mass: (n,) kg; com: (n, 3) mm in the frame of each link;
     payload_mass: kg, one number or one a pose (P,); payload_com: (3,) mm in the flange frame; gravity: (3,) unit vector

@@ -1,4 +1,4 @@
-"""The cell as data: robot, scanner, certified artefacts, stations. Plain arrays; files are read in ``cellfile``."""
+"""The cell as data: robot, scanner, certified artefacts, stations. Plain arrays; ``cell_schema`` reads them from YAML."""
 
 from __future__ import annotations
 
@@ -65,6 +65,12 @@ class Station:
     T_base_station: np.ndarray | None = None
     sigma_mm: float | None = None
 
+    @property
+    def planned_pose(self) -> np.ndarray:
+        """T_base_station of a station that a plan has placed; every station of a loaded plan is."""
+        assert self.T_base_station is not None, f"station '{self.id}' has no planned place"
+        return self.T_base_station
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -84,6 +90,9 @@ class Cell:
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)
+
+    def station(self, station_id: str) -> Station:
+        return next(s for s in self.stations if s.id == station_id)
 
     @property
     def ball_ids(self) -> tuple[int, ...]:

@@ -53,7 +53,7 @@ class Observations:
         return len(self.xyz)
 
     @property
-    def sees_target_turn(self) -> bool:
+    def shows_target_orientation(self) -> bool:
         """For an external instrument: whether the target's orientation shows, measured or by several reflectors at different places."""
         return self.rotation is not None or bool(np.ptp(self.cell.ball_centres[np.unique(self.ball)], axis=0).max(initial=0.0) > 1e-6)
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from mbcacq.model.cell import RobotModel
 
-MOVING_RAD_S, MARGIN_S = 2e-3, 0.25  # an axis moves; what is kept before and after
-SHORTEST = 250  # samples of a move worth keeping
+MOVING_RAD_S = 2e-3  # an axis that is faster moves
+MARGIN_S = 0.25  # kept before and after a move
+SHORTEST = 250  # samples; a shorter move is dropped
 
 
 @dataclass(frozen=True)

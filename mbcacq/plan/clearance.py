@@ -1,4 +1,4 @@
-"""How far the arm stays from itself and from what stands around it, at a pose and on the way between two."""
+"""How far the arm stays from itself and from what stands around it, at a pose and along the motion between two."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq import lazy
 from mbcacq.plan.collision import Body, arm_bodies, station_bodies, surrounding_bodies
 from mbcacq.plan.planned import LoadedPlan
-
-FINEST_MM = 4.0  # motions are divided until nothing moves further than this between two looks
-
-POSTURES = 100
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Closest:
-    """The least distance (mm, negative: overlap) and between what."""
+    """The least distance (mm, negative: overlap) and the names of the two bodies."""
 
     distance: float
     a: str
@@ -37,7 +34,7 @@ class Closest:
 
 
 class Clearance:
-    """Distances in one cell. Raises nothing; unknown surroundings are simply not there."""
+    """Distances in one cell. Surroundings that the plan does not name do not count."""
 
     def __init__(self, loaded: LoadedPlan) -> None:
         self._loaded, self._chain = loaded, loaded.cell.robot.chain
@@ -51,15 +48,14 @@ class Clearance:
         k = int(np.argmin(distances)) if distances else -1
         return Closest(distances[k], pairs[k].a.name, pairs[k].b.name) if distances else Closest(np.inf, "", "")
 
-    def on_way(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
-        """The first too close approach (below ``needed`` mm) of the straight joint motion, or None if it is free all along.
+    def along_segment(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
+        """A pair of bodies closer than ``needed`` mm somewhere on the straight joint motion, or None if all of it is free.
 
-        Motions are halved until the distance at the middle exceeds what the halves can at most take away, so nothing slips through
-        between two looks, but for the last FINEST_MM.
+        The motion is halved until the distance at the middle exceeds what the halves can at most take away, so nothing slips through
+        between two examined postures, except within the last ``finest_travel_mm``.
         """
-        travel = np.abs(end - start)
-        pairs = [(p, float(p.lever @ travel) / 2) for p in self.pairs(station)]
-        stack = [(0.0, 1.0, pairs)]
+        travel, finest = np.abs(end - start), self._loaded.planning.finest_travel_mm
+        stack = [(0.0, 1.0, [(p, float(p.lever @ travel) / 2) for p in self.pairs(station)])]
         while stack:
             low, high, suspects = stack.pop()
             posture = Posture(self._chain.frames((start + (low + high) / 2 * (end - start))[None])[0])
@@ -68,7 +64,7 @@ class Clearance:
                 distance = posture.distance(pair)
                 if distance < needed:
                     return Closest(distance, pair.a.name, pair.b.name)
-                if distance - share * sweep < needed and share * sweep > FINEST_MM / 2:
+                if distance - share * sweep < needed and share * sweep > finest / 2:
                     close.append((pair, sweep))
             if close:
                 middle = (low + high) / 2
@@ -76,6 +72,7 @@ class Clearance:
         return None
 
     def pairs(self, station: str | None) -> list[Pair]:
+        """All pairs to examine, with the artefact at ``station`` (None: put away)."""
         if station not in self._pairs:
             if station is None:
                 around = surrounding_bodies(self._loaded)
@@ -90,9 +87,9 @@ class Clearance:
         return arm_bodies(self._loaded)
 
     def _own_pairs(self) -> list[Pair]:
-        """All bodies of the arm against each other, but for neighbours: those that touch in every one of many random postures."""
+        """All bodies of the arm against each other, except neighbours: those that touch in every one of many random postures."""
         robot = self._loaded.cell.robot
-        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (POSTURES, robot.n))
+        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (self._loaded.planning.neighbour_postures, robot.n))
         pairs = [self._pair(a, b) for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1)]
         postures = [Posture(frames) for frames in robot.chain.frames(q)]
         return [p for p in pairs if any(posture.distance(p) > 0 for posture in postures)]
@@ -102,9 +99,7 @@ class Clearance:
         return [self._pair(body, part) for part in self._arm if part.link >= 2]
 
     def _pair(self, a: Body, b: Body) -> Pair:
-        import coal
-
-        return Pair(a, b, coal.ComputeDistance(a.shape, b.shape), self._lever(a.link, b))
+        return Pair(a, b, lazy.coal().ComputeDistance(a.shape, b.shape), self._lever(a.link, b))
 
     def _lever(self, behind: int, body: Body) -> np.ndarray:
         frames = self._chain.frames(np.zeros((1, self._chain.n)))[0]
@@ -119,19 +114,17 @@ class Posture:
     """Bodies placed for one posture, each only once. frames: (n + 1, 4, 4)."""
 
     def __init__(self, frames: np.ndarray) -> None:
-        self._frames, self._placed = frames, {}
+        self._frames, self._coal = frames, lazy.coal()
+        self._placed: dict[Body, Any] = {}
 
     def distance(self, pair: Pair) -> float:
         """mm, negative: overlap."""
-        import coal
-
+        coal = self._coal
         return pair.distance(self._place(pair.a), self._place(pair.b), coal.DistanceRequest(), coal.DistanceResult())
 
     def _place(self, body: Body) -> Any:
-        import coal
-
-        placed = self._placed.get(id(body))
+        placed = self._placed.get(body)
         if placed is None:
             T = self._frames[body.link] @ body.pose
-            placed = self._placed[id(body)] = coal.Transform3s(T[:3, :3], T[:3, 3])
+            placed = self._placed[body] = self._coal.Transform3s(T[:3, :3], T[:3, 3])
         return placed

@@ -8,49 +8,50 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq import lazy
 from mbcacq.geometry import se3
 from mbcacq.plan.planned import LoadedPlan
 
-# Thickness of links 1, 2... as a share of the reach; what follows the last entry is as thin as that.
-LINK_RADIUS = (0.07, 0.07, 0.05, 0.05, 0.04)
-PLATE_MM = 40.0  # what carries the balls, below the lowest of them
-SIDE_MM = 8.0  # around the outermost balls
-SHORTEST_MM = 5.0
-WALL_MM = 5000.0  # thicker than any arm reaches
-DEEPEST_MM = 400.0  # of a tripod, where the plan names no floor
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
-    """A convex solid fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame."""
+    """A convex solid fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame.
+
+    radius: of a sphere around the origin of ``pose`` that holds it. Two bodies are equal only if they are the same object.
+    """
 
     name: str
     link: int
     pose: np.ndarray
     shape: Any
-    radius: float  # of a sphere around the origin of ``pose`` that holds it
+    radius: float
 
 
 def arm_bodies(loaded: LoadedPlan) -> list[Body]:
     """Base column, links and scanner."""
-    robot, plan = loaded.cell.robot, loaded.plan
+    robot, field = loaded.cell.robot, loaded.plan.scanner.field_of_view
     frames = robot.chain.frames(np.zeros((1, robot.n)))[0]
-    scale = 1.0 if plan.robot.link_radius_mm is None else plan.robot.link_radius_mm / (LINK_RADIUS[1] * reach(loaded))
     bodies = []
-    for i in range(robot.n):
-        radius = scale * reach(loaded) * LINK_RADIUS[min(i, len(LINK_RADIUS) - 1)]
+    for i, radius in enumerate(_link_radii(loaded)):
         lifted = frames[i, :3, 3] + robot.chain.d[i] * frames[i, :3, 2]
         # The d of a row lies along its own axis, so it turns with the link, but does not move.
         for part, (start, end) in enumerate(((frames[i, :3, 3], lifted), (lifted, frames[i + 1, :3, 3]))):
-            if np.linalg.norm(end - start) > SHORTEST_MM:
+            if np.linalg.norm(end - start) > loaded.planning.shortest_body_mm:
                 link = 0 if i == 0 and part == 0 else i + 1
                 name = "base" if link == 0 else f"link {i + 1}"
                 bodies.append(_capsule(name, link, se3.inverse(frames[link]), start, end, radius))
-    if plan.scanner.field_of_view.body_mm is not None:
-        low, high = np.array(plan.scanner.field_of_view.body_mm)
+    if field.body_mm is not None:
+        low, high = np.array(field.body_mm)
         bodies.append(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high))
         bodies += _bracket(loaded, low, high)
     return bodies
+
+
+def _link_radii(loaded: LoadedPlan) -> list[float]:
+    """mm, links 1 to n; a radius that the plan states is that of the upper arm, and the other links scale with it."""
+    shares, stated = loaded.planning.link_radius_shares, loaded.plan.robot.link_radius_mm
+    scale = 1.0 if stated is None else stated / (shares[1] * reach(loaded))
+    return [scale * reach(loaded) * shares[min(i, len(shares) - 1)] for i in range(loaded.cell.robot.n)]
 
 
 def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[Body]:
@@ -58,8 +59,8 @@ def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[
     T = loaded.cell.T_flange_scanner
     flange = se3.inverse(T)[:3, 3]
     end = se3.apply(T, np.clip(flange, low, high))
-    if np.linalg.norm(end) > SHORTEST_MM:
-        radius = reach(loaded) * LINK_RADIUS[-1]
+    if np.linalg.norm(end) > loaded.planning.shortest_body_mm:
+        radius = reach(loaded) * loaded.planning.link_radius_shares[-1]
         yield _capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius)
 
 
@@ -70,31 +71,32 @@ def surrounding_bodies(loaded: LoadedPlan) -> list[Body]:
 
 
 def _walls(loaded: LoadedPlan) -> Iterator[Body]:
-    space = loaded.plan.workspace
+    space, thickness = loaded.plan.workspace, loaded.planning.wall_mm
     if space is None:
         return
-    low, high = np.array(space.min_mm) - WALL_MM, np.array(space.max_mm) + WALL_MM
+    low, high = np.array(space.min_mm) - thickness, np.array(space.max_mm) + thickness
     for axis, name in enumerate("xyz"):
-        for side, at in (("lower", space.min_mm[axis]), ("upper", space.max_mm[axis])):
+        for side, limit in (("lower", space.min_mm[axis]), ("upper", space.max_mm[axis])):
             near, far = low.copy(), high.copy()
-            (far if side == "lower" else near)[axis] = at
+            (far if side == "lower" else near)[axis] = limit
             yield _box(f"the workspace's {side} {name} limit", 0, np.eye(4), near, far)
 
 
 def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
     """The artefact at a station, and the tripod below it."""
-    place = next(s for s in loaded.cell.stations if s.id == station)
-    artefact = loaded.cell.artefact(place.artefact)
-    room = artefact.diameters[:, None] / 2 + np.array([SIDE_MM, SIDE_MM, 0.0])
+    planning, T_base_station = loaded.planning, loaded.cell.station(station).planned_pose
+    artefact = loaded.cell.artefact(loaded.cell.station(station).artefact)
+    room = artefact.diameters[:, None] / 2 + np.array([planning.artefact_side_mm, planning.artefact_side_mm, 0.0])
     low, high = (artefact.centres - room).min(axis=0), (artefact.centres + room).max(axis=0)
-    low[2] -= PLATE_MM
-    bodies = [_box(f"artefact {artefact.id}", 0, place.T_base_station, low, high)]
+    low[2] -= planning.plate_mm
+    bodies = [_box(f"artefact {artefact.id}", 0, T_base_station, low, high)]
     radius = loaded.plan.tripod_radius_mm
     down = loaded.cell.robot.gravity
-    top = se3.apply(place.T_base_station, np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])) + radius * down
-    floor = max((np.abs(np.array([o.min_mm, o.max_mm]) @ down).max() for o in loaded.plan.obstacles), default=top @ down + DEEPEST_MM)
+    top = se3.apply(T_base_station, np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])) + radius * down
+    without_floor = top @ down + planning.deepest_tripod_mm
+    floor = max((np.abs(np.array([o.min_mm, o.max_mm]) @ down).max() for o in loaded.plan.obstacles), default=without_floor)
     length = floor - top @ down - radius
-    if radius > 0 and length > SHORTEST_MM:
+    if radius > 0 and length > planning.shortest_body_mm:
         bodies.append(_capsule("tripod", 0, np.eye(4), top, top + length * down, radius))
     return bodies
 
@@ -107,19 +109,15 @@ def reach(loaded: LoadedPlan) -> float:
 
 
 def _box(name: str, link: int, T: np.ndarray, low: np.ndarray, high: np.ndarray) -> Body:
-    import coal
-
     middle = se3.transform(np.eye(3), (low + high) / 2)
-    return Body(name, link, T @ middle, coal.Box(*(high - low)), float(np.linalg.norm(high - low) / 2))
+    return Body(name, link, T @ middle, lazy.coal().Box(*(high - low)), float(np.linalg.norm(high - low) / 2))
 
 
 def _capsule(name: str, link: int, T: np.ndarray, start: np.ndarray, end: np.ndarray, radius: float) -> Body:
     """Around the line from start to end (3,), both in the frame outside ``T``."""
-    import coal
-
     length = float(np.linalg.norm(end - start))
     z = (end - start) / length
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
     pose = T @ se3.transform(np.stack([x, np.cross(z, x), z], axis=1), (start + end) / 2)
-    return Body(name, link, pose, coal.Capsule(radius, length), length / 2 + radius)
+    return Body(name, link, pose, lazy.coal().Capsule(radius, length), length / 2 + radius)

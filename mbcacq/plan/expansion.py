@@ -1,18 +1,44 @@
-"""A plan as the list of poses to take, with joint angles."""
+"""A plan as the list of poses to take: its steps become targets, and each target the joint position to reach it with."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.plan.expansion_targets import Target, targets
-from mbcacq.plan.ik_selection import DEFAULT_SPEED, cheapest
-from mbcacq.plan.kinematics import InverseKinematics
+from mbcacq.geometry import se3
+from mbcacq.model.cell import Artefact
+from mbcacq.plan.field_of_view import T_base_scanner, margin
+from mbcacq.plan.ik_selection import select_solutions
+from mbcacq.plan.inverse_kinematics import InverseKinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
+from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
+from mbcacq.plan.yaml_source import Path_
+
+
+@dataclass(frozen=True)
+class Target:
+    """One pose to take. T_base_flange: (4, 4), or ``q`` (n,) rad where the step gives joint angles; the other one is None.
+
+    balls: ids expected in view. wrist: sign asked of A5. where: path of the view, offset or joint vector in the YAML.
+    """
+
+    step: int
+    station: str
+    T_base_flange: np.ndarray | None
+    q: np.ndarray | None
+    balls: tuple[int, ...]
+    wrist: str
+    where: Path_
 
 
 def expand(loaded: LoadedPlan) -> list[PlannedPose]:
-    """Every pose of the plan in running order. Raises ConfigError naming step and line of the first pose that cannot be reached."""
+    """Every pose of the plan in running order, with joint angles.
+
+    Raises ConfigError naming step and line of the first pose that cannot be reached.
+    """
     poses, unreachable = expand_reachable(loaded)
     if unreachable:
         raise ConfigError(unreachable_sentence(loaded, unreachable[0]))
@@ -22,15 +48,12 @@ def expand(loaded: LoadedPlan) -> list[PlannedPose]:
 def expand_reachable(loaded: LoadedPlan) -> tuple[list[PlannedPose], list[Target]]:
     """The poses that can be reached, and the targets that cannot."""
     wanted = targets(loaded)
-    options = _options(loaded, wanted)
-    reachable = [(t, q) for t, q in zip(wanted, options, strict=True) if len(q)]
-    unreachable = [t for t, q in zip(wanted, options, strict=True) if not len(q)]
-    robot = loaded.cell.robot
+    solutions = _solutions(loaded, wanted)
+    reachable = [(t, q) for t, q in zip(wanted, solutions, strict=True) if len(q)]
+    unreachable = [t for t, q in zip(wanted, solutions, strict=True) if not len(q)]
     stations = [t.station for t, _ in reachable]
     restart = [i > 0 and stations[i] != stations[i - 1] for i in range(len(stations))]
-    speed = np.full(robot.n, DEFAULT_SPEED) if robot.speed is None else robot.speed
-    home = np.radians(loaded.plan.robot.home_deg)
-    chosen = cheapest(home, [q for _, q in reachable], restart, robot, speed)
+    chosen = select_solutions(loaded, [q for _, q in reachable], restart)
     return [_planned(loaded, i, t, q[k]) for i, ((t, q), k) in enumerate(zip(reachable, chosen, strict=True))], unreachable
 
 
@@ -44,29 +67,86 @@ def unreachable_sentence(loaded: LoadedPlan, target: Target) -> str:
     )
 
 
-def _options(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
-    options = [np.empty((0, 0)) if t.q is None else t.q[None] for t in wanted]
-    free = [i for i, t in enumerate(wanted) if t.q is None]
+def targets(loaded: LoadedPlan) -> list[Target]:
+    """All targets of a plan in the order of its YAML: step by step, station by station, ball by ball, view by view."""
+    return [target for index, step in enumerate(loaded.plan.steps) for target in _of_step(loaded, index, step)]
+
+
+def visible_balls(loaded: LoadedPlan, station: str, T_base_flange: np.ndarray) -> tuple[int, ...]:
+    """Balls of the artefact at a station that lie wholly in the field of view at a flange pose (4, 4)."""
+    artefact = _artefact(loaded, station)
+    T_base_station = loaded.cell.station(station).planned_pose
+    xyz = se3.apply(se3.inverse(T_base_flange @ loaded.cell.T_flange_scanner) @ T_base_station, artefact.centres)
+    inside = margin(loaded.plan.scanner.field_of_view, xyz, artefact.diameters / 2) >= 0
+    return tuple(ball for ball, yes in zip(artefact.ball_ids, inside, strict=True) if yes)
+
+
+def aim_points(artefact: Artefact, balls: str | tuple[int, ...]) -> np.ndarray:
+    """(k, 3) mm points to look at: the middle of all balls, each ball, or certain ones."""
+    if balls == "all":
+        return artefact.centres.mean(axis=0)[None]
+    return artefact.centres if balls == "each" else artefact.centres[[artefact.ball_ids.index(b) for b in balls]]
+
+
+def _of_step(loaded: LoadedPlan, index: int, step: AnyStep) -> Iterator[Target]:
+    if isinstance(step, Translate):
+        centre = _artefact(loaded, str(step.station)).centres.mean(axis=0)
+        for i, offset in enumerate(step.offsets_mm):
+            yield _looking(loaded, str(step.station), centre, step.view, ("steps", index, "offsets_mm", i), offset)
+    elif isinstance(step, Look):
+        for station in map(str, step.stations):
+            for centre in aim_points(_artefact(loaded, station), step.balls):
+                for i, view in enumerate(step.views):
+                    yield _looking(loaded, station, centre, view, ("steps", index, "views", i))
+    else:
+        yield from _taught(loaded, index, step)
+
+
+def _taught(loaded: LoadedPlan, index: int, step: Taught) -> Iterator[Target]:
+    station = str(step.station)
+    for i, pose in enumerate(step.poses_deg):
+        q = np.radians(pose)
+        balls = step.balls or visible_balls(loaded, station, loaded.cell.robot.chain.flange(q[None])[0])
+        yield Target(index, station, None, q, balls, "any", ("steps", index, "poses_deg", i))
+
+
+def _looking(
+    loaded: LoadedPlan, station: str, point: np.ndarray, view: View, where: tuple[str, int, str, int], offset_mm=(0.0, 0.0, 0.0)
+) -> Target:
+    """Looks at ``point`` (3,) mm of the station frame, the scanner moved by an offset along the base axes."""
+    scanner = T_base_scanner(loaded.cell.station(station).planned_pose, point, view)
+    scanner[:3, 3] += offset_mm
+    flange = scanner @ se3.inverse(loaded.cell.T_flange_scanner)
+    return Target(where[1], station, flange, None, visible_balls(loaded, station, flange), view.wrist, where)
+
+
+def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
+    """Per target the joint positions (k, n) rad that reach it, k may be 0; a taught one reaches itself."""
+    solutions = [np.empty((0, 0)) if t.q is None else t.q[None] for t in wanted]
+    free = [(i, t.wrist, t.T_base_flange) for i, t in enumerate(wanted) if t.T_base_flange is not None]
     if free:
         solver = InverseKinematics.of(loaded.cell.robot)
-        for i, q in zip(free, solver.solutions(np.stack([wanted[i].T_base_flange for i in free])), strict=True):
-            sense = {"any": 0, "positive": 1, "negative": -1}[wanted[i].wrist]
-            options[i] = q[sense * q[:, 4] >= 0]
-    return options
+        for (i, wrist, _), q in zip(free, solver.solutions(np.stack([T for *_, T in free])), strict=True):
+            sign = {"any": 0, "positive": 1, "negative": -1}[wrist]
+            solutions[i] = q[sign * q[:, 4] >= 0]
+    return solutions
 
 
 def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> PlannedPose:
     step = loaded.plan.steps[target.step]
-    station = next(s for s in loaded.cell.stations if s.id == target.station)
     return PlannedPose(
         number=number,
         step=target.step,
         step_name=step.name,
         phase=step.phase,
         station=target.station,
-        artefact=station.artefact,
+        artefact=loaded.cell.station(target.station).artefact,
         q=q,
         balls=target.balls,
         exposures=step.exposures or loaded.plan.exposures,
         line=loaded.lines[target.where],
     )
+
+
+def _artefact(loaded: LoadedPlan, station: str) -> Artefact:
+    return loaded.cell.artefact(loaded.cell.station(station).artefact)

@@ -1,4 +1,4 @@
-"""What is wrong or doubtful in a plan, found before anything moves."""
+"""Feasibility of a plan: what is wrong or doubtful in it, found before anything moves."""
 
 from __future__ import annotations
 
@@ -7,29 +7,25 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.plan.clearance import Clearance
+from mbcacq.plan.clearance import Clearance, Closest
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import PlanFinding, finding
-from mbcacq.plan.occlusion import check_sight
+from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
 
-LIMIT_MARGIN = np.radians(2.0)
-SINGULAR = np.radians(5.0)
-NEAR_AXIS_MM = 30.0
-SAME = np.radians(0.01)
-
 
 def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[PlanFinding]:
-    """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, ways. Never raises.
+    """Everything that is wrong with a plan whose reachable poses are ``poses``: reach, joints, view, clearance, routes. Never raises.
 
-    routes: of ``find_paths``, where they are known already."""
+    routes: of ``find_paths``, where they are known already.
+    """
     return [
         *check_reach(loaded),
         *check_joints(loaded, poses),
-        *check_sight(loaded, poses),
+        *check_visibility(loaded, poses),
         *check_clearance(loaded, poses),
-        *check_ways(loaded, poses, routes),
+        *check_routes(loaded, poses, routes),
         *check_repetition(loaded, poses),
         *check_revisits(loaded, poses),
     ]
@@ -61,25 +57,27 @@ def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[P
         limits = f"its limits {low:g}..{high:g} deg"
         if room[axis] < 0:
             yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f} deg exceeds {limits}; take another pose")
-        elif room[axis] < LIMIT_MARGIN:
+        elif room[axis] < loaded.planning.near_limit:
             yield finding(loaded, pose, "warning", "near-limit", f"A{axis + 1} at {angle:.1f} deg comes close to {limits}")
-        for where, sentence in _singularities(robot, pose.q):
-            yield finding(loaded, pose, "warning", where, sentence)
+        for code, sentence in _singularities(loaded, pose.q):
+            yield finding(loaded, pose, "warning", code, sentence)
 
 
-def _singularities(robot, q: np.ndarray) -> Iterator[tuple[str, str]]:
+def _singularities(loaded: LoadedPlan, q: np.ndarray) -> Iterator[tuple[str, str]]:
+    """Code and sentence of each singularity that a posture (n,) rad of a six-axis arm comes close to."""
+    robot, nearest = loaded.cell.robot, np.sin(loaded.planning.singular_angle)
     if robot.n != 6:
         return
     frames = robot.chain.frames(q[None])[0]
     z, origin = frames[:, :3, 2], frames[:, :3, 3]
-    if np.linalg.norm(np.cross(z[3], z[5])) < np.sin(SINGULAR):
-        yield "wrist-singular", "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly tells their errors apart"
+    if np.linalg.norm(np.cross(z[3], z[5])) < nearest:
+        yield "wrist-singular", "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly separates their errors"
     shoulder, elbow, wrist = origin[1], origin[2], origin[4]
     upper, lower = elbow - shoulder, wrist - elbow
-    if np.linalg.norm(np.cross(upper, lower)) < np.sin(SINGULAR) * np.linalg.norm(upper) * np.linalg.norm(lower):
+    if np.linalg.norm(np.cross(upper, lower)) < nearest * np.linalg.norm(upper) * np.linalg.norm(lower):
         yield "elbow-singular", "the arm is almost stretched: it is slow to move outwards and close to the end of its reach"
     axis = z[0] / np.linalg.norm(z[0])
-    if np.linalg.norm(np.cross(wrist - origin[0], axis)) < NEAR_AXIS_MM:
+    if np.linalg.norm(np.cross(wrist - origin[0], axis)) < loaded.planning.shoulder_singular_mm:
         yield "shoulder-singular", "the wrist stands above axis A1: small moves sideways turn the whole arm"
 
 
@@ -89,36 +87,38 @@ def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterato
     near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
     if near.distance < needed:
         place = f"{loaded.path}:{loaded.lines.get(('robot', 'home_deg'), 1)}"
-        yield PlanFinding("error", "collision", "", place, f"at home {_touch(near)}; choose another home position")
+        yield PlanFinding("error", "collision", "", place, f"at home {_proximity(near)}; choose another home position")
     for pose in poses:
         near = clearance.at(pose.q, pose.station)
         if near.distance < needed:
-            yield finding(loaded, pose, "error", "collision", f"at pose {pose.number} {_touch(near)}; change the view, or move the station")
+            yield finding(
+                loaded, pose, "error", "collision", f"at pose {pose.number} {_proximity(near)}; change the view, or move the station"
+            )
 
 
-def check_ways(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[PlanFinding]:
-    """Poses to which no free way was found; those that collide by themselves are said elsewhere."""
+def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[PlanFinding]:
+    """Poses to which no free path was found; those that collide by themselves are found by ``check_clearance``."""
     _, obstructed = find_paths(loaded, poses) if routes is None else routes
     if not obstructed:
         return
     clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
     spoiled = {p.number for p in poses if clearance.at(p.q, p.station).distance < needed}
     by_number = {p.number: (before, p) for before, p in zip([None, *poses[:-1]], poses, strict=True)}
-    for blocked in obstructed:
-        before, pose = by_number[blocked.number]
+    for each in obstructed:
+        before, pose = by_number[each.number]
         if pose.number in spoiled or (before is not None and before.number in spoiled):
             continue
-        sentence = obstructed_sentence(loaded, poses, blocked).split(": ", 1)[1]
+        sentence = obstructed_sentence(loaded, poses, each).split(": ", 1)[1]
         yield PlanFinding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))
 
 
 def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
-    """The same joint position twice at a station tells little more than once."""
-    seen: list[tuple[str, np.ndarray]] = []
+    """The same joint position twice at a station: the second one adds little."""
+    taken: list[tuple[str, np.ndarray]] = []
     for pose in poses:
-        if any(s == pose.station and np.abs(q - pose.q).max() < SAME for s, q in seen):
+        if any(s == pose.station and np.abs(q - pose.q).max() < loaded.planning.repeated_pose for s, q in taken):
             yield finding(loaded, pose, "warning", "repeated", "this pose was taken already at this station; take another view")
-        seen.append((pose.station, pose.q))
+        taken.append((pose.station, pose.q))
 
 
 def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
@@ -141,6 +141,6 @@ def check_revisits(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator
         stands[pose.artefact] = pose.station
 
 
-def _touch(near) -> str:
+def _proximity(near: Closest) -> str:
     how = f"comes within {near.distance:.0f} mm of" if near.distance > 0 else f"runs {-near.distance:.0f} mm into"
     return f"{near.b} {how} {near.a}"

@@ -1,4 +1,4 @@
-"""Where the scanner must be to see what it shall see, and what it then sees."""
+"""Where the scanner must stand for a view, and how far balls lie inside its field of view there."""
 
 from __future__ import annotations
 

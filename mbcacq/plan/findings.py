@@ -1,4 +1,4 @@
-"""What a check has to say about a plan."""
+"""Findings: what the checks report about a plan, each with its place in the YAML."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PlanFinding:
 
 
 def finding(loaded: LoadedPlan, pose: PlannedPose, level: Level, code: str, sentence: str) -> PlanFinding:
-    """About one pose, named by its step and station."""
+    """A finding about one pose, named by its step and station."""
     where = f"step '{pose.step_name}' at station '{pose.station}': "
     return PlanFinding(level, code, pose.step_name, f"{loaded.path}:{pose.line}", where + sentence, (pose.number,))
 

@@ -1,40 +1,38 @@
-"""Which of the many joint positions of each target to take: the cheapest way through all of them."""
+"""Which of the joint positions that reach each target to take: the sequence of least cost, by dynamic programming."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.cell import RobotModel
-
-LIMIT_MARGIN = np.radians(5.0)
-SINGULAR = np.radians(12.0)
-OVERHEAD_S = 20.0
-DEFAULT_SPEED = np.radians(180.0)  # rad/s, for arms whose source gives none
+from mbcacq.plan.planned import LoadedPlan
 
 
-def cheapest(start: np.ndarray, options: list[np.ndarray], restart: list[bool], robot: RobotModel, speed: np.ndarray) -> list[int]:
-    """Index of the option to take at each pose, by dynamic programming over the sequence.
+def select_solutions(loaded: LoadedPlan, options: list[np.ndarray], restart: list[bool]) -> list[int]:
+    """Index of the option to take at each pose.
 
-    start: (n,) rad, the home position; options: per pose (k, n) rad, k >= 1; restart: True where the arm comes from home instead of
-    from the pose before (the artefact was moved). The cost of a motion is the time its slowest joint needs at full speed; positions
-    near a limit, with a nearly straight wrist, or that reach over the arm's back where home does not, cost extra.
+    options: per pose (k, n) rad, k >= 1; restart: True where the arm comes from home instead of from the pose before (the artefact was
+    moved). The cost of a motion is the time its slowest joint needs at full speed; positions near a limit, with a nearly straight wrist,
+    or that reach over the arm's back where home does not, cost extra.
     """
     if not options:
         return []
+    robot, limits = loaded.cell.robot, loaded.planning
+    home = np.radians(loaded.plan.robot.home_deg)
+    speed = np.full(robot.n, limits.assumed_top_speed) if robot.speed is None else robot.speed
     came_from: list[np.ndarray] = []
     cost = np.zeros(1)
-    before, front = start[None], reaches_forward(robot.chain, start[None])[0]
+    before, front = home[None], reaches_forward(robot.chain, home[None])[0]
     for here, again in zip(options, restart, strict=True):
         if again:
             came_from.append(np.full(len(here), int(np.argmin(cost))))
-            base = cost.min() + _travel(start[None], here, speed)[0]
+            base = cost.min() + _motion_cost(home[None], here, speed, limits.mean_joint_share)[0]
         else:
-            total = cost[:, None] + _travel(before, here, speed)
+            total = cost[:, None] + _motion_cost(before, here, speed, limits.mean_joint_share)
             came_from.append(total.argmin(axis=0))
             base = total.min(axis=0)
-        overhead = OVERHEAD_S * (reaches_forward(robot.chain, here) != front)
-        cost, before = base + _penalty(here, robot.limits) + overhead, here
+        reach_back = limits.reach_back_s * (reaches_forward(robot.chain, here) != front)
+        cost, before = base + _posture_cost(loaded, here) + reach_back, here
     chosen = [int(np.argmin(cost))]
     for back in came_from[:0:-1]:
         chosen.append(int(back[chosen[-1]]))
@@ -47,13 +45,17 @@ def reaches_forward(chain: Chain, q: np.ndarray) -> np.ndarray:
     return np.einsum("pi,pi->p", frames[:, 1, :3, 0], frames[:, -2, :3, 3]) >= 0
 
 
-def _travel(a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """(len(a), len(b)) s; the mean over the joints breaks ties between motions with the same slowest joint."""
+def _motion_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray, mean_joint_share: float) -> np.ndarray:
+    """(len(a), len(b)) s; the mean over the joints decides between motions with the same slowest joint."""
     time = np.abs(b[None] - a[:, None]) / speed
-    return time.max(axis=2) + 0.2 * time.mean(axis=2)
+    return time.max(axis=2) + mean_joint_share * time.mean(axis=2)
 
 
-def _penalty(q: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    room = np.minimum(q - limits[:, 0], limits[:, 1] - q).min(axis=1)
-    straight = np.abs(q[:, 4]) if q.shape[1] == 6 else np.full(len(q), np.inf)
-    return 20 * np.clip(1 - room / LIMIT_MARGIN, 0, 1) + 20 * np.clip(1 - straight / SINGULAR, 0, 1)
+def _posture_cost(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
+    """(k,) s: grows as a position comes close to a limit, and as its wrist straightens."""
+    joint_limits, planning = loaded.cell.robot.limits, loaded.planning
+    room = np.minimum(q - joint_limits[:, 0], joint_limits[:, 1] - q).min(axis=1)
+    bend = np.abs(q[:, 4]) if q.shape[1] == 6 else np.full(len(q), np.inf)
+    near_limit = np.clip(1 - room / planning.preferred_limit_margin, 0, 1)
+    straight = np.clip(1 - bend / planning.preferred_wrist_bend, 0, 1)
+    return planning.poor_posture_s * near_limit + planning.poor_posture_s * straight

@@ -13,7 +13,7 @@ from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.schema import Look, Plan, Taught
 from mbcacq.plan.yaml_source import Path_, YamlFile, read
 
-ROTATION_TOLERANCE = 0.02  # published matrices carry two to four digits
+ROTATION_TOLERANCE = 0.02  # of the format: published matrices carry two to four digits
 
 
 def load(path: str | Path) -> LoadedPlan:
@@ -38,7 +38,7 @@ def load(path: str | Path) -> LoadedPlan:
     return LoadedPlan(file.path, plan, described, file.text, file.lines, {name: read(file.path.parent / name).text for name in named})
 
 
-def _beside(file: YamlFile, where: Path_, name: str, role: str) -> YamlFile:
+def _named_file(file: YamlFile, where: Path_, name: str, role: str) -> YamlFile:
     """A file that the plan names, relative to the plan."""
     target = file.path.parent / name
     if not target.is_file():
@@ -48,7 +48,7 @@ def _beside(file: YamlFile, where: Path_, name: str, role: str) -> YamlFile:
 
 def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     use = plan.robot
-    source = _beside(file, ("robot", "model"), use.model, "robot")
+    source = _named_file(file, ("robot", "model"), use.model, "robot")
     if use.urdf is not None and not (urdf := file.path.parent / use.urdf).is_file():
         raise file.error(("robot", "urdf"), f"there is no URDF {urdf}; correct the path (it is relative to the plan)")
     spec = source.validate(RobotSpec)
@@ -76,7 +76,7 @@ def _artefacts(file: YamlFile, plan: Plan) -> tuple[cell.Artefact, ...]:
     owner: dict[int, str] = {}
     for index, name in enumerate(plan.artefacts):
         where = ("artefacts", index)
-        source = _beside(file, where, name, "artefact")
+        source = _named_file(file, where, name, "artefact")
         spec = source.validate(ArtefactSpec)
         if any(spec.id == m.id for m in models):
             raise file.error(where, f"artefact '{spec.id}' is named twice; give each artefact an id of its own")
@@ -116,11 +116,11 @@ def _check_frames(file: YamlFile, plan: Plan) -> None:
 
 def _check_stations(file: YamlFile, plan: Plan, artefacts: tuple[cell.Artefact, ...]) -> None:
     known = [a.id for a in artefacts]
-    seen: set[str] = set()
+    ids: set[str] = set()
     for index, station in enumerate(plan.stations):
-        if str(station.id) in seen:
+        if str(station.id) in ids:
             raise file.error(("stations", index, "id"), f"station '{station.id}' exists already; give each station an id of its own")
-        seen.add(str(station.id))
+        ids.add(str(station.id))
         if station.artefact not in known:
             sentence = f"station '{station.id}' names an artefact '{station.artefact}' that the plan does not have"
             raise file.error(("stations", index, "artefact"), f"{sentence} (it has {', '.join(known)})")

@@ -9,13 +9,12 @@ from mbcacq.model.cell import Cell
 from mbcacq.plan.planned import LoadedPlan
 
 T1_MM_S = 250.0  # a controller's reduced speed, ISO 10218-1
-DEFAULT_SPEED = np.radians(60.0)  # rad/s, for a model whose source gives no speeds
 
 
 def motion_limits(loaded: LoadedPlan) -> MotionLimits:
     """The plan's speed limits applied to the model's: rad/s, rad/s^2, rad/s^3."""
     use, model = loaded.plan.robot, loaded.cell.robot
-    fastest = model.speed if model.speed is not None else np.full(model.n, DEFAULT_SPEED)
+    fastest = model.speed if model.speed is not None else np.full(model.n, loaded.planning.assumed_safe_speed)
     speed = use.speed * fastest
     acceleration = speed / use.acceleration_time_s
     if model.acceleration is not None:

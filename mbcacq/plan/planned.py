@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.model.cell import Cell
+from mbcacq.plan.limits import PlanningLimits
 from mbcacq.plan.schema import Plan
 
 
@@ -17,7 +18,7 @@ class LoadedPlan:
     """A plan with the files it names. cell: robot, artefacts and stations (T_base_station as planned; not for the solver).
 
     text: the plan's YAML as read. lines: path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages. files: names of the robot
-    and artefact files as the plan gives them -> their texts.
+    and artefact files as the plan gives them -> their texts. planning: the numbers that tune its checks and routes.
     """
 
     path: Path
@@ -26,6 +27,7 @@ class LoadedPlan:
     text: str
     lines: dict[tuple[str | int, ...], int]
     files: dict[str, str] = field(default_factory=dict)
+    planning: PlanningLimits = PlanningLimits()
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,18 @@ class PlannedPose:
 
 @dataclass(frozen=True)
 class Transit:
-    """Joint waypoints (n,) rad to pass, in order, before a pose. Where the artefact is moved, that is safe after the first ``leave`` of
-    them: the arm then stands at home. Iterates over all of them."""
+    """Joint waypoints (n,) rad to pass, in order, before a pose. Iterates over all of them.
 
-    leave: list[np.ndarray] = field(default_factory=list)
+    retract: away from the pose before; where the station changes it ends at home, and the artefact may then be moved.
+    approach: the rest, up to the pose itself, which is not among them.
+    """
+
+    retract: list[np.ndarray] = field(default_factory=list)
     approach: list[np.ndarray] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        yield from self.leave
+        yield from self.retract
         yield from self.approach
 
     def __len__(self) -> int:
-        return len(self.leave) + len(self.approach)
+        return len(self.retract) + len(self.approach)

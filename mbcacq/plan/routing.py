@@ -1,4 +1,4 @@
-"""The way from pose to pose: straight in joint space where that is free, else by a detour."""
+"""The path from pose to pose: straight in joint space where that is free, else by a retraction or by home."""
 
 from __future__ import annotations
 
@@ -11,50 +11,55 @@ import numpy as np
 from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.geometry import se3
 from mbcacq.plan.clearance import Clearance, Closest
-from mbcacq.plan.kinematics import InverseKinematics
+from mbcacq.plan.inverse_kinematics import InverseKinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
-
-RETRACTIONS_MM = (80.0, 160.0, 260.0)  # along the scanner's axis, away from what it looks at
-FARTHEST = np.radians(75.0)  # joint travel of a retraction; more means another branch of the arm
 
 
 @dataclass(frozen=True)
 class Obstructed:
-    """No free way was found to pose ``number``; closest: where the straight one fails."""
+    """No free path was found to pose ``number``; closest: where the straight one fails."""
 
     number: int
     closest: Closest
 
 
+Routes = tuple[list[Transit], list[Obstructed]]
+
+
 def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] = frozenset()) -> list[Transit]:
-    """One transit a pose; where the station changes, by way of home, so that the artefact can be moved. The way to the first pose that is
-    not done starts at home, and every pose is come to from the one before it, even if that is done: gears then arrive from the same side
-    as in an undisturbed run. Raises ConfigError naming the step of the first pose to which no free way was found."""
+    """One transit a pose, free of collisions as far as the plan knows the cell.
+
+    Where the station changes it goes by home, so that the artefact can be moved. done: numbers of poses to pass over (a resumed run);
+    their transits are empty. The path to the first pose that is not done starts at home, and every pose is approached from the one before
+    it, even if that is done: gears then arrive from the same side as in an undisturbed run. Raises ConfigError naming the step of the
+    first pose to which no free path was found.
+    """
     through = {a.number for a, b in pairwise(poses) if a.number in done and b.number not in done and a.station == b.station}
     left = [p for p in poses if p.number not in done or p.number in through]
-    transits, obstructed = find_paths(loaded, left)
+    found, obstructed = find_paths(loaded, left)
     if obstructed:
         raise ConfigError(obstructed_sentence(loaded, left, obstructed[0]))
-    ways, by_number = dict(zip((p.number for p in left), transits, strict=True)), []
+    by_number, out = dict(zip((p.number for p in left), found, strict=True)), []
     for before, pose in zip([None, *poses[:-1]], poses, strict=True):
-        way = ways[pose.number] if pose.number not in done else Transit()
+        transit = by_number[pose.number] if pose.number not in done else Transit()
         if before is not None and before.number in through and pose.number not in done:
-            first = ways[before.number]
-            way = Transit([*first.leave, *way.leave], [*first.approach, before.q, *way.approach])
-        by_number.append(way)
-    return by_number
+            first = by_number[before.number]
+            transit = Transit([*first.retract, *transit.retract], [*first.approach, before.q, *transit.approach])
+        out.append(transit)
+    return out
 
 
-def way_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:
-    """Joint waypoints from a pose to home, home included; the straight way where no free one was found."""
+def path_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:
+    """Joint waypoints from a pose to home, home included; the straight path where no free one was found."""
     router = Router(loaded)
-    return router.leave(pose) or [router.home]
+    return router.retract(pose) or [router.home]
 
 
 def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
     """The first motion of a run goes straight from where the arm stands, q (n,) rad, to home. Raises SafetyStop if that is not free."""
     router = Router(loaded)
-    near = router.clearance.on_way(q, router.home, None, min(loaded.plan.clearance_mm, router.clearance.at(q, None).distance - 1.0))
+    needed = min(loaded.plan.clearance_mm, router.clearance.at(q, None).distance - 1.0)  # an arm that stands too close may move away
+    near = router.clearance.along_segment(q, router.home, None, needed)
     if near is not None:
         angles = ", ".join(f"{a:.1f}" for a in np.degrees(q))
         raise SafetyStop(
@@ -63,38 +68,36 @@ def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
         )
 
 
-Routes = tuple[list[Transit], list[Obstructed]]
-
-
 def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
-    """Transits to all poses, straight where no free way was found, and which those are."""
+    """Transits to all poses, straight where no free path was found, and which those are."""
     router = Router(loaded)
     transits, obstructed = [], []
     for before, pose in zip([None, *poses[:-1]], poses, strict=True):
         if before is not None and before.station == pose.station:
-            leave, approach = [], router.between(before, pose)
+            retract, approach = [], router.between(before, pose)
         else:
-            leave = [] if before is None else router.leave(before)
+            retract = [] if before is None else router.retract(before)
             approach = router.approach(pose)
-        if leave is None or approach is None:
+        if retract is None or approach is None:
             start = router.home if before is None or before.station != pose.station else before.q
-            obstructed.append(Obstructed(pose.number, router.blocked(start, pose.q, pose.station)))
-            leave, approach = leave if leave is not None else [router.home], approach or []
-        transits.append(Transit(leave, approach))
+            obstructed.append(Obstructed(pose.number, router.obstruction(start, pose.q, pose.station)))
+            retract, approach = retract if retract is not None else [router.home], approach or []
+        transits.append(Transit(retract, approach))
     return transits, obstructed
 
 
-def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], blocked: Obstructed) -> str:
-    pose = next(p for p in poses if p.number == blocked.number)
-    near = blocked.closest
+def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], obstructed: Obstructed) -> str:
+    """'file:line: ...' about a pose to which no free path was found."""
+    pose = next(p for p in poses if p.number == obstructed.number)
+    near = obstructed.closest
     return (
-        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free way to pose {pose.number} was found "
+        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free path to pose {pose.number} was found "
         f"(on the straight one {near.a} comes within {near.distance:.0f} mm of {near.b}); move the station, or put a view between"
     )
 
 
 class Router:
-    """Finds free ways in one cell."""
+    """Finds free paths in one cell. Each of them is a list of joint waypoints (n,) rad; None: no free one was found."""
 
     def __init__(self, loaded: LoadedPlan) -> None:
         self._loaded = loaded
@@ -107,49 +110,53 @@ class Router:
             self._solver = None  # taught poses of another kind of arm: no retraction, only by home
 
     def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
-        """Waypoints from a to b, both looking at the artefact of one station; None: no free way."""
+        """Waypoints from a to b, both looking at the artefact of one station."""
 
-        def ways() -> Iterator[list[np.ndarray]]:
+        def candidates() -> Iterator[list[np.ndarray]]:
             yield []
             back = list(zip(self._retracted(a.q), self._retracted(b.q), strict=False))
             yield from ([x, y] for x, y in back)
             yield [self.home]
             yield from ([x, self.home, y] for x, y in back)
 
-        return self._first_free(a.q, b.q, ways(), a.station)
+        return self._first_free(a.q, b.q, candidates(), a.station)
 
-    def leave(self, pose: PlannedPose) -> list[np.ndarray] | None:
+    def retract(self, pose: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a pose to home, home included."""
-        way = self._first_free(pose.q, self.home, self._straight_or_back(pose), pose.station)
-        return None if way is None else [*way, self.home]
+        waypoints = self._first_free(pose.q, self.home, self._straight_or_retracted(pose), pose.station)
+        return None if waypoints is None else [*waypoints, self.home]
 
     def approach(self, pose: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from home to a pose, home left out."""
-        return self._first_free(self.home, pose.q, self._straight_or_back(pose), pose.station)
+        return self._first_free(self.home, pose.q, self._straight_or_retracted(pose), pose.station)
 
-    def blocked(self, start: np.ndarray, end: np.ndarray, station: str) -> Closest:
-        return self.clearance.on_way(start, end, station, self._needed) or self.clearance.at(end, station)
+    def obstruction(self, start: np.ndarray, end: np.ndarray, station: str) -> Closest:
+        """What is too close on the straight motion, or, where that is free, closest at its end."""
+        return self.clearance.along_segment(start, end, station, self._needed) or self.clearance.at(end, station)
 
-    def _first_free(self, start: np.ndarray, end: np.ndarray, ways: Iterable[list[np.ndarray]], station: str) -> list[np.ndarray] | None:
-        # A pose that itself is too close spoils every way to it: that is said once, by the check of the poses.
-        for way in ways:
-            stops = [start, *way, end]
-            if all(self.clearance.on_way(x, y, station, self._needed) is None for x, y in pairwise(stops)):
-                return way
+    def _first_free(
+        self, start: np.ndarray, end: np.ndarray, candidates: Iterable[list[np.ndarray]], station: str
+    ) -> list[np.ndarray] | None:
+        # A pose that itself is too close spoils every path to it: that is said once, by the check of the poses.
+        for waypoints in candidates:
+            stops = [start, *waypoints, end]
+            if all(self.clearance.along_segment(x, y, station, self._needed) is None for x, y in pairwise(stops)):
+                return waypoints
         return None
 
-    def _straight_or_back(self, pose: PlannedPose) -> Iterator[list[np.ndarray]]:
+    def _straight_or_retracted(self, pose: PlannedPose) -> Iterator[list[np.ndarray]]:
         yield []
         yield from ([x] for x in self._retracted(pose.q))
 
     def _retracted(self, q: np.ndarray) -> Iterator[np.ndarray]:
+        """Positions on the same branch of the arm, drawn back along the scanner's axis."""
         if self._solver is None:
             return
         T = self._loaded.cell.robot.chain.flange(q[None])[0]
         axis = T[:3, :3] @ self._loaded.cell.T_flange_scanner[:3, 2]
-        for step in RETRACTIONS_MM:
+        for step in self._loaded.planning.retractions_mm:
             found = self._solver.solutions(se3.transform(T[:3, :3], T[:3, 3] + step * axis)[None])[0]
             if len(found):
                 nearest = found[np.argmin(np.abs(found - q).max(axis=1))]
-                if np.abs(nearest - q).max() < FARTHEST:
+                if np.abs(nearest - q).max() < self._loaded.planning.farthest_retraction:
                     yield nearest

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.plan.motion_limits import motion_limits
-from mbcacq.plan.planned import LoadedPlan, PlannedPose
+from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.routing import Routes, find_paths
 from mbcacq.plan.timing import duration, motion_time
 
@@ -62,7 +62,7 @@ def _step(loaded: LoadedPlan, index: int, poses: Sequence[PlannedPose]) -> dict[
     }
 
 
-def _starts(loaded: LoadedPlan, poses, transits) -> list[float]:
+def _starts(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[float]:
     """s from the start of the run to the beginning of each pose's first motion, without the operator's time."""
     limits, use = motion_limits(loaded), loaded.plan.robot
     clock, out, last = 0.0, [], np.radians(use.home_deg)

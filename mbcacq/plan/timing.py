@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import ruckig
 
+from mbcacq.devices import MotionLimits
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
@@ -27,7 +29,7 @@ class Duration:
 
 
 def duration(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> Duration:
-    """Of a whole run, from home to home, at the plan's own speed."""
+    """Time of a whole run, from home to home, at the plan's own speed."""
     limits, plan = motion_limits(loaded), loaded.plan
     home = np.radians(plan.robot.home_deg)
     stops = [home]
@@ -40,9 +42,8 @@ def duration(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequenc
     return Duration(motion, (len(stops) - 1) * plan.robot.settle_s, exposures * plan.scanner.scan_time_s, changes)
 
 
-def motion_time(start: np.ndarray, end: np.ndarray, limits) -> float:
+def motion_time(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> float:
     """s of one jerk-limited joint motion (n,) rad from rest to rest."""
-    import ruckig
 
     wanted = ruckig.InputParameter(len(start))
     wanted.current_position, wanted.target_position = start.tolist(), end.tolist()

@@ -97,13 +97,13 @@ def _walk(node: yaml.Node, where: Path_, lines: dict[Path_, int], path: Path, co
     if count[0] > MAX_NODES or len(where) > MAX_DEPTH:
         raise ConfigError(f"{path}:{line}: too many or too deeply nested values; write them out without aliases")
     if isinstance(node, yaml.MappingNode):
-        seen: dict[str, int] = {}
+        first: dict[str, int] = {}
         for key, value in node.value:
             name = str(key.value)
             key_line = key.start_mark.line + 1
-            if name in seen:
-                raise ConfigError(f"{path}:{key_line}: key '{name}' stands here a second time (first in line {seen[name]}); remove one")
-            seen[name] = key_line
+            if name in first:
+                raise ConfigError(f"{path}:{key_line}: key '{name}' stands here a second time (first in line {first[name]}); remove one")
+            first[name] = key_line
             _walk(value, (*where, name), lines, path, count)
             lines[(*where, name)] = key_line
     elif isinstance(node, yaml.SequenceNode):

@@ -78,12 +78,12 @@ def plan_run(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[i
     Raises ConfigError or SafetyStop where a limit, the workspace or a clearance would be broken anywhere on it.
     """
     from mbcacq.plan import path
-    from mbcacq.plan.motion_preview import legs, refuse_unsafe
-    from mbcacq.plan.routing import way_home
+    from mbcacq.plan.motion_preview import refuse_unsafe, segments
+    from mbcacq.plan.routing import path_home
 
     last = next(p for p in reversed(poses) if p.number not in done)
-    acquisition = Acquisition(loaded, poses, path(loaded, poses, done), way_home(loaded, last), Path(), part, done, cell)
-    refuse_unsafe(loaded, list(legs(loaded, poses, acquisition.paths, acquisition.way_home, done)))
+    acquisition = Acquisition(loaded, poses, path(loaded, poses, done), path_home(loaded, last), Path(), part, done, cell)
+    refuse_unsafe(loaded, list(segments(loaded, poses, acquisition.paths, acquisition.path_home, done)))
     return acquisition
 
 
@@ -104,7 +104,7 @@ class Acquisition:
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
     paths: Sequence[Transit]
-    way_home: Sequence[np.ndarray]
+    path_home: Sequence[np.ndarray]
     folder: Path
     part: int = 0
     done: frozenset[int] = frozenset()
@@ -112,9 +112,9 @@ class Acquisition:
 
     def sweep(self) -> Swept:
         """What the arm will sweep, and how fast."""
-        from mbcacq.plan.motion_preview import legs, swept
+        from mbcacq.plan.motion_preview import segments, swept
 
-        return swept(self.loaded, list(legs(self.loaded, self.poses, self.paths, self.way_home, self.done)))
+        return swept(self.loaded, list(segments(self.loaded, self.poses, self.paths, self.path_home, self.done)))
 
     def execute(
         self,
@@ -153,7 +153,7 @@ class Acquisition:
                 self.loaded,
                 self.poses,
                 self.paths,
-                self.way_home,
+                self.path_home,
                 create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]),
                 find_spheres,

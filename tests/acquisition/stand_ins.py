@@ -84,8 +84,8 @@ class Placer(StandIn):
 class Found:
     ball: np.ndarray
     xyz: np.ndarray
-    n_points: np.ndarray = field(default=None)
-    rms_mm: np.ndarray = field(default=None)
+    n_points: np.ndarray = field(init=False)
+    rms_mm: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.n_points = np.full(len(self.ball), 100)

@@ -48,7 +48,7 @@ def with_plan(world, **changes):  # noqa: F811
     return replace(loaded, plan=loaded.plan.model_copy(update=changes)), poses
 
 
-def test_a_scanner_that_starts_again_costs_no_pose_and_is_spoken_of(world):  # noqa: F811
+def test_a_scanner_that_restarts_costs_no_pose_and_is_reported(world):  # noqa: F811
     runner, seen, _ = make(world, scanner=Rebooting(down=3))
     runner.run()
     assert [e.pose for e in seen.of(events.PoseDone)] == [0, 1, 2, 3]
@@ -59,7 +59,7 @@ def test_a_scanner_that_starts_again_costs_no_pose_and_is_spoken_of(world):  # n
     assert "lost 1 times" in seen.events[-1].reason
 
 
-def test_a_scanner_that_stays_away_ends_the_run_by_its_name(world):  # noqa: F811
+def test_a_scanner_that_stays_away_ends_the_run(world):  # noqa: F811
     loaded, _ = world
     scanner = loaded.plan.scanner.model_copy(update={"reconnect_s": 0.05})
     runner, seen, parts = make(with_plan(world, scanner=scanner), scanner=Rebooting(down=10**6))

@@ -1,4 +1,4 @@
-"""What the runner promises: order of events, means, and a robot at rest whatever happens."""
+"""The runner: order of events, means, and a robot at rest whatever happens."""
 
 import threading
 from pathlib import Path
@@ -119,7 +119,7 @@ def test_no_cycle_is_lost(world):
     assert times[-1] == parts["robot"].time
 
 
-def test_direction_is_the_sense_of_the_last_motion(world):
+def test_direction_is_that_of_the_last_motion(world):
     loaded, poses = world
     back = [*poses[:2], PlannedPose(2, 1, "s", "position", "b", "mbc", np.array([0.2, 0.1, 0.3, 0.2, 0.2, 0.2]), (1, 2, 3, 4), 1, 9)]
     runner, seen, _ = make((loaded, back))
@@ -300,13 +300,13 @@ def test_a_wrong_setting_ends_the_wait_for_the_other_devices(world):
     assert closed.is_set()
 
 
-def test_a_motion_at_the_reduced_speed_of_t1_is_no_arm_that_never_arrives(world):
-    """The scanner's way along straight joint motions, driven at 250 mm/s, takes less than the runner waits."""
+def test_a_motion_at_the_reduced_speed_of_t1_arrives_in_time(world):
+    """The scanner's path along straight joint motions, driven at 250 mm/s, takes less than the runner waits."""
     loaded = world[0]
     limits, arms = motion_limits(loaded), arms_beyond(loaded.cell)
     low, high = loaded.cell.robot.limits.T
     rng = np.random.default_rng(3)
     for start, target in zip(rng.uniform(low, high, (20, 6)), rng.uniform(low, high, (20, 6)), strict=True):
         T = loaded.cell.robot.chain.flange(start + np.linspace(0, 1, 400)[:, None] * (target - start)) @ loaded.cell.T_flange_scanner
-        way_mm = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
-        assert way_mm / 250.0 < longest_duration(target - start, limits, arms)
+        path_mm = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
+        assert path_mm / 250.0 < longest_duration(target - start, limits, arms)

@@ -101,11 +101,11 @@ def test_a_run_records_what_it_reads(outside, tmp_path):
         run = tmp_path / "run"
         done = mbcacq(outside, "run", plan, "--dry-run", "--out", run)
         assert done.returncode == 0, done.stderr
-        told = probe.sent[1:]
+        answers = probe.answers[1:]
     from mbcacq.recording import load
 
-    assert load(run).temperatures["air_C"].tolist() == told
-    assert len(told) == 4
+    assert load(run).temperatures["air_C"].tolist() == answers
+    assert len(answers) == 4
 
 
 def bench():
@@ -118,7 +118,7 @@ def bench():
 
             def use(sensor):
                 got = sensor.read()
-                assert got == {"air_C": probe.sent[-1]}, f"it reads {got}, the probe told {probe.sent[-1:]}"
+                assert got == {"air_C": probe.answers[-1]}, f"it reads {got}, the probe answered {probe.answers[-1:]}"
 
             def make(model="T-1000", **more):
                 return AcmeProbe("air", model, {"address": "127.0.0.1", "port": proxy.port, **more})

@@ -14,7 +14,7 @@ from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.feasibility import check
 from mbcacq.plan.occlusion import occluded
-from mbcacq.plan.routing import find_paths, way_home
+from mbcacq.plan.routing import find_paths, path_home
 from mbcacq.plan.timing import motion_time
 
 
@@ -39,7 +39,7 @@ GOOD = (0, -66, 122, 0, 24, 90)
 
 
 @pytest.mark.parametrize("name", ["kuka.yaml", "kuka-effects.yaml", "quick.yaml"])
-def test_shipped_plans_have_nothing_to_complain_about(name):
+def test_shipped_plans_have_no_errors_and_no_warnings(name):
     loaded = load(PLANS / name)
     poses = expand(loaded)
     assert [str(f) for f in check(loaded, poses) if f.level != "info"] == []
@@ -81,7 +81,7 @@ def test_balls_outside_the_view(folder):
     assert "out-of-view" not in codes(part)
 
 
-def test_expected_ball_that_cannot_be_seen(folder):
+def test_expected_ball_outside_the_field_of_view(folder):
     text = folder.plan().read_text().split("steps:")[0]
     steps = (
         f"steps:\n  - {{name: t, phase: position, do: joints, station: 1, balls: [1, 2], poses_deg: [{list(GOOD[:5])[:4] + [60, 0]}]}}\n"
@@ -99,8 +99,8 @@ def test_one_ball_before_another():
     """Camera about 245 mm above the origin of this view; two balls on one ray, a third aside."""
     field = load(PLANS / "quick.yaml").plan.scanner.field_of_view
     xyz = np.array([[0, 0, 0], [0.5, 0, 20], [30, 0, 0.0]])
-    assert occluded(xyz, np.full(3, 6.0), field) == [(1, 0)]
-    assert occluded(np.array([[0, 0, 0], [14.0, 0, 20]]), np.full(2, 6.0), field) == []
+    assert occluded(xyz, np.full(3, 6.0), field, 0.6) == [(1, 0)]
+    assert occluded(np.array([[0, 0, 0], [14.0, 0, 20]]), np.full(2, 6.0), field, 0.6) == []
 
 
 def test_scanner_in_the_table(folder):
@@ -146,7 +146,7 @@ SIDES = (
 )
 
 
-def test_a_way_round_an_obstacle_is_found_and_is_free(folder):
+def test_a_path_around_an_obstacle_is_found_and_is_free(folder):
     """A screen stands between two views, higher than the straight motion passes: the arm must go round or over it."""
     home = ("home_deg: [0, -90, 90, 0, 90, 0]", "home_deg: [60, -110, 110, 0, 90, 0]")
     views = (
@@ -163,7 +163,7 @@ def test_a_way_round_an_obstacle_is_found_and_is_free(folder):
     )
     poses = expand(loaded)
     clearance = Clearance(loaded)
-    assert clearance.on_way(poses[0].q, poses[1].q, "1", 10.0) is not None
+    assert clearance.along_segment(poses[0].q, poses[1].q, "1", 10.0) is not None
     transits, blocked = find_paths(loaded, poses)
     assert blocked == []
     assert len(transits[1]) > 0
@@ -173,7 +173,7 @@ def test_a_way_round_an_obstacle_is_found_and_is_free(folder):
             assert clearance.at(a + share * (b - a), "1").distance > 5.0
 
 
-def test_no_way_is_an_error_with_its_line(folder):
+def test_a_pose_without_a_free_path_is_an_error_with_its_line(folder):
     cage = "  - {name: screen, min_mm: [330, 330, -200], max_mm: [350, 1100, 1800]}\n"
     turned = (
         "{id: 1, artefact: mbc, pose_in_base: {translation_mm: [600, 0, 150], abc_deg: [20, -10, 5]}}",
@@ -181,23 +181,23 @@ def test_no_way_is_an_error_with_its_line(folder):
     )
     found = [f for f in findings(folder.plan(("artefacts: [", f"obstacles:\n{cage}artefacts: ["), turned)) if f.code == "way"]
     assert found
-    assert "no free way to pose 0 was found" in found[0].sentence
+    assert "no free path to pose 0 was found" in found[0].sentence
     assert found[0].place.endswith("plan.yaml:26")
     loaded = load(folder.path / "plan.yaml")
     poses = expand(loaded)
-    with pytest.raises(ConfigError, match="no free way"):
+    with pytest.raises(ConfigError, match="no free path"):
         path(loaded, poses[:1])
 
 
-def test_a_motion_is_never_called_free_where_a_fine_look_finds_contact():
-    """Random motions past a post: bounded halving against looking every hundredth of the way."""
+def test_no_motion_is_called_free_where_fine_sampling_finds_contact():
+    """Random motions past a post: bounded halving against sampling every hundredth of the motion."""
     loaded = load(PLANS / "kuka.yaml")
     clearance, rng = Clearance(loaded), np.random.default_rng(8)
     disagreements = hits = 0
     for _ in range(40):
         a, b = np.radians(rng.uniform([-40, -60, 60, -180, -100, -180], [40, 0, 140, 180, 100, 180], (2, 6)))
         finest = min(clearance.at(a + s * (b - a), "p1").distance for s in np.linspace(0, 1, 101))
-        free = clearance.on_way(a, b, "p1", 10.0) is None
+        free = clearance.along_segment(a, b, "p1", 10.0) is None
         hits += finest < 10
         disagreements += free and finest < 10 - 4
     assert hits > 10
@@ -210,10 +210,10 @@ def test_the_artefact_is_moved_while_the_arm_is_at_home():
     home = np.radians(loaded.plan.robot.home_deg)
     for before, pose, transit in zip(poses, poses[1:], path(loaded, poses)[1:], strict=False):
         if before.station == pose.station:
-            assert transit.leave == []
+            assert transit.retract == []
         else:
-            assert transit.leave[-1] == pytest.approx(home)
-    assert way_home(loaded, poses[-1])[-1] == pytest.approx(home)
+            assert transit.retract[-1] == pytest.approx(home)
+    assert path_home(loaded, poses[-1])[-1] == pytest.approx(home)
 
 
 def test_a_resumed_run_starts_from_home_and_keeps_to_the_poses_left():
@@ -223,7 +223,7 @@ def test_a_resumed_run_starts_from_home_and_keeps_to_the_poses_left():
     whole, left = path(loaded, poses), path(loaded, poses, done)
     assert len(left) == len(poses)
     assert all(len(left[k]) == 0 for k in done)
-    assert left[15].leave == []  # the arm comes from home, not from pose 14
+    assert left[15].retract == []  # the arm comes from home, not from pose 14
     assert [len(t) for t in left[19:]] == [len(t) for t in whole[19:]]
 
 

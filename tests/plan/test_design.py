@@ -1,4 +1,4 @@
-"""What a plan can see, foretold and found true; poses chosen for it."""
+"""Accuracy and detectability predicted for a plan and found true by simulation; poses chosen by a design."""
 
 import json
 
@@ -11,13 +11,16 @@ from conftest import PLANS
 from mbcacq.calibration import calibrate, verify
 from mbcacq.cli.plan import command
 from mbcacq.design.candidate_views import candidates
-from mbcacq.design.effect_detectability import visibility
-from mbcacq.design.exchange_algorithm import Criterion, choose, updated
-from mbcacq.design.expected_accuracy import foreseen, prospect
-from mbcacq.design.optimal_design import DesignProblem, design
-from mbcacq.design.plan_findings import insight
+from mbcacq.design.design_problem import DesignProblem
+from mbcacq.design.effect_detectability import detectability
+from mbcacq.design.exchange_algorithm import choose_by_exchange
+from mbcacq.design.optimal_design import design
+from mbcacq.design.optimality_criteria import AOptimality, DOptimality, updated_covariance
+from mbcacq.design.options import DesignOptions
+from mbcacq.design.plan_findings import identifiability_findings
 from mbcacq.design.plan_rewriter import with_views
-from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state, trial
+from mbcacq.design.predicted_accuracy import predicted_accuracy, predicted_calibration
+from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state, simulated_recording
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load, path
 from mbcacq.plan.feasibility import check
@@ -31,32 +34,34 @@ def published():
     return loaded, expand(loaded)
 
 
-def test_the_published_plan_promises_what_its_authors_hoped_for(published):
+def test_the_published_plan_predicts_the_accuracy_its_authors_expect(published):
     """All 24 parameters of arm and hand-eye; a linearised analysis of such a plan expects 0.012 to 0.020 mm at the bar."""
-    outlook = prospect(*published)
-    assert (outlook.determined, outlook.parameters) == (24, 24)
-    assert 0.010 < outlook.bar_mm < 0.020
-    assert outlook.bar_cell_mm < outlook.bar_mm
-    assert len(outlook.places) == 10
+    accuracy = predicted_accuracy(*published)
+    assert accuracy.distance_mm is not None
+    assert accuracy.calibration_mm is not None
+    assert (accuracy.determined, accuracy.parameters) == (24, 24)
+    assert 0.010 < accuracy.distance_mm < 0.020
+    assert accuracy.calibration_mm < accuracy.distance_mm
+    assert len(accuracy.distances) == 10
 
 
-def test_what_is_foretold_is_what_calibrated_cells_show(published):
-    """Twelve random true cells, recorded with noise and calibrated: bar errors have the foretold spread."""
+def test_calibrated_cells_show_the_predicted_accuracy(published):
+    """Twelve random true cells, recorded with noise and calibrated: bar errors have the predicted spread."""
     loaded, poses = published
     observations, noise = planned_observations(loaded, poses), planned_noise(loaded, poses)
-    foretold = foreseen(loaded, observations, noise)
-    expected = np.array([e for _, e in prospect(loaded, poses).places])
+    predicted = predicted_calibration(loaded, observations, noise)
+    expected = np.array([e for _, e in predicted_accuracy(loaded, poses).distances])
     rng, bars = np.random.default_rng(12), []
     for _ in range(12):
-        recorded = trial(loaded, observations, noise, rng)
+        recorded = simulated_recording(loaded, observations, noise, rng)
         found = calibrate(recorded)
         bars.append(verify(recorded, found).errors("after") / expected)
-        assert found.names == foretold.names
+        assert found.names == predicted.names
     # 120 errors, those of one cell correlated: the mean square of a unit normal within four of its standard errors
     assert np.mean(np.square(bars)) == pytest.approx(1.0, abs=0.75)
 
 
-def test_one_place_leaves_much_undetermined_and_says_so(folder):
+def test_views_of_one_place_leave_much_undetermined(folder):
     """All views from one side at one place."""
     text = folder.plan().read_text().split("steps:")[0]
     steps = "steps:\n  - name: v\n    phase: position\n    do: look\n    stations: [1]\n    views:\n" + "".join(
@@ -64,57 +69,61 @@ def test_one_place_leaves_much_undetermined_and_says_so(folder):
     )
     loaded = load(folder.write("plan.yaml", text + steps))
     poses = expand(loaded)
-    found, outlook, _ = insight(loaded, poses, summary(loaded, poses))
-    assert outlook.determined < outlook.parameters or outlook.workspace_mm > 0.1
-    assert {"undetermined", "weak"} & {f.code for f in found if f.level == "warning"}
+    found, accuracy, _ = identifiability_findings(loaded, poses, summary(loaded, poses))
+    assert accuracy is not None
+    assert accuracy.determined < accuracy.parameters
+    assert accuracy.workspace_mm is None
+    assert "undetermined" in {f.code for f in found if f.level == "warning"}
 
 
-def test_one_orientation_is_refused_in_the_words_of_the_calibration(folder):
+def test_one_orientation_is_refused_in_the_calibrations_words(folder):
     text = folder.plan().read_text().split("steps:")[0]
     step = "steps:\n  - {name: t, phase: translation, do: translate, station: 1, offsets_mm: [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]]}\n"
     loaded = load(folder.write("plan.yaml", text + step))
     poses = expand(loaded)
-    found, outlook, sight = insight(loaded, poses, summary(loaded, poses))
-    assert (outlook, sight) == (None, None)
+    found, accuracy, effects = identifiability_findings(loaded, poses, summary(loaded, poses))
+    assert (accuracy, effects) == (None, None)
     assert "all poses have the same orientation" in found[0].sentence
 
 
-def test_without_calibration_poses_nothing_is_promised(folder):
+def test_without_calibration_poses_nothing_is_predicted(folder):
     loaded = load(folder.plan(("phase: position", "phase: verification")))
     poses = expand(loaded)
-    found, outlook, _ = insight(loaded, poses, summary(loaded, poses))
-    assert outlook is None
+    found, accuracy, _ = identifiability_findings(loaded, poses, summary(loaded, poses))
+    assert accuracy is None
     assert "no pose to calibrate with" in found[0].sentence
 
 
 def test_every_pose_twice_halves_the_variance(published):
     loaded, poses = published
-    once, twice = prospect(loaded, poses), prospect(loaded, [*poses, *poses])
+    once, twice = predicted_accuracy(loaded, poses), predicted_accuracy(loaded, [*poses, *poses])
     assert twice.indices["O3"] == pytest.approx(np.sqrt(2) * once.indices["O3"], rel=0.02)
     assert twice.indices["O2"] == pytest.approx(once.indices["O2"], rel=0.02)
-    assert twice.bar_cell_mm == pytest.approx(once.bar_cell_mm / np.sqrt(2), rel=0.03)
+    assert twice.calibration_mm == pytest.approx(once.calibration_mm / np.sqrt(2), rel=0.03)
 
 
-def test_small_artefact_alone_hides_gravity_and_a_long_bar_shows_it(published):
+def test_a_small_artefact_hides_gravity_and_a_long_bar_shows_it(published):
     """Compliance, pedestal tilt and link growth are absorbed by free stations; the bar seen end by end brings them out."""
     loaded, poses = published
     transits = path(loaded, poses)
     starts = 30.0 * np.arange(len(poses))
     few = [k for k, p in enumerate(poses) if p.phase != "verification"]
-    whole = {(e.name, e.where): e for e in visibility(loaded, poses, transits, starts).effects}
-    alone = {(e.name, e.where): e for e in visibility(loaded, [poses[k] for k in few], [transits[k] for k in few], starts[few]).effects}
+    whole = {(e.name, e.location): e for e in detectability(loaded, poses, transits, starts).effects}
+    alone = {
+        (e.name, e.location): e for e in detectability(loaded, [poses[k] for k in few], [transits[k] for k in few], starts[few]).effects
+    }
     for key in [("joint_compliance", "A2"), ("joint_compliance", "A3"), ("base_compliance", "base")]:
         assert alone[key].absorbed > 0.98
         assert alone[key].sigmas < whole[key].sigmas
-    assert not alone["joint_compliance", "A2"].seen
-    assert whole["gear_transmission_error", "A1"].seen  # fast in its own angle: nothing else looks like it
+    assert not alone["joint_compliance", "A2"].detectable
+    assert whole["gear_transmission_error", "A1"].detectable  # fast in its own angle: nothing else looks like it
     assert whole["gear_transmission_error", "A1"].absorbed < 0.5
 
 
-def test_visibility_grows_with_the_square_root_of_the_poses(published):
+def test_detectability_grows_with_the_square_root_of_the_poses(published):
     loaded, poses = published
-    once = {(e.name, e.where): e.sigmas for e in visibility(loaded, poses).effects}
-    twice = {(e.name, e.where): e.sigmas for e in visibility(loaded, [p for p in poses for _ in range(2)]).effects}
+    once = {(e.name, e.location): e.sigmas for e in detectability(loaded, poses).effects}
+    twice = {(e.name, e.location): e.sigmas for e in detectability(loaded, [p for p in poses for _ in range(2)]).effects}
     for key in [("joint_scale", "A4"), ("wrist_coupling", "A4+A5")]:
         assert twice[key] == pytest.approx(np.sqrt(2) * once[key], rel=0.02)
 
@@ -124,13 +133,13 @@ def test_update_of_a_covariance_and_its_gain():
     A = rng.normal(size=(9, 9))
     base = A @ A.T + np.eye(9)
     C, B, target = np.linalg.inv(base), rng.normal(size=(5, 6, 9)), np.diag([1.0, 2, 3, 0, 0, 0, 0, 0, 0])
-    for criterion in (Criterion(4, target), Criterion(4)):
+    for criterion in (AOptimality(target), DOptimality(4)):
         gains = criterion.gains(C, B, 1.0)
         for block, gain in zip(B, gains, strict=True):
             grown = np.linalg.inv(base + block.T @ block)
-            assert updated(C, block, 1.0) == pytest.approx(grown, abs=1e-12)
+            assert updated_covariance(C, block, 1.0) == pytest.approx(grown, abs=1e-12)
             assert gain == pytest.approx(criterion.value(C) - criterion.value(grown), abs=1e-9)
-            assert updated(grown, block, -1.0) == pytest.approx(C, abs=1e-9)
+            assert updated_covariance(grown, block, -1.0) == pytest.approx(C, abs=1e-9)
             assert criterion.gains(grown, block[None], -1.0)[0] == pytest.approx(-gain, abs=1e-9)
 
 
@@ -140,18 +149,18 @@ def test_exchange_finds_the_best_of_all_choices_of_a_small_problem():
 
     rng = np.random.default_rng(5)
     blocks, groups, base = rng.normal(size=(8, 6, 10)), np.array([0, 0, 0, 0, 1, 1, 1, 1]), np.eye(10) * 0.1
-    criterion = Criterion(4, np.diag([1.0, 1, 1, 1, 0, 0, 0, 0, 0, 0]))
+    criterion = AOptimality(np.diag([1.0, 1, 1, 1, 0, 0, 0, 0, 0, 0]))
 
     def value(which):
         return criterion.value(np.linalg.inv(base + sum(blocks[k].T @ blocks[k] for k in which)))
 
     every = sorted(value(c) for c in combinations(range(8), 3))
-    assert value(choose(base, blocks, groups, 3, criterion)) <= every[2]
+    assert value(choose_by_exchange(base, blocks, groups, 3, criterion)) <= every[2]
 
 
 def test_candidates_can_be_taken(published):
     loaded, _ = published
-    found = candidates(loaded, ["p2"], 60, 40.0, 1)
+    found = candidates(loaded, ["p2"], 40.0, 1, DesignOptions(views_per_station=60))
     assert len(found) > 20
     text = with_views(loaded, {("p2", None): [c.view for c in found]})
     path_ = loaded.path.with_name("_candidates.yaml")
@@ -167,13 +176,13 @@ def test_candidates_can_be_taken(published):
     assert {np.sign(p.q[4]) for p in poses} == {1.0, -1.0}
 
 
-def test_the_small_matrices_say_what_the_full_calibration_says(published):
+def test_information_blocks_agree_with_the_full_calibration(published):
     """Information blocks of six rows a pose against the complete problem, balls held."""
     loaded, poses = published
     kept = [p for p in poses if p.phase != "verification"]
     problem = DesignProblem(loaded, kept, [], poses)
     C = np.linalg.inv(problem.base)[: problem.layout.size, : problem.layout.size]
-    full = foreseen(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
+    full = predicted_calibration(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
     arm = [i for i, name in enumerate(full.names) if not name.startswith("ball_")]
     # the certificate's 1 um makes the full problem a little less certain
     ratio = np.sqrt(np.diag(full.covariance)[arm] / np.diag(C))
@@ -192,7 +201,10 @@ def test_design_is_better_than_the_given_plan_and_keeps_the_rest(published, fold
     better = expand(new)
     count = {phase: sum(p.phase == phase for p in better) for phase in ("translation", "orientation", "position", "verification")}
     assert count == {"translation": 6, "orientation": 6, "position": 64, "verification": 20}
-    assert prospect(new, better).bar_cell_mm < 0.9 * prospect(loaded, poses).bar_cell_mm
+    designed_mm, given_mm = predicted_accuracy(new, better).calibration_mm, predicted_accuracy(loaded, poses).calibration_mm
+    assert designed_mm is not None
+    assert given_mm is not None
+    assert designed_mm < 0.9 * given_mm
     assert [str(f) for f in check(new, better) if f.level == "error"] == []
     assert "# Lengths mm, angles deg." in result.text
     assert "Eight places of the tripod" not in result.text

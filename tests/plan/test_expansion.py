@@ -19,9 +19,9 @@ views = st.builds(View, tilt_deg=st.floats(0, 80), azimuth_deg=ANGLE, roll_deg=A
 @given(view=views, abc=st.tuples(*[st.floats(-3, 3)] * 3), point=st.tuples(*[st.floats(-100, 100)] * 3))
 def test_the_point_appears_at_the_shift_under_the_tilt(view, abc, point):
     station = se3.from_abc(np.array([600.0, -100, 50]), np.array(abc))
-    seen = se3.inverse(T_base_scanner(station, np.array(point), view)) @ station
-    assert se3.apply(seen, np.array(point)) == pytest.approx(view.shift_mm, abs=1e-9)
-    axis = seen[:3, :3].T @ [0, 0, 1]  # the scanner's z in the station frame
+    T_scanner_station = se3.inverse(T_base_scanner(station, np.array(point), view)) @ station
+    assert se3.apply(T_scanner_station, np.array(point)) == pytest.approx(view.shift_mm, abs=1e-9)
+    axis = T_scanner_station[:3, :3].T @ [0, 0, 1]  # the scanner's z in the station frame
     assert np.degrees(np.arccos(np.clip(axis[2], -1, 1))) == pytest.approx(view.tilt_deg, abs=1e-5)
     if view.tilt_deg > 1:
         off = np.degrees(np.arctan2(axis[1], axis[0])) - view.azimuth_deg
@@ -50,7 +50,7 @@ def test_margin_of_the_field_of_view_by_hand():
 
 @settings(max_examples=20)
 @given(view=views)
-def test_what_is_promised_to_be_seen_lies_in_the_field(view):
+def test_balls_with_a_margin_lie_in_the_field_of_view(view):
     T = T_base_scanner(np.eye(4), np.zeros(3), view)
     balls = se3.apply(se3.inverse(T), np.array([[0, 0, 0], [25, 10, 5], [-40, 60, 0.0]]))
     inside = margin(FIELD, balls) >= 0
@@ -59,7 +59,7 @@ def test_what_is_promised_to_be_seen_lies_in_the_field(view):
     assert (inside == ((np.abs(balls[:, :2]) <= half).all(axis=1) & (np.abs(balls[:, 2]) <= 50))).all()
 
 
-def seen(loaded, pose):
+def centres_in_scanner(loaded, pose):
     """Ball centres (B, 3) in the scanner frame at a pose, through the chain."""
     station = next(s for s in loaded.cell.stations if s.id == pose.station)
     scanner = loaded.cell.robot.chain.flange(pose.q[None])[0] @ loaded.cell.T_flange_scanner
@@ -72,7 +72,7 @@ def published():
     return loaded, expand(loaded)
 
 
-def test_the_published_plan_has_the_papers_poses(published):
+def test_the_published_plan_has_the_poses_of_its_publication(published):
     loaded, poses = published
     count = {phase: sum(p.phase == phase for p in poses) for phase in ("translation", "orientation", "position", "verification")}
     assert count == {"translation": 6, "orientation": 6, "position": 64, "verification": 20}
@@ -86,7 +86,7 @@ def test_the_published_plan_has_the_papers_poses(published):
 def test_every_look_shows_its_aim_where_the_view_puts_it(published):
     loaded, poses = published
     for pose in poses:
-        centres = seen(loaded, pose)
+        centres = centres_in_scanner(loaded, pose)
         if pose.phase in ("orientation", "position"):
             shift = loaded.plan.steps[pose.step].views[pose.number % 8 - 4 if pose.phase == "position" else pose.number - 6].shift_mm
             assert centres.mean(axis=0) == pytest.approx(shift, abs=1e-6)
@@ -115,7 +115,7 @@ def test_single_balls_of_a_long_artefact(folder):
     loaded = load(one)
     ends = [p for p in expand(loaded) if p.phase == "verification"]
     assert [p.balls for p in ends] == [(10,)]
-    assert seen(loaded, ends[0])[1] == pytest.approx(np.zeros(3), abs=1e-6)
+    assert centres_in_scanner(loaded, ends[0])[1] == pytest.approx(np.zeros(3), abs=1e-6)
     with pytest.raises(ConfigError, match=r"plan\.yaml:30: step 'ends' expects ball 3, which the artefact at station '2' does not have"):
         load(folder.plan(("balls: each", "balls: [3]")))
 

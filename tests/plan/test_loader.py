@@ -183,7 +183,7 @@ def test_any_spoiled_file_is_read_or_refused_in_one_sentence(tmp_path, file, dat
         assert np.isfinite(loaded.cell.robot.chain.rows).all()
 
 
-def test_no_plan_no_directory_no_text(tmp_path):
+def test_a_missing_or_unreadable_plan_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.yaml: the plan cannot be read \(No such file or directory\); correct the path"):
         load(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match="the plan cannot be read"):
@@ -229,7 +229,7 @@ def test_taught_positions_are_counted_and_their_balls_known(folder):
         load(plan(taught))
 
 
-def test_what_is_read_is_what_stands_there(folder):
+def test_the_loaded_plan_holds_what_its_files_say(folder):
     loaded = load(folder.plan())
     assert loaded.cell.ball_ids == (1, 2, 3, 4, 5, 6, 7, 8, 9, 10)
     assert loaded.cell.robot.name == "KUKA KR 10 R1100-2"

@@ -14,7 +14,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.gravity import gravity_torque
 from mbcacq.model.cell_schema import RobotSpec
-from mbcacq.plan.kinematics import InverseKinematics
+from mbcacq.plan.inverse_kinematics import InverseKinematics
 
 MODELS = ROOT.parent / "shared" / "facts" / "kuka_models.json"
 ARMS = sorted(path.stem for path in (PLANS / "robots").glob("*.yaml"))
@@ -44,7 +44,7 @@ UPRIGHT = {
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_upright_arm_reaches_where_the_drawing_says_and_positive_angles_turn_kukas_way(name):
+def test_upright_arm_agrees_with_its_drawing_in_reach_and_directions(name):
     chain = robot(name).chain
     T = chain.flange(np.radians([[0, -90, 90, 0, 0, 0.0]]))[0]
     assert T[:3, 3] == pytest.approx([UPRIGHT[name][0], 0, UPRIGHT[name][1]], abs=2e-3)
@@ -92,7 +92,7 @@ def test_gravity_moments_of_the_stretched_arm(name):
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_inverse_kinematics_finds_the_way_back(name):
+def test_inverse_kinematics_inverts_forward_kinematics(name):
     """Every posture within the limits is among the solutions of its own flange pose, and every solution leads there."""
     arm = robot(name)
     solver = InverseKinematics.of(arm)

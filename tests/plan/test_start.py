@@ -1,4 +1,4 @@
-"""The first motion of a run is looked at too: nobody knows where the arm was left."""
+"""The first motion of a run is examined too: nobody knows where the arm was left."""
 
 from pathlib import Path
 
@@ -27,16 +27,16 @@ def plan_with_pillars(folder):
 
 
 @pytest.mark.parametrize("side", [90.0, -90.0])
-def test_a_pillar_between_the_arm_and_home(tmp_path, side):
+def test_a_start_with_a_pillar_between_the_arm_and_home_is_refused(tmp_path, side):
     loaded = plan_with_pillars(tmp_path)
     home = np.radians(loaded.plan.robot.home_deg)
     check_start(loaded, home)
-    beside = home + np.radians([side, 0, 0, 0, 0, 0])
+    turned = home + np.radians([side, 0, 0, 0, 0, 0])
     with pytest.raises(SafetyStop, match="pillar"):
-        check_start(loaded, beside)
+        check_start(loaded, turned)
 
 
-def test_the_same_way_is_free_without_the_pillars():
+def test_the_same_start_is_free_without_the_pillars():
     loaded = load(PLANS / "quick.yaml")
     home = np.radians(loaded.plan.robot.home_deg)
     check_start(loaded, home + np.radians([90.0, 0, 0, 0, 0, 0]))

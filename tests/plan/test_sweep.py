@@ -1,4 +1,4 @@
-"""Before anything moves, the whole way is looked at: limits, workspace, clearance, between the poses as well as at them."""
+"""Before anything moves, every segment is examined: limits, workspace, clearance, between the poses as well as at them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +11,8 @@ from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.plan import Transit, expand, load, path
 from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.feasibility import check
-from mbcacq.plan.motion_preview import legs, refuse_unsafe, swept
-from mbcacq.plan.routing import way_home
+from mbcacq.plan.motion_preview import refuse_unsafe, segments, swept
+from mbcacq.plan.routing import path_home
 
 PLANS = Path(__file__).parents[2] / "plans"
 
@@ -27,17 +27,17 @@ def planned(folder, **changes):
     return load(file)
 
 
-def way(loaded, done=frozenset()):
+def motions(loaded, done=frozenset()):
     poses = expand(loaded)
     left = [p for p in poses if p.number not in done]
-    return list(legs(loaded, poses, path(loaded, poses, done), way_home(loaded, left[-1]), done))
+    return list(segments(loaded, poses, path(loaded, poses, done), path_home(loaded, left[-1]), done))
 
 
-def test_the_legs_are_one_unbroken_way_from_home_to_home(tmp_path):
+def test_the_segments_lead_without_a_break_from_home_to_home(tmp_path):
     loaded = planned(tmp_path)
     home = np.radians(loaded.plan.robot.home_deg)
     for done in (frozenset(), frozenset({0, 1, 2}), frozenset({0, 4, 9})):
-        found = way(loaded, done)
+        found = motions(loaded, done)
         np.testing.assert_array_equal(found[0].start, home)
         np.testing.assert_array_equal(found[-1].end, home)
         for a, b in zip(found, found[1:], strict=False):
@@ -45,15 +45,15 @@ def test_the_legs_are_one_unbroken_way_from_home_to_home(tmp_path):
         refuse_unsafe(loaded, found)
 
 
-def test_a_resumed_run_comes_to_its_first_pose_from_the_pose_before_it(tmp_path):
+def test_a_resumed_run_approaches_its_first_pose_from_the_pose_before_it(tmp_path):
     """A gear with play arrives from the same side as in an undisturbed run."""
     loaded = planned(tmp_path)
     poses = expand(loaded)
     whole, resumed = path(loaded, poses), path(loaded, poses, frozenset({0, 1, 2}))
-    ways = list(resumed[3])
-    last = [k for k, q in enumerate(ways) if np.array_equal(q, poses[2].q)]
+    waypoints = list(resumed[3])
+    last = [k for k, q in enumerate(waypoints) if np.array_equal(q, poses[2].q)]
     assert last
-    np.testing.assert_array_equal(np.array(ways[last[0] + 1 :]).reshape(-1, 6), np.array(list(whole[3])).reshape(-1, 6))
+    np.testing.assert_array_equal(np.array(waypoints[last[0] + 1 :]).reshape(-1, 6), np.array(list(whole[3])).reshape(-1, 6))
     assert not any(len(resumed[k]) for k in (0, 1, 2))
 
 
@@ -61,24 +61,19 @@ def test_a_resumed_run_comes_to_its_first_pose_from_the_pose_before_it(tmp_path)
 def test_no_body_of_the_arm_leaves_the_workspace(tmp_path, axis, side):
     wide = {"min_mm": [-900.0, -900.0, -300.0], "max_mm": [1500.0, 900.0, 1700.0]}
     loaded = planned(tmp_path, workspace=wide)
-    refuse_unsafe(loaded, way(loaded))
-    seen = swept(loaded, way(loaded))
-    middle = (seen.low[axis] + seen.high[axis]) / 2
+    refuse_unsafe(loaded, motions(loaded))
+    box = swept(loaded, motions(loaded))
+    middle = (box.low[axis] + box.high[axis]) / 2
     wide[side][axis] = float(middle)
     narrow = planned(tmp_path, workspace=wide)
     errors = [f for f in check(narrow, expand(narrow)) if f.level == "error"]
     assert any("the workspace's" in str(f) for f in errors)
     with pytest.raises(SafetyStop, match="the workspace's .* limit"):
-        refuse_unsafe(narrow, way_of(planned(tmp_path), narrow))
+        refuse_unsafe(narrow, motions(planned(tmp_path)))  # the motions of the same plan without its fence
 
 
-def way_of(free, loaded):
-    """The way of the same plan without its fence: what the planner itself would refuse, the last look must refuse too."""
-    return [replace(leg) for leg in way(free)]
-
-
-def test_a_thin_rod_between_two_poses_is_found_though_both_ends_are_free(tmp_path):
-    """Sampled at the poses alone nothing is wrong; the straight way between them goes through it."""
+def test_a_thin_rod_between_two_free_poses_is_found(tmp_path):
+    """Sampled at the poses alone nothing is wrong; the straight motion between them goes through it."""
     loaded = planned(tmp_path)
     poses = expand(loaded)
     a, b = poses[4].q, poses[9].q
@@ -88,16 +83,16 @@ def test_a_thin_rod_between_two_poses_is_found_though_both_ends_are_free(tmp_pat
     fenced = planned(tmp_path, obstacles=rod, clearance_mm=1.0)
     assert Clearance(fenced).at(a, "p1").distance > 1
     assert Clearance(fenced).at(b, "p1").distance > 1
-    assert clearance.on_way(a, b, None, 1.0) is None
+    assert clearance.along_segment(a, b, None, 1.0) is None
     bare = [p for p in poses if p.number in (4, 9)]
-    straight = list(legs(fenced, bare, [Transit(), Transit()], [], frozenset()))[1:]
+    straight = list(segments(fenced, bare, [Transit(), Transit()], [], frozenset()))[1:]
     with pytest.raises(SafetyStop, match=r"on the way to pose 9 .* come within .* of (rod|scanner|link)"):
         refuse_unsafe(fenced, straight)
 
 
 def test_a_waypoint_beyond_a_joint_limit_is_refused(tmp_path):
     loaded = planned(tmp_path)
-    found = way(loaded)
+    found = motions(loaded)
     low = loaded.cell.robot.limits[4, 0]
     bent = found[3].end.copy()
     bent[4] = low - 1e-3
@@ -105,21 +100,22 @@ def test_a_waypoint_beyond_a_joint_limit_is_refused(tmp_path):
         refuse_unsafe(loaded, [*found[:3], replace(found[3], end=bent)])
 
 
-def test_what_is_swept_holds_every_pose_and_the_speed_is_that_of_the_scanner(tmp_path):
+def test_the_swept_box_holds_every_pose_and_its_speed_is_the_scanners(tmp_path):
     loaded = planned(tmp_path)
-    seen, poses = swept(loaded, way(loaded)), expand(loaded)
+    box, poses = swept(loaded, motions(loaded)), expand(loaded)
     chain = loaded.cell.robot.chain
     q = np.array([p.q for p in poses])
     for place in ((chain.flange(q))[:, :3, 3], (chain.flange(q) @ loaded.cell.T_flange_scanner)[:, :3, 3]):
-        assert (place >= seen.low - 1e-9).all()
-        assert (place <= seen.high + 1e-9).all()
+        assert (place >= box.low - 1e-9).all()
+        assert (place <= box.high + 1e-9).all()
     # axis 1 alone at the plan's speed: a circle about the base's axis
     home = np.radians(loaded.plan.robot.home_deg)
     turned = home + np.radians([40.0, 0, 0, 0, 0, 0])
-    leg = replace(way(loaded)[0], start=home, end=turned)
+    segment = replace(motions(loaded)[0], start=home, end=turned)
     radius = np.linalg.norm((chain.flange(home[None])[0] @ loaded.cell.T_flange_scanner)[:2, 3])
+    assert loaded.cell.robot.speed is not None
     expected = radius * loaded.plan.robot.speed * loaded.cell.robot.speed[0]
-    assert swept(loaded, [leg]).speed_mm_s == pytest.approx(expected, rel=1e-3)
+    assert swept(loaded, [segment]).speed_mm_s == pytest.approx(expected, rel=1e-3)
 
 
 def test_what_carries_the_scanner_is_a_body_too(tmp_path):

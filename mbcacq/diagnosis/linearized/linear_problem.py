@@ -101,7 +101,7 @@ class LinearProblem:
         blocks = [self._geometry_columns()]
         sigma = [np.tile(GEOMETRY_PRIOR, n)]
         mount = forward_model.mount_jacobian(obs, prediction)
-        components = 6 if obs.cell.measurement != TARGET_IN_BASE or obs.sees_target_turn else 3
+        components = 6 if obs.cell.measurement != TARGET_IN_BASE or obs.shows_target_orientation else 3
         blocks.append(mount[:, :, :components])
         sigma.append(MOUNT_PRIOR[:components])
         seen = np.unique(obs.station)

@@ -6,9 +6,10 @@ Industrial Serial Manipulators with an Ortho-parallel Basis and a Spherical Wris
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,25 +18,42 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
 
-TURN = 2 * np.pi
+if TYPE_CHECKING:
+    from py_opw_kinematics import Robot
+
+FULL_TURN = 2 * np.pi
 AGREEMENT = 1e-6  # mm, and rad: how well the closed form must repeat the chain
+
+
+class OpwLengths(NamedTuple):
+    """The seven lengths (mm) of an ortho-parallel arm with a spherical wrist, named as in the publication."""
+
+    a1: float
+    a2: float
+    b: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
 
 
 @dataclass(frozen=True)
 class InverseKinematics:
-    """Solver of one arm. theta (raw angle of the closed form) = sense * q + offset; T_base_flange = T_base_opw OPW(theta) T_opw_flange."""
+    """Solver of one arm: T_base_flange = T_base_opw OPW(theta) T_opw_flange, theta = direction * q + offset the closed form's angles.
 
-    chain: Chain
+    limits: (6, 2) rad; direction: (6,) +1 or -1, of rotation; offset: (6,) rad; transforms: (4, 4).
+    """
+
     limits: np.ndarray
-    lengths: dict[str, float]
-    sense: np.ndarray
+    lengths: OpwLengths
+    direction: np.ndarray
     offset: np.ndarray
     T_base_opw: np.ndarray
     T_opw_flange: np.ndarray
 
     @classmethod
     def of(cls, robot: RobotModel) -> InverseKinematics:
-        """Raises ConfigError when the arm has no spherical wrist or no parallel axes 2 and 3."""
+        """The solver of an arm. Raises ConfigError when it has no spherical wrist or no parallel axes 2 and 3."""
         solver = _derive(robot)
         q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (32, robot.n))
         if not np.allclose(solver.forward(q), robot.chain.flange(q), rtol=0, atol=AGREEMENT):
@@ -43,14 +61,14 @@ class InverseKinematics:
         return solver
 
     @cached_property
-    def _robot(self):
-        from py_opw_kinematics import KinematicModel, Robot
+    def _robot(self) -> Robot:
+        from py_opw_kinematics import KinematicModel, Robot  # half a second: it imports scipy
 
-        return Robot(KinematicModel(**self.lengths), degrees=False)
+        return Robot(KinematicModel(**self.lengths._asdict()), degrees=False)
 
     def forward(self, q: np.ndarray) -> np.ndarray:
         """T_base_flange (P, 4, 4) by the closed form, for q (P, 6) rad."""
-        theta = self.sense * q + self.offset
+        theta = self.direction * q + self.offset
         return self.T_base_opw @ self._robot.batch_forward(theta).as_matrix() @ self.T_opw_flange
 
     def branches(self, T_base_flange: np.ndarray) -> np.ndarray:
@@ -59,8 +77,8 @@ class InverseKinematics:
 
         poses = se3.inverse(self.T_base_opw) @ np.asarray(T_base_flange, dtype=float) @ se3.inverse(self.T_opw_flange)
         theta = self._robot.reach(RigidTransform.from_matrix(poses)).joints
-        q = self.sense * (theta - self.offset)
-        return np.pi - np.mod(np.pi - q, TURN)
+        q = self.direction * (theta - self.offset)
+        return np.pi - np.mod(np.pi - q, FULL_TURN)
 
     def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
         """All joint positions within the limits less ``margin`` (rad), full turns included: per pose (k, 6) rad, k may be 0."""
@@ -69,11 +87,11 @@ class InverseKinematics:
 
     def _within(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Adds full turns to the joints whose range allows them, and drops what lies outside."""
-        choices = [(0.0,) if span < TURN else (-TURN, 0.0, TURN) for span in high - low]
+        choices = [(0.0,) if span < FULL_TURN else (-FULL_TURN, 0.0, FULL_TURN) for span in high - low]
         turns = np.array(list(product(*choices)))
         every = (q[:, None] + turns).reshape(-1, q.shape[1])
         # An angle just outside one end of a range may lie inside it one turn on.
-        every = np.where(every > high, every - TURN, np.where(every < low, every + TURN, every))
+        every = np.where(every > high, every - FULL_TURN, np.where(every < low, every + FULL_TURN, every))
         inside = np.all((every >= low) & (every <= high), axis=1)
         return np.unique(every[inside].round(12), axis=0)
 
@@ -89,6 +107,7 @@ def wrist_centre(chain: Chain) -> np.ndarray | None:
 
 
 def _derive(robot: RobotModel) -> InverseKinematics:
+    """Parameters of the closed form from the arm's axes at q = 0. Raises ConfigError where they do not fit it."""
     chain = robot.chain
     if robot.n != 6:
         raise ConfigError(_refusal(robot, f"it has {robot.n} axes, not 6"))
@@ -97,18 +116,13 @@ def _derive(robot: RobotModel) -> InverseKinematics:
     wrist = wrist_centre(chain)
     if wrist is None:
         raise ConfigError(_refusal(robot, "axes 4, 5 and 6 do not meet in one point"))
-    square = {"1 and 2": axis[0] @ axis[1], "3 and 4": axis[2] @ axis[3], "4 and 5": axis[3] @ axis[4], "5 and 6": axis[4] @ axis[5]}
-    for pair, cosine in square.items():
-        if abs(cosine) > AGREEMENT:
-            raise ConfigError(_refusal(robot, f"axes {pair} are not perpendicular"))
-    if abs(axis[1] @ axis[2]) < 1 - AGREEMENT:
-        raise ConfigError(_refusal(robot, "axes 2 and 3 are not parallel"))
+    _refuse_skewed(robot, axis)
 
     # The closed form's base: z along axis 1, y along axis 2 at q = 0, origin on axis 1 at the height of the base.
-    sense = np.ones(6)
+    direction = np.ones(6)
     z = axis[0] if axis[0, 2] >= 0 else -axis[0]
     y = axis[1]
-    sense[0], sense[2] = np.sign(axis[0] @ z), np.sign(axis[2] @ y)
+    direction[0], direction[2] = np.sign(axis[0] @ z), np.sign(axis[2] @ y)
     T_base_opw = se3.transform(np.stack([np.cross(y, z), y, z], axis=1), point[0] - z * (point[0] @ z))
     local = se3.inverse(T_base_opw)
     shoulder, elbow, centre, flange = (se3.apply(local, p) for p in (point[1], point[2], wrist, frames[6, :3, 3]))
@@ -117,27 +131,36 @@ def _derive(robot: RobotModel) -> InverseKinematics:
     upper = elbow - shoulder
     theta2 = np.arctan2(upper[0], upper[2])
     forearm = axis[3] * (np.sign(axis[3] @ (centre - elbow)) or 1.0)
-    sense[3] = np.sign(axis[3] @ forearm)
+    direction[3] = np.sign(axis[3] @ forearm)
     pitch = np.arctan2(forearm[0], forearm[2])
     across = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
     theta4 = np.arctan2(-axis[4] @ across, axis[4, 1])
     bent = np.cos(theta4) * across + np.array([0.0, np.sin(theta4), 0.0])
     tool = axis[5] * (np.sign(axis[5] @ (flange - centre)) or 1.0)
-    sense[5] = np.sign(axis[5] @ tool)
+    direction[5] = np.sign(axis[5] @ tool)
     theta5 = np.arctan2(tool @ bent, tool @ forearm)
-    lengths = {
-        "a1": shoulder[0],
-        "a2": (centre - elbow) @ across,
-        "b": centre[1],
-        "c1": shoulder[2],
-        "c2": np.hypot(upper[0], upper[2]),
-        "c3": (centre - elbow) @ forearm,
-        "c4": (flange - centre) @ tool,
-    }
+    lengths = OpwLengths(
+        a1=float(shoulder[0]),
+        a2=float((centre - elbow) @ across),
+        b=float(centre[1]),
+        c1=float(shoulder[2]),
+        c2=float(np.hypot(upper[0], upper[2])),
+        c3=float((centre - elbow) @ forearm),
+        c4=float((flange - centre) @ tool),
+    )
     offset = np.array([0.0, theta2, pitch - theta2, theta4, theta5, 0.0])
-    bare = InverseKinematics(chain, robot.limits, {k: float(v) for k, v in lengths.items()}, sense, offset, T_base_opw, np.eye(4))
-    rest = se3.inverse(bare.forward(np.zeros((1, 6)))[0]) @ frames[6]
-    return InverseKinematics(chain, robot.limits, bare.lengths, sense, offset, T_base_opw, rest)
+    bare = InverseKinematics(robot.limits, lengths, direction, offset, T_base_opw, np.eye(4))
+    return replace(bare, T_opw_flange=se3.inverse(bare.forward(np.zeros((1, 6)))[0]) @ frames[6])
+
+
+def _refuse_skewed(robot: RobotModel, axis: np.ndarray) -> None:
+    """Raises ConfigError unless axes 2 and 3 are parallel and the other neighbours perpendicular; axis: (6, 3) unit vectors at q = 0."""
+    square = {"1 and 2": axis[0] @ axis[1], "3 and 4": axis[2] @ axis[3], "4 and 5": axis[3] @ axis[4], "5 and 6": axis[4] @ axis[5]}
+    for pair, cosine in square.items():
+        if abs(cosine) > AGREEMENT:
+            raise ConfigError(_refusal(robot, f"axes {pair} are not perpendicular"))
+    if abs(axis[1] @ axis[2]) < 1 - AGREEMENT:
+        raise ConfigError(_refusal(robot, "axes 2 and 3 are not parallel"))
 
 
 def _refusal(robot: RobotModel, why: str) -> str:

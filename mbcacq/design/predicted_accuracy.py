@@ -1,4 +1,4 @@
-"""What a plan will determine, and how well: rank, observability, expected accuracy, before anything is measured."""
+"""What a plan will determine, and how well: rank, observability and predicted accuracy, before anything is measured."""
 
 from __future__ import annotations
 
@@ -28,21 +28,24 @@ MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))  # mean of |error| over its standard 
 
 
 @dataclass(frozen=True)
-class ExpectedAccuracy:
-    """parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
-    over the whole reach of the arm. bar_mm: expected mean error of a certified distance at the verification poses (None: there are
-    none); bar_cell_mm: the share of it that is the calibration's, without the noise of measuring the distance. places: (station, mm)
-    of each. All these are None, or none, where something that matters stays undetermined: then nothing can be promised. correlated:
-    pairs of parameters that cannot be told apart. weakest: (name, its standard deviation, unit)."""
+class PredictedAccuracy:
+    """Accuracy that a linearisation at the planned cell predicts.
+
+    parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
+    over the whole reach of the arm. distance_mm: expected mean error of a certified distance at the verification poses (None: there are
+    none); calibration_mm: the share of it that is the calibration's, without the noise of measuring the distance. distances: (station,
+    standard uncertainty in mm) of each. Where something that matters stays undetermined these are None or empty: then nothing can be
+    promised. correlated: pairs of parameters that cannot be told apart. weakest: (name, its standard deviation, unit).
+    """
 
     parameters: int
     determined: int
     undetermined: tuple[Undetermined, ...]
     indices: dict[str, float]
     workspace_mm: float | None
-    bar_mm: float | None
-    bar_cell_mm: float | None
-    places: tuple[tuple[str, float], ...]
+    distance_mm: float | None
+    calibration_mm: float | None
+    distances: tuple[tuple[str, float], ...]
     correlated: tuple[tuple[str, str, float], ...]
     weakest: tuple[tuple[str, float, str], ...]
 
@@ -55,39 +58,42 @@ class ExpectedAccuracy:
             ],
             "observability": self.indices,
             "expected_workspace_mm": self.workspace_mm,
-            "expected_bar_mean_mm": self.bar_mm,
-            "expected_bar_mean_of_calibration_mm": self.bar_cell_mm,
-            "places": [{"station": s, "expected_mm": e} for s, e in self.places],
+            "expected_bar_mean_mm": self.distance_mm,
+            "expected_bar_mean_of_calibration_mm": self.calibration_mm,
+            "places": [{"station": s, "expected_mm": e} for s, e in self.distances],
             "correlated": [{"a": a, "b": b, "correlation": c} for a, b, c in self.correlated],
             "weakest": [{"name": n, "std": s, "unit": u} for n, s, u in self.weakest],
         }
 
 
-def prospect(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> ExpectedAccuracy:
-    """Linearised at the planned cell. Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where
-    the poses can determine nothing."""
+def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> PredictedAccuracy:
+    """Predicted accuracy of a calibration with these poses.
+
+    Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where the poses can determine nothing.
+    """
     observations = planned_observations(loaded, poses)
     refuse_degenerate(select_phases(observations, CalibrationOptions()), CalibrationOptions())
-    calibration = foreseen(loaded, observations, planned_noise(loaded, poses))
+    calibration = predicted_calibration(loaded, observations, planned_noise(loaded, poses))
     sound = all(u.harmless for u in calibration.undetermined)
-    places = verify(observations, calibration).places if sound else ()
+    pairs = verify(observations, calibration).places if sound else ()
+    distances = tuple((p.station, p.expected_mm) for p in pairs if p.expected_mm is not None)
     used = _arm_parameters(calibration)
     lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
-    return ExpectedAccuracy(
+    return PredictedAccuracy(
         parameters=len(used) + len(lost),
         determined=len(used),
         undetermined=calibration.undetermined,
         indices=of_calibration(calibration),
         workspace_mm=expected_accuracy(calibration) if sound else None,
-        bar_mm=MEAN_OF_NORMAL * float(np.mean([p.expected_mm for p in places])) if places else None,
-        bar_cell_mm=MEAN_OF_NORMAL * float(np.mean(_cell_share(calibration, observations))) if places else None,
-        places=tuple((p.station, p.expected_mm) for p in places),
+        distance_mm=MEAN_OF_NORMAL * float(np.mean([e for _, e in distances])) if distances else None,
+        calibration_mm=MEAN_OF_NORMAL * float(np.mean(_calibration_share(calibration, observations))) if distances else None,
+        distances=distances,
         correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used),
         weakest=_weakest(calibration),
     )
 
 
-def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Calibration:
+def predicted_calibration(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Calibration:
     """The calibration that a recording of the planned cell would give: no residual, but the true covariance."""
     options = CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
@@ -101,7 +107,7 @@ def foreseen(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Ca
     return Calibration.of(obs, options, lineariser, solution, noise, weights, state, found)
 
 
-def _cell_share(calibration: Calibration, observations: Observations) -> list[float]:
+def _calibration_share(calibration: Calibration, observations: Observations) -> list[float]:
     """Standard uncertainty (mm) of each certified distance that the calibration alone leaves."""
     _, ends = ball_positions(verification_poses(observations), calibration.state)
     pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1 :] if k[0] == m[0]]
@@ -113,7 +119,7 @@ def _arm_parameters(calibration: Calibration) -> list[str]:
 
 
 def _weakest(calibration: Calibration, count: int = 3) -> tuple[tuple[str, float, str], ...]:
-    """By standard deviation in plausible sizes."""
+    """The least well determined parameters: those of the largest standard deviation in units of a plausible size."""
     std = np.sqrt(np.diag(calibration.covariance))
     share = std / calibration.layout.gather("scale")
     unit = [u for b in calibration.layout.blocks for u, free in zip(b.units, b.free, strict=True) if free]
