@@ -53,14 +53,14 @@ def _results(source: Path, folder: Path, targets: dict[str, Any], force: bool) -
     from mbcacq.errors import ConfigError
     from mbcacq.exports.folder import Targets, contents, write_folder
     from mbcacq.exports.result_json import load_result
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
     result = load_result(source)
     if folder.resolve() == (source if source.is_dir() else source.parent).resolve():
         raise ConfigError(f"{folder} is where the result lies; give another folder")
     if (folder / "result.json").exists() and not force:
         raise ConfigError(f"{folder} already holds an export; give another folder, or --force to replace it")
-    observations = load(source) if source.is_dir() else None
+    observations = load_observations(source) if source.is_dir() else None
     files = contents(result, Targets(**targets), observations)
     return [{"file": str(path)} for path in write_folder(files, folder)]
 

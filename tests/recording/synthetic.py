@@ -1,4 +1,4 @@
-"""A small run as events, made from numbers: a six-axis arm looks at three balls from a few poses."""
+"""A small synthetic run as events: a six-axis arm looks at three balls from a few poses."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from mbcacq.acquisition import events
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.recording import Journal
-from mbcacq.report import everything_about, report_from_result, write_diagnosis_page
-from mbcacq.report.sources.diagnosis_content import split_unit, told
+from mbcacq.report import read_run_info, report_from_result, write_diagnosis_page
+from mbcacq.report.sources.diagnosis_content import split_unit, diagnosis_content
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_a_file_needs_a_place_for_its_report(a_set, tmp_path):
 def test_the_diagnosis_of_a_run_folder_is_told(tmp_path):
     (tmp_path / "diagnosis.json").write_text(json.dumps(diagnosis()))
     (tmp_path / "diagnosis-pictures.json").write_text(json.dumps(pictures()))
-    info = everything_about(tmp_path)
+    info = read_run_info(tmp_path)
     words = Page(
         report_from_result(make_result(), path=tmp_path / "r.html", observations=make_observations(), run_info=info).read_text(
             encoding="utf-8"
@@ -112,10 +112,10 @@ def test_the_diagnosis_of_a_run_folder_is_told(tmp_path):
 
 
 def test_pictures_that_are_damaged_leave_the_words(tmp_path):
-    assert told(diagnosis(), {"format": "other"}).curves == []
-    assert told(diagnosis(), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
+    assert diagnosis_content(diagnosis(), {"format": "other"}).curves == []
+    assert diagnosis_content(diagnosis(), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
     (tmp_path / "diagnosis.json").write_text('{"torn')
-    assert "diagnosis" not in everything_about(tmp_path)
+    assert "diagnosis" not in read_run_info(tmp_path)
 
 
 def test_a_diagnosis_as_a_page_of_its_own(tmp_path):

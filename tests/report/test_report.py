@@ -14,7 +14,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
-from mbcacq.report import about_run, report_from_result
+from mbcacq.report import read_run_identity, report_from_result
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
 CHAIN = Chain(
@@ -211,12 +211,12 @@ def test_poses_held_out_are_told(tmp_path):
 
 
 def test_a_run_folder_tells_what_it_was(tmp_path):
-    assert about_run(tmp_path / "nowhere") == {}
+    assert read_run_identity(tmp_path / "nowhere") == {}
     (tmp_path / "plan.yaml").write_text("format: mbcacq-plan/1\n")
     (tmp_path / "journal.jsonl").write_text(
         '{"event": "run_started", "name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}}\n{"torn'
     )
-    info = about_run(tmp_path)
+    info = read_run_identity(tmp_path)
     assert info == {
         "name": "cell 7",
         "started": "2026-11-21T07:45:48+00:00",
@@ -227,7 +227,7 @@ def test_a_run_folder_tells_what_it_was(tmp_path):
     assert "cell 7 · 2026-11-21 07:45 UTC" in words
     assert "format: mbcacq-plan/1" in words
     (tmp_path / "journal.jsonl").write_text("torn")
-    assert list(about_run(tmp_path)) == ["plan_yaml"]
+    assert list(read_run_identity(tmp_path)) == ["plan_yaml"]
 
 
 def test_residuals_need_the_recording(tmp_path):

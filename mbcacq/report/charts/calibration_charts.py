@@ -32,7 +32,7 @@ def spacing(data: Spacing) -> go.Figure:
             figure.add_hline(sign * data.limit, line={"color": LIMIT, "width": 1.2, "dash": "dash"})
     figure.update_xaxes(title="place", type="category")
     figure.update_yaxes(title="sphere spacing error / mm")
-    return look(figure, 330)
+    return styled(figure, 330)
 
 
 def residual_per_pose(data: Residuals) -> go.Figure:
@@ -70,7 +70,7 @@ def residual_per_pose(data: Residuals) -> go.Figure:
         )
     figure.update_xaxes(title="pose")
     figure.update_yaxes(title="3D residual rms / µm", rangemode="tozero")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def thinned(size: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ def residual_per_ball(data: Residuals) -> go.Figure:
         figure.add_bar(x=labels, y=rms, name=name, marker_color=colour)
     figure.update_xaxes(title="ball", type="category")
     figure.update_yaxes(title="residual rms / µm")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def residual_mean_per_ball(data: Residuals) -> go.Figure:
@@ -113,7 +113,7 @@ def residual_mean_per_ball(data: Residuals) -> go.Figure:
     figure.update_xaxes(title="ball", type="category")
     figure.update_yaxes(title="mean residual / µm", zeroline=True, zerolinecolor=LINE)
     figure.update_layout(scattermode="group")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def histogram(data: Residuals) -> go.Figure:
@@ -131,7 +131,7 @@ def histogram(data: Residuals) -> go.Figure:
     )
     figure.update_xaxes(title="residual / expected σ", range=[-5, 5])
     figure.update_yaxes(title="density")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def correlation(names: list[str], matrix: np.ndarray) -> go.Figure:
@@ -156,7 +156,7 @@ def correlation(names: list[str], matrix: np.ndarray) -> go.Figure:
         autorange="reversed", title="parameter", tickfont={"size": 9}, showgrid=False, scaleanchor="x", constrain="domain", dtick=1
     )
     figure.update_xaxes(constrain="domain")
-    figure = look(figure, 640)
+    figure = styled(figure, 640)
     figure.update_layout(meta={"narrow": {"height": 420, "tick": 6}})
     return figure
 
@@ -184,7 +184,7 @@ def joint_coverage(data: Coverage) -> go.Figure:
     figure.update_yaxes(
         tickvals=list(range(1, n + 1)), ticktext=[f"A{i}" for i in range(1, n + 1)], autorange="reversed", showgrid=False, title="axis"
     )
-    return look(figure, 70 + 44 * n)
+    return styled(figure, 70 + 44 * n)
 
 
 def place_coverage(data: Coverage, axis: int) -> go.Figure:
@@ -212,7 +212,7 @@ def places(of_phase: dict[str, np.ndarray], axis: int) -> go.Figure:
     add_base(figure)
     figure.update_xaxes(title="X / mm")
     figure.update_yaxes(title=("Y / mm, from above", "Z / mm, from the side")[axis - 1], scaleanchor="x")
-    return look(figure, 400)
+    return styled(figure, 400)
 
 
 def add_base(figure: go.Figure) -> None:
@@ -227,7 +227,7 @@ def add_base(figure: go.Figure) -> None:
     )
 
 
-def look(figure: go.Figure, height: int) -> go.Figure:
+def styled(figure: go.Figure, height: int) -> go.Figure:
     figure.update_layout(
         template="none",
         height=height,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from mbcacq.report.charts.calibration_charts import AFTER, BEFORE, ESCAPES, look, thinned
+from mbcacq.report.charts.calibration_charts import AFTER, BEFORE, ESCAPES, styled, thinned
 from mbcacq.report.sources.diagnosis_content import DiagnosisContent
 
 ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a shape is no line
@@ -43,7 +43,7 @@ def heat_map(told: DiagnosisContent) -> go.Figure:
     )
     figure.update_xaxes(tickangle=-55, dtick=1, showgrid=False, title="depends on")
     figure.update_yaxes(dtick=1, autorange="reversed", showgrid=False, title="place that moves")
-    figure = look(figure, 190 + 19 * len(at))
+    figure = styled(figure, 190 + 19 * len(at))
     figure.update_layout(meta={"narrow": {"height": 230 + 13 * len(at), "tick": 7, "angle": -90}})
     return figure
 
@@ -87,7 +87,7 @@ def shape(curve: Mapping[str, Any]) -> go.Figure:
     pad = 0.12 * max(high - low, 1e-9)
     figure.update_xaxes(title=axis(curve["x_label"], curve["x_unit"]))
     figure.update_yaxes(title=axis(curve["what"], curve["unit"]), range=[low - pad, high + pad], zeroline=True, zerolinecolor="#bbbbbb")
-    return look(figure, 300)
+    return styled(figure, 300)
 
 
 def along(told: DiagnosisContent, cause: Mapping[str, Any]) -> go.Figure:
@@ -109,7 +109,7 @@ def along(told: DiagnosisContent, cause: Mapping[str, Any]) -> go.Figure:
         )
     figure.update_xaxes(title=axis(cause["label"], cause["unit"]))
     figure.update_yaxes(title="3D difference / µm", rangemode="tozero")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def spaced(place: str) -> str:

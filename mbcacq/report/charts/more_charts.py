@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from mbcacq.report.charts.calibration_charts import AFTER, ESCAPES, LIMIT, LINE, PHASES, add_base, look, thinned
+from mbcacq.report.charts.calibration_charts import AFTER, ESCAPES, LIMIT, LINE, PHASES, add_base, styled, thinned
 from mbcacq.report.content import AccuracyGrid, Devices, Residuals, Spheres
 
 MOST_STATIONS = 60
@@ -38,7 +38,7 @@ def residual_per_station(data: Residuals) -> go.Figure:
     )
     figure.update_xaxes(title="station", type="category")
     figure.update_yaxes(title="3D residual rms / µm")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def residual_over_axis(data: Residuals, axis: int) -> go.Figure:
@@ -61,7 +61,7 @@ def residual_over_axis(data: Residuals, axis: int) -> go.Figure:
     figure.add_scatter(x=x, y=y, mode="lines", name="running rms", line={"color": "#0B3C5D", "width": 2.5})
     figure.update_xaxes(title=f"A{axis + 1} / deg")
     figure.update_yaxes(title="3D residual / µm", rangemode="tozero")
-    return look(figure, 240)
+    return styled(figure, 240)
 
 
 def _running(x: np.ndarray, y: np.ndarray, parts: int = 12) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +79,7 @@ def sphere_quality(data: Spheres) -> go.Figure:
         figure.add_box(y=values[thinned(values)], name=str(b), marker={"color": AFTER, "size": 4}, line={"width": 1.4}, showlegend=False)
     figure.update_xaxes(title="ball", type="category")
     figure.update_yaxes(title="rms of the sphere fit / µm")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def sphere_points(data: Spheres) -> go.Figure:
@@ -97,7 +97,7 @@ def sphere_points(data: Spheres) -> go.Figure:
     )
     figure.update_xaxes(title="points on the ball", rangemode="tozero")
     figure.update_yaxes(title="rms of the sphere fit / µm")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
 def accuracy(data: AccuracyGrid, axis: int) -> go.Figure:
@@ -122,7 +122,7 @@ def accuracy(data: AccuracyGrid, axis: int) -> go.Figure:
     add_base(figure)
     figure.update_xaxes(title="X / mm")
     figure.update_yaxes(title=("Y / mm, from above", "Z / mm, from the side")[axis - 1], scaleanchor="x")
-    figure = look(figure, 400)
+    figure = styled(figure, 400)
     figure.update_layout(showlegend=False)
     figure.update_xaxes(constrain="domain", showgrid=False)
     figure.update_yaxes(constrain="domain", showgrid=False)
@@ -146,7 +146,7 @@ def late_answers(data: Devices) -> go.Figure:
     )
     figure.update_xaxes(title="late answers, as the controller counts", type="category")
     figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
-    return look(figure, 270)
+    return styled(figure, 270)
 
 
 def periods(data: Devices) -> go.Figure:
@@ -172,14 +172,14 @@ def periods(data: Devices) -> go.Figure:
         )
     figure.update_xaxes(title="period on this computer / ms")
     figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
-    return look(figure, 270)
+    return styled(figure, 270)
 
 
 def exposure_times(data: Devices) -> go.Figure:
     figure = go.Figure(go.Histogram(x=data.exposure_s, nbinsx=40, marker_color=AFTER, hovertemplate="%{x} s: %{y}<extra></extra>"))
     figure.update_xaxes(title="from one exposure to the next / s", rangemode="tozero")
     figure.update_yaxes(title="exposures")
-    return look(figure, 270)
+    return styled(figure, 270)
 
 
 def time_spent(data: Devices) -> go.Figure:
@@ -196,6 +196,6 @@ def time_spent(data: Devices) -> go.Figure:
         )
     figure.update_xaxes(title="time / min")
     figure.update_yaxes(visible=False)
-    figure = look(figure, 170)
+    figure = styled(figure, 170)
     figure.update_layout(barmode="stack")
     return figure

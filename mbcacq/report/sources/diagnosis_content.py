@@ -63,7 +63,7 @@ class DiagnosisContent:
     centres: Mapping[str, Any] | None = None
 
 
-def told(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
+def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
     """Raises KeyError or TypeError where the diagnosis is damaged. Pictures that are damaged are left out."""
     if pictures is not None and not _whole(pictures):
         pictures = None

@@ -13,7 +13,7 @@ from mbcacq import __version__
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
-from mbcacq.report.sources.diagnosis_content import told
+from mbcacq.report.sources.diagnosis_content import diagnosis_content
 from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
 
 FORMAT = "mbcacq-result/1"
@@ -62,7 +62,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         parameters=_parameters(result),
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
-        diagnosis=None if diagnosis is None else told(diagnosis, run_info.get("pictures")),
+        diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         noise=_noise(result),
         observability=_observability(result),
