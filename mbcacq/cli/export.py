@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.exports.cli_options import export_results, result_options
+from mbcacq.cli.result_options import result_options
 
 
 @click.command("export")
@@ -21,6 +21,7 @@ from mbcacq.exports.cli_options import export_results, result_options
 def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, as_json: bool, **results) -> None:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
     from mbcacq.errors import ConfigError
+    from mbcacq.exports.export_results import export_results
     from mbcacq.recording import load_observations
 
     written = export_results(run, force=force, **results)

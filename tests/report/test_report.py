@@ -1,4 +1,4 @@
-"""The report says what the result says, is one file that loads nothing, and lets no text out of its place."""
+"""The report agrees with the result, is one file that loads nothing, and escapes every text from files."""
 
 import copy
 import json
@@ -172,7 +172,7 @@ def test_the_table_is_that_of_the_published_experiment(tmp_path):
         (None, "none", "Calibrated and verified"),
     ],
 )
-def test_the_verdict_considers_the_certificate(tmp_path, limit, level, headline):
+def test_the_verdict_considers_the_uncertainty_of_the_certificate(tmp_path, limit, level, headline):
     report = page(tmp_path, make_result(limit), observations=make_observations())
     assert headline in report.words
     assert f'class="verdict {level}"' in (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -186,9 +186,9 @@ def test_without_verification_nothing_is_claimed(tmp_path):
     assert "Passed" not in words
 
 
-def test_verification_on_the_poses_of_the_fit_is_called_so(tmp_path):
+def test_verification_on_the_poses_of_the_fit_is_labelled_as_such(tmp_path):
     result = make_result()
-    assert "took no part in the calibration" in page(tmp_path, result).words
+    assert "were not used in the calibration" in page(tmp_path, result).words
     result["verification"]["places"][0]["station"] = "s1"
     assert "took part in the calibration" in page(tmp_path, result).words
 
@@ -204,13 +204,13 @@ def test_parameters_with_their_standard_deviations(tmp_path):
     assert "pose 41 ball 2" in words
 
 
-def test_poses_held_out_are_told(tmp_path):
+def test_the_residual_of_held_out_poses_is_reported(tmp_path):
     assert "held out" not in page(tmp_path, make_result()).words
     result = make_result() | {"held_out": {"split": "station", "poses": 64, "rms_mm": 0.0213}}
     assert "poses held out, 3D rms 21.3 µm (64 poses, by station)" in page(tmp_path, result).words
 
 
-def test_a_run_folder_tells_what_it_was(tmp_path):
+def test_name_start_versions_and_plan_come_from_the_run_folder(tmp_path):
     assert read_run_identity(tmp_path / "nowhere") == {}
     (tmp_path / "plan.yaml").write_text("format: mbcacq-plan/1\n")
     (tmp_path / "journal.jsonl").write_text(
@@ -323,7 +323,7 @@ def test_a_result_survives_its_file(tmp_path):
     assert Page(a).words == Page(b).words
 
 
-def test_a_place_that_cannot_be_written(tmp_path):
+def test_a_path_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot be written"):
         report_from_result(make_result(), path=tmp_path / "file" / "r.html")

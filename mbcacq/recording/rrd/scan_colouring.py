@@ -17,7 +17,7 @@ GREY = (96, 102, 112)
 
 @dataclass(frozen=True)
 class ColouredScan:
-    """on_balls (k, 3) mm with colours (k, 3) uint8; background (b, 3) mm; form_um, radius_um (balls,): range that holds 95 % of the distances
+    """on_balls (k, 3) mm with colours (k, 3) uint8; background (b, 3) mm. form_um, radius_um (balls,): range of 95 % of the distances
     to the sphere, and their mean; NaN where a ball has no points."""
 
     on_balls: np.ndarray

@@ -1,4 +1,4 @@
-"""What a run folder says about itself, for the report's head and provenance."""
+"""Name, start, versions, plan and hashes of a run folder, for the head and the provenance of a report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def read_run_identity(folder: str | Path) -> dict[str, Any]:
 
 
 def read_run_info(folder: str | Path) -> dict[str, Any]:
-    """``read_run_identity`` with devices, diagnosis (where one was made) and hashes: all that the whole report wants beside the result."""
+    """``read_run_identity`` with devices, diagnosis (where one was made) and hashes: all that a whole report needs besides the result."""
     from mbcacq.report.sources.devices import devices_of
 
     folder = Path(folder)

@@ -1,46 +1,19 @@
-"""Options of ``mbcacq export`` that concern results and certificates, and what they do."""
+"""Export of a calibration result, or of a certificate as an artefact file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import click
-
-_OPTIONS = (
-    click.option(
-        "--results",
-        type=click.Path(path_type=Path, file_okay=False),
-        help="Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.",
-    ),
-    click.option("--tool", type=click.IntRange(1, 128), default=1, show_default=True, help="With --results: number of TOOL_DATA."),
-    click.option("--tool-name", default="mbcacq scanner", show_default=True, help="With --results: TOOL_NAME."),
-    click.option("--config-dat", type=click.Path(path_type=Path), help="With --results: a $config.dat to write a unified diff against."),
-    click.option("--urdf", type=click.Path(path_type=Path), help="With --results: a URDF or xacro to write a calibrated copy of."),
-    click.option("--joint", "joints", multiple=True, help="With --urdf: its moving joints, base first (default: all revolute ones)."),
-    click.option("--flange-frame", default="tool0", show_default=True, help="With --results: name of the flange in ROS."),
-    click.option("--scanner-frame", default="scanner_frame", show_default=True, help="With --results: name of the scanner in ROS."),
-    click.option(
-        "--artefact",
-        metavar="ID",
-        help="RUN is a certificate (CSV, YAML, DMIS output): write it as the artefact file ID.yaml here, or where --output says.",
-    ),
-    click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="With --artefact: the file to write."),
-)
-
-
-def result_options(command: Callable) -> Callable:
-    """Add the options to a click command; it takes them as keyword arguments and passes them on to :func:`export_results`."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
 
 
 def export_results(
     source: Path, *, results: Path | None, artefact: str | None, output: Path | None, force: bool = False, **targets: Any
 ) -> list[dict[str, Any]]:
-    """Do what the options ask for; what was written, each with its 'file' and what there is to say of it, none where nothing was asked."""
+    """Export the result of a run into the folder ``results``, or a certificate as the artefact file ``output``, or both, where given.
+
+    targets: fields of ``folder.Targets``. Returns for each file its 'file' and its properties. Raises ConfigError where a file exists
+    already (unless ``force``) or the source is wrong, RecordingError where a file cannot be written.
+    """
     written = []
     if results is not None:
         written += _results(source, results, targets, force)
