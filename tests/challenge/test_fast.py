@@ -13,7 +13,7 @@ from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.strength import Gauge
 from mbcacq.errors import ConfigError
-from mbcacq.plan import expand, load_observations
+from mbcacq.plan import expand, load
 from mbcacq.workflow.simulate import simulate
 
 PLANS = Path(__file__).parents[2] / "plans"
@@ -29,7 +29,7 @@ def challenger():
 
 @pytest.fixture(scope="module")
 def quick():
-    loaded = load_observations(PLANS / "quick.yaml")
+    loaded = load(PLANS / "quick.yaml")
     return loaded, expand(loaded)
 
 
