@@ -61,7 +61,7 @@ def test_kill_9_loses_a_tenth_of_a_second_at_most(tmp_path, after_lines):
     assert finished <= poses_done(tmp_path)
 
 
-def test_a_file_cut_at_any_byte(tmp_path):
+def test_a_file_cut_at_any_byte_keeps_what_was_flushed(tmp_path):
     """Everything that was on the disk at a flush before the cut is recovered; a cut before the first pose is said to hold nothing."""
     folder = tmp_path / "run"
     sizes = []
@@ -199,7 +199,7 @@ def test_too_little_space_is_refused_before_the_run(tmp_path, monkeypatch):
     assert not (tmp_path / "run.rrd").exists()
 
 
-def test_a_folder_that_cannot_be_made(tmp_path):
+def test_a_run_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot be made"):
         Recorder(tmp_path / "file" / "run")

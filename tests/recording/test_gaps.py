@@ -29,12 +29,12 @@ def gaps_of(folder, *stream):
     return find_gaps(folder)
 
 
-def test_an_undisturbed_run_has_none(tmp_path):
+def test_an_undisturbed_run_has_no_gaps(tmp_path):
     assert gaps_of(tmp_path, started(2), done(0), done(1), events.RunStopped(2.0, "success", "all")) == []
     assert find_gaps(tmp_path / "nothing") == []
 
 
-def test_poses_never_reached_and_the_interruption_are_named(tmp_path):
+def test_poses_never_reached_and_interruptions_are_gaps(tmp_path):
     assert gaps_of(tmp_path, started(4), done(0)) == ["3 of 4 planned poses were not measured: 1, 2, 3"]
     again = gaps_of(tmp_path, started(4, "2026-11-21T12:00:00+00:00"), done(1), events.RunStopped(2.0, "fail", "the gate was opened"))
     assert again == [

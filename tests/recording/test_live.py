@@ -25,7 +25,7 @@ def clients_of(port):
     return sum(line.split()[1] == wanted and line.split()[3] == "01" for line in Path("/proc/net/tcp").read_text().splitlines()[1:])
 
 
-def test_connections_that_break_off_or_say_nothing(tmp_path):
+def test_live_connections_that_break_off_or_stay_silent_take_nothing(tmp_path):
     with Recorder(tmp_path, live=True, port=0) as recorder:
         port, silent = port_of(recorder.live_url), []
         for number, event in enumerate(synthetic.run()):

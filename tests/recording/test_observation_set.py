@@ -31,7 +31,7 @@ def assert_same(a: Observations, b: Observations) -> None:
             assert left == right, field.name
 
 
-def test_literal_values(a_set):
+def test_the_values_of_a_small_set_are_read(a_set):
     obs = load_observations(a_set)
     assert obs.pose_id.tolist() == [10, 11]
     assert obs.station.tolist() == [0, 1]
@@ -135,7 +135,7 @@ def test_a_cell_survives_yaml_bit_for_bit(a_set):
     assert back.robot.repeatability_mm == 0.02
 
 
-def test_orientations_come_back(a_set):
+def test_orientations_survive_the_round_trip(a_set):
     text = (a_set / "centres.csv").read_text().splitlines()
     half = "0.7071067811865476"
     (a_set / "centres.csv").write_text("\n".join([text[0] + ",qw,qx,qy,qz", *(f"{row},{half},0,0,{half}" for row in text[1:])]))

@@ -81,7 +81,7 @@ def test_every_scan_comes_back(a_run):
         assert back.scan.measurements == {"width": 1.25}
 
 
-def test_a_scan_without_intensity_and_a_pose_without_current(tmp_path):
+def test_a_scan_without_intensity_and_a_pose_without_current_come_back(tmp_path):
     rng = np.random.default_rng(3)
     stream = list(synthetic.run())
     bare = dataclasses.replace(synthetic.scan(rng), intensity=None, pixel=None, measurements={})
@@ -214,7 +214,7 @@ def test_a_recording_is_never_overwritten(a_run):
     assert (a_run / "run.rrd").read_bytes() == before
 
 
-def test_what_is_no_recording(tmp_path):
+def test_what_is_no_recording_is_refused(tmp_path):
     for content in (b"", b"RRF2", b"hello world, this is no recording" * 10):
         (tmp_path / "x.rrd").write_bytes(content)
         with pytest.raises(RecordingError):

@@ -43,7 +43,7 @@ def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, v
         assert len(data) > 20_000  # more than an empty window
 
 
-def test_files_of_a_run(a_run, tmp_path):
+def test_the_viewer_opens_the_recording_and_the_result_of_a_run(a_run, tmp_path):
     assert open_viewer.files(a_run) == [a_run / "run.rrd"]
     shutil.copy(a_run / "run.rrd", a_run / layout.RESULT_FILE)
     assert open_viewer.files(a_run) == [a_run / "run.rrd", a_run / layout.RESULT_FILE]
@@ -53,7 +53,7 @@ def test_files_of_a_run(a_run, tmp_path):
         open_viewer.files(tmp_path / "absent.rrd")
 
 
-def test_a_pose_that_was_not_taken(a_run, tmp_path):
+def test_a_picture_of_a_pose_that_was_not_measured_is_refused(a_run, tmp_path):
     with pytest.raises(ConfigError, match="pose 99 is not in the recording"):
         open_viewer.screenshots(open_viewer.files(a_run), tmp_path, pose=99)
 

@@ -63,7 +63,7 @@ class Sink:
             )
 
     def push(self) -> None:
-        """Set everything logged on its way to the file, without waiting."""
+        """Start writing everything logged to the file, without waiting."""
         if self._alive:
             try:
                 self.stream.flush(timeout_sec=0)
