@@ -19,7 +19,7 @@ from mbcacq.devices import load_driver
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load, path
 from mbcacq.plan.routing import path_home
-from mbcacq.recording import load as load_run
+from mbcacq.recording import load_observations as load_run
 from mbcacq.workflow import run
 
 PLANS = Path(__file__).parents[1] / "plans"

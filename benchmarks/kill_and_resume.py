@@ -56,9 +56,9 @@ def start(*arguments: object) -> subprocess.Popen:
 
 def compare(folder: Path, whole) -> str:
     """'' if the observations of a run folder are those of the undisturbed run, else what differs."""
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
-    found = load(folder)
+    found = load_observations(folder)
     if sorted(found.pose_id.tolist()) != whole.pose_id.tolist():
         return f"poses {sorted(found.pose_id.tolist())}"
     order = np.argsort(found.pose_id)
@@ -72,7 +72,7 @@ def compare(folder: Path, whole) -> str:
         return f"joint angles differ by up to {away:.2e} rad"
     if not np.array_equal(found.direction[order], whole.direction):
         return "the arm came from another side"
-    merged = load(folder / "whole.rrd") if (folder / "whole.rrd").exists() else found
+    merged = load_observations(folder / "whole.rrd") if (folder / "whole.rrd").exists() else found
     if not np.array_equal(merged.xyz, found.xyz) or not np.array_equal(merged.q, found.q):
         return "the merged recording differs from its parts"
     return ""
@@ -109,7 +109,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
     rng, hits, bad = random.Random(options.seed), Counter(), 0
     with tempfile.TemporaryDirectory() as place:
@@ -120,7 +120,7 @@ def main() -> int:
         if first.returncode:
             print(text)
             return 1
-        whole = load(work / "whole")
+        whole = load_observations(work / "whole")
         length = json.loads((work / "whole" / "journal.jsonl").read_text(encoding="utf-8").splitlines()[-1])["time_s"]
         print(f"undisturbed: {whole.n_poses} poses, {whole.n_centres} centres, {length:.1f} s from connecting to the end", flush=True)
         for number in range(options.rounds):

@@ -23,7 +23,7 @@ from real_data_figures import bars, spectrum  # noqa: E402
 from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem  # noqa: E402
 from mbcacq.effects.context import Context  # noqa: E402
-from mbcacq.recording import load  # noqa: E402
+from mbcacq.recording import load_observations  # noqa: E402
 
 SETS = ("ur5-tracker", "ur10-tracker-c", "ur10-tracker-a", "panda-sockets", "iiwa14-sockets")
 MOST_POSES = 4000
@@ -36,7 +36,7 @@ class Data:
     """A set linearised at its geometric fit, with the columns of the candidate effects."""
 
     def __init__(self, folder: Path):
-        obs = load(folder)
+        obs = load_observations(folder)
         if obs.n_poses > MOST_POSES:
             chosen = np.zeros(obs.n_poses, bool)
             chosen[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True

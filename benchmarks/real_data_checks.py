@@ -20,12 +20,12 @@ from real_data_campaigns import whole
 from mbcacq.diagnosis.model_fit import find, prepare
 from mbcacq.diagnosis.search.effect_set import NOTHING
 from mbcacq.diagnosis.validation import predictive_score
-from mbcacq.recording import load
+from mbcacq.recording import load_observations
 
 
 def diagnosed(folder: Path) -> None:
     """Noise and the point of linearisation are those of all poses; effects, orders and coefficients are found in training."""
-    obs = load(folder)
+    obs = load_observations(folder)
     setup = prepare(obs)
     full = find(setup)
     linear = full.before.linear

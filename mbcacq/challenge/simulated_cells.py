@@ -46,7 +46,7 @@ def run(
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.plan import path
     from mbcacq.plan.routing import path_home
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
     from mbcacq.workflow.run import Acquisition
 
     secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": concealed}}))
@@ -54,7 +54,7 @@ def run(
     with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=envelope.seed) as cell:
         Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
         truth = cell.truth()
-    return without(load(folder), envelope.missing), truth
+    return without(load_observations(folder), envelope.missing), truth
 
 
 def without(observations: Observations, missing: Sequence[str]) -> Observations:

@@ -76,7 +76,7 @@ def command(
     from mbcacq.calibration import CalibrationOptions, calibrate, verify
     from mbcacq.calibration.cross_validation import held_out as leave_out
     from mbcacq.errors import ConfigError
-    from mbcacq.recording import find_gaps, load
+    from mbcacq.recording import find_gaps, load_observations
 
     options = CalibrationOptions(
         method=method,
@@ -89,7 +89,7 @@ def command(
         robust=not keep_outliers,
         refuse=not even_if_undetermined,
     )
-    observations = load(data)
+    observations = load_observations(data)
     calibration = calibrate(observations, options)
     result = calibration.to_dict()
     result["verification"] = verify(observations, calibration).to_dict()

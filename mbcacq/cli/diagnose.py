@@ -57,9 +57,9 @@ def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: i
     from mbcacq.diagnosis.diagnose import diagnose
     from mbcacq.diagnosis.output.text import words
     from mbcacq.diagnosis.validation.workers import cores
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
-    observations = load(data)
+    observations = load_observations(data)
     result = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True), workers=workers or cores())
     if report is not None:
         from mbcacq.workflow.diagnosis_files import write_html

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.exports.cli_options import export_results, result_options
+from mbcacq.cli.result_options import result_options
 
 
 @click.command("export")
@@ -21,7 +21,8 @@ from mbcacq.exports.cli_options import export_results, result_options
 def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, as_json: bool, **results) -> None:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
     from mbcacq.errors import ConfigError
-    from mbcacq.recording import load
+    from mbcacq.exports.export_results import export_results
+    from mbcacq.recording import load_observations
 
     written = export_results(run, force=force, **results)
     if observations is None and trajectory is None and not written:
@@ -32,7 +33,7 @@ def command(run: Path, observations: Path | None, scans: bool, trajectory: Path 
     if observations is not None:
         from mbcacq.recording.datasets.observation_set import write_observation_set
 
-        measured = load(run)
+        measured = load_observations(run)
         write_observation_set(measured, observations)
         written.append({"file": str(observations), "poses": measured.n_poses, "centres": measured.n_centres})
         if scans:

@@ -32,9 +32,9 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     routes = find_paths(loaded, poses)
     content = summary(loaded, poses, routes)
     if rrd is not None:
-        from mbcacq.recording.rrd.plan_recording import draw
+        from mbcacq.recording.rrd.plan_recording import write_plan_recording
 
-        draw(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
+        write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     if as_json:
         click.echo(json.dumps(content))
         return

@@ -27,19 +27,19 @@ def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) ->
     """
     from mbcacq.calibration.accuracy_map import accuracy_map
     from mbcacq.errors import ConfigError
-    from mbcacq.recording import find_gaps, load
-    from mbcacq.report import everything_about, report_from_result
+    from mbcacq.recording import find_gaps, load_observations
+    from mbcacq.report import read_run_info, report_from_result
 
     if out is None and run.is_file():
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
-    observations = load(run)
+    observations = load_observations(run)
     result = _result(run)
     if result is None or "accuracy_map" not in result:
         calibration, found = _calibrate(observations)
         result = (found if result is None else result) | {"accuracy_map": accuracy_map(calibration).to_dict()}
     if run.is_dir():
         result["gaps"] = find_gaps(run)
-    info: dict[str, Any] = {"folder": str(run), "name": run.name} | (everything_about(run) if run.is_dir() else {})
+    info: dict[str, Any] = {"folder": str(run), "name": run.name} | (read_run_info(run) if run.is_dir() else {})
     if with_diagnosis and "diagnosis" not in info:
         info |= _diagnose(observations, run)
     path = report_from_result(result, path=out or run / "report.html", observations=observations, run_info=info)

@@ -68,7 +68,7 @@ def command(
     refuse_errors(loaded, poses)
     cell = f"the fake cell of seed {seed}" if dry_run else "the plan's own devices"
     before = run.resume_folder(resume, loaded, cell) if resume else run.fresh()
-    for sentence in before.told:
+    for sentence in before.repairs:
         click.echo(sentence, err=True)
     if resume and not again:
         again = moved_meanwhile(loaded, poses, before, asked=not (dry_run or yes))

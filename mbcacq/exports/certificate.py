@@ -21,6 +21,8 @@ from mbcacq.exports import dmis
 from mbcacq.model.cell import Artefact
 
 MAX_BYTES = 16 << 20
+Row = dict[str, Any]  # of a certificate, by the keys that ALIASES leads to
+NEEDED = ("label", "x", "y", "z", "d")
 ALIASES = {
     "label": "label",
     "ball": "label",
@@ -128,13 +130,13 @@ def _text(path: Path) -> str:
         return raw.decode("latin-1")
 
 
-def _from_csv(text: str, path: Path) -> tuple[list[dict], dict]:
+def _from_csv(text: str, path: Path) -> tuple[list[Row], Row]:
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         return [], {}
     separator = ";" if lines[0][1].count(";") > lines[0][1].count(",") else ","
     header = [_key(h) for h in next(csv.reader([lines[0][1]], delimiter=separator))]
-    for needed in ("label", "x", "y", "z", "d"):
+    for needed in NEEDED:
         if needed not in header:
             raise ConfigError(f"{path}:{lines[0][0]}: column '{needed}' is missing; a certificate needs label, x, y, z and d in mm")
     rows = []
@@ -142,53 +144,67 @@ def _from_csv(text: str, path: Path) -> tuple[list[dict], dict]:
         cells = next(csv.reader([line], delimiter=separator))
         if len(cells) != len(header):
             raise ConfigError(f"{path}:{number}: {len(cells)} cells under {len(header)} columns; correct the line")
-        row: dict[str, Any] = {}
+        row: Row = {}
         for key, cell in zip(header, cells, strict=True):
             if key == "label":
                 row[key] = cell.strip()
             elif key is not None and cell.strip():
                 row[key] = _number(cell.replace(",", ".") if separator == ";" else cell, f"{path}:{number}: column '{key}'")
-        if missing := [k for k in ("label", "x", "y", "z", "d") if row.get(k) in (None, "")]:
+        if missing := [k for k in NEEDED if row.get(k) in (None, "")]:
             raise ConfigError(f"{path}:{number}: column '{missing[0]}' is empty; correct the line")
         _positive(row, f"{path}:{number}")
         rows.append(row)
     return rows, {}
 
 
-def _from_yaml(text: str, path: Path) -> tuple[list[dict], dict]:
+def _from_yaml(text: str, path: Path) -> tuple[list[Row], Row]:
+    data = _mapping(text, path)
+    balls = data.get("balls", data.get("spheres"))
+    if not isinstance(balls, list):
+        raise ConfigError(f"{path}: has no list 'balls' or 'spheres'")
+    about = _yaml_about(data, path)
+    return [_yaml_row(ball, f"{path}: sphere {i}") for i, ball in enumerate(balls, 1)], about
+
+
+def _mapping(text: str, path: Path) -> dict[Any, Any]:
+    """The mapping in a YAML text, an empty one where the text is something else."""
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        line = error.problem_mark.line + 1 if getattr(error, "problem_mark", None) else 1
+        mark = getattr(error, "problem_mark", None)
+        line = mark.line + 1 if mark else 1
         raise ConfigError(f"{path}:{line}: is not YAML; correct the certificate") from error
-    balls = data.get("balls", data.get("spheres")) if isinstance(data, dict) else None
-    if not isinstance(balls, list):
-        raise ConfigError(f"{path}: has no list 'balls' or 'spheres'")
-    about = {}
+    return data if isinstance(data, dict) else {}
+
+
+def _yaml_about(data: dict[Any, Any], path: Path) -> Row:
+    """What holds for all spheres: U, k, T, alpha. Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm."""
+    about: Row = {}
     for key, value in data.items():
         if (known := _key(str(key))) in ("U", "k", "T", "alpha") and value is not None:
             about[known] = _number(value, f"{path}: {key}")
     if data.get("uncertainty_mm") is not None:
         about |= {"U": _number(data["uncertainty_mm"], f"{path}: uncertainty_mm"), "k": 1.0}
-    rows = []
-    for i, ball in enumerate(balls, 1):
-        if not isinstance(ball, dict):
-            raise ConfigError(f"{path}: sphere {i} is not a mapping with label, x, y, z, diameter")
-        row: dict[str, Any] = {}
-        for key, value in ball.items():
-            known = _key(str(key))
-            if known == "label":
-                row[known] = str(value)
-            elif known is not None and value is not None:
-                row[known] = _number(value, f"{path}: sphere {i}: {key}")
-        centre = ball.get("centre_mm", ball.get("center_mm"))
-        if isinstance(centre, list) and len(centre) == 3:
-            row |= {axis: _number(v, f"{path}: sphere {i}: centre_mm") for axis, v in zip("xyz", centre, strict=True)}
-        if missing := [k for k in ("label", "x", "y", "z", "d") if k not in row]:
-            raise ConfigError(f"{path}: sphere {i} has no '{missing[0]}'; a certificate needs label, x, y, z and diameter")
-        _positive(row, f"{path}: sphere {i}")
-        rows.append(row)
-    return rows, about
+    return about
+
+
+def _yaml_row(ball: Any, where: str) -> Row:
+    if not isinstance(ball, dict):
+        raise ConfigError(f"{where} is not a mapping with label, x, y, z, diameter")
+    row: Row = {}
+    for key, value in ball.items():
+        known = _key(str(key))
+        if known == "label":
+            row[known] = str(value)
+        elif known is not None and value is not None:
+            row[known] = _number(value, f"{where}: {key}")
+    centre = ball.get("centre_mm", ball.get("center_mm"))
+    if isinstance(centre, list) and len(centre) == 3:
+        row |= {axis: _number(v, f"{where}: centre_mm") for axis, v in zip("xyz", centre, strict=True)}
+    if missing := [k for k in NEEDED if k not in row]:
+        raise ConfigError(f"{where} has no '{missing[0]}'; a certificate needs label, x, y, z and diameter")
+    _positive(row, where)
+    return row
 
 
 def _key(heading: str) -> str | None:
@@ -208,18 +224,17 @@ def _number(value: Any, where: str) -> float:
     return number
 
 
-def _positive(row: dict, where: str) -> None:
+def _positive(row: Row, where: str) -> None:
     for key, what in (("d", "diameter"), ("k", "coverage factor")):
         if row.get(key) is not None and row[key] <= 0:
             raise ConfigError(f"{where}: the {what} {row[key]:g} is not positive; correct the certificate")
 
 
 def _numbers(labels: list[str]) -> tuple[int, ...]:
-    found = [re.search(r"(\d+)\D*$", n) for n in labels]
-    if all(found):
-        numbers = tuple(int(m.group(1)) for m in found)
-        if len(set(numbers)) == len(numbers):
-            return numbers
+    """Numbers at the end of the labels where every label has one and none is repeated, else 1, 2, 3..."""
+    numbers = tuple(int(m.group(1)) for n in labels if (m := re.search(r"(\d+)\D*$", n)))
+    if len(numbers) == len(labels) == len(set(numbers)):
+        return numbers
     return tuple(range(1, len(labels) + 1))
 
 

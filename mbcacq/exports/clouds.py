@@ -1,4 +1,4 @@
-"""Clouds with all they carry, in and out."""
+"""Point clouds with all their attributes, read and written."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def read(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return arrays.pop("positions"), arrays
 
 
-def write(path: Path, points: np.ndarray, more: Mapping[str, np.ndarray], turned: np.ndarray) -> None:
-    """Binary PLY with float64 positions; normals, if there are any, are turned by ``turned`` (4, 4). Raises RecordingError."""
+def write(path: Path, points: np.ndarray, more: Mapping[str, np.ndarray], T: np.ndarray) -> None:
+    """Binary PLY with float64 positions; normals, if there are any, are rotated by ``T`` (4, 4). Raises RecordingError."""
     o3d = open3d()
     cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.ascontiguousarray(points, dtype=np.float64)))
     for name, values in more.items():
-        values = values @ turned[:3, :3].T.astype(values.dtype) if name == "normals" else values
+        values = values @ T[:3, :3].T.astype(values.dtype) if name == "normals" else values
         cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values))
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         if not path.parent.is_dir() or not o3d.t.io.write_point_cloud(str(path), cloud):

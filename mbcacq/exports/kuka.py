@@ -27,7 +27,7 @@ def tool_data(T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq sca
 
 
 def config_diff(path: str | Path, T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq scanner") -> str:
-    """Unified diff that puts the tool into a ``$config.dat``; empty where it says so already. Raises ConfigError naming the file."""
+    """Unified diff that puts the tool into a ``$config.dat``; empty if it is there already. Raises ConfigError naming the file."""
     path = Path(path)
     try:
         raw = path.read_bytes()
@@ -63,10 +63,10 @@ def read_tool_data(text: str, number: int) -> np.ndarray:
     if line is None:
         raise ConfigError(f"there is no TOOL_DATA[{number}] in this $config.dat; give another tool number")
     frame = _FRAME.search(line)
-    found = {axis: re.search(rf"\b{axis}\s+{_NUMBER}", frame.group(), re.IGNORECASE) if frame else None for axis in "XYZABC"}
-    if not all(found.values()):
+    entries = frame.group() if frame else ""
+    value = [float(m.group(1)) for axis in "XYZABC" if (m := re.search(rf"\b{axis}\s+{_NUMBER}", entries, re.IGNORECASE))]
+    if len(value) != 6:
         raise ConfigError(f"TOOL_DATA[{number}] is not a frame with X, Y, Z, A, B, C: {line.strip()}")
-    value = [float(found[axis].group(1)) for axis in "XYZABC"]
     return se3.from_abc(np.array(value[:3]), np.radians(value[3:]))
 
 

@@ -1,4 +1,4 @@
-"""result.json as others may rely on it: its JSON Schema, and reading one with every fault named."""
+"""Schema of result.json, on which other programs may rely, and a reader that names every fault."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Open(BaseModel):
 
 class ResultRobot(Open):
     name: str
-    sign: list[float] = Field(description="sense of each axis, +1 or -1")
+    sign: list[float] = Field(description="direction of rotation of each axis, +1 or -1")
     limits: list[tuple[float, float]] | None = Field(None, description="smallest and largest angle of each axis, rad")
     nominal: Rows = Field(description="MD-H rows by parameter, over the axes: theta, alpha, beta rad; d, a mm")
     calibrated: Rows
@@ -107,8 +107,8 @@ def load_result(path: str | Path) -> dict[str, Any]:
         ResultFile.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"])
-        raise ConfigError(f"{file}: {place}: {first['msg']}; the file is damaged, write it anew with mbcacq calibrate") from None
+        key = ".".join(str(p) for p in first["loc"])
+        raise ConfigError(f"{file}: {key}: {first['msg']}; the file is damaged, write it anew with mbcacq calibrate") from None
     n, axes = len(data["names"]), len(data["robot"]["sign"])
     if len(data["covariance"]) != n or any(len(row) != n for row in data["covariance"]):
         raise ConfigError(f"{file}: the covariance is not {n} x {n} as the {n} names say; write it anew with mbcacq calibrate")

@@ -35,9 +35,9 @@ class ScanPlacement:
 
 
 def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ScanPlacement]:
-    """Points (N, 3) mm in the scanner frame, seen from joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
+    """Points (N, 3) mm in the scanner frame, measured at joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
 
-    Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result tells them), or a damaged result.
+    Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result has them), or a damaged result.
     """
     state = state_from_dict(dict(result))
     q = np.asarray(q, dtype=float)
@@ -52,15 +52,15 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
         out[start : start + CHUNK] = points[start : start + CHUNK].astype(float) @ T[:3, :3].T + T[:3, 3]
     low, high = (out.min(axis=0), out.max(axis=0)) if len(out) else (T[:3, 3], T[:3, 3])
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    places = np.concatenate([[(low + high) / 2], corners])
-    known, joints = base_covariance(result, state.chain, state.T_flange_scanner, q, places)
+    points_in_base = np.concatenate([[(low + high) / 2], corners])
+    known, joints = base_covariance(result, state.chain, state.T_flange_scanner, q, points_in_base)
     total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
-    sigma = [np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints)]
-    return out, ScanPlacement(T, *sigma, float(total[0]), float(total.max()))
+    of_parameters, of_joints, of_both = (np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints))
+    return out, ScanPlacement(T, of_parameters, of_joints, of_both, float(total[0]), float(total.max()))
 
 
 def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
-    """Raise ConfigError where the arm cannot have stood as it is said to."""
+    """Raise ConfigError where a joint angle is outside the limits of the arm."""
     limits = result["robot"].get("limits")
     for i, (angle, (low, high)) in enumerate(zip(q, limits or [], strict=bool(limits))):
         if not low - ROUNDING <= angle <= high + ROUNDING:
@@ -72,9 +72,9 @@ def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
 
 
 def base_covariance(
-    result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray, places: np.ndarray
+    result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances (P, 3, 3) mm^2 of places (P, 3) in the base, seen from q (n,): by the parameters, and by the joints' repeatability."""
+    """Covariances (P, 3, 3) mm^2 of points (P, 3) in the base, measured at q (n,): of the parameters, and of the joints' repeatability."""
     frames = chain.frames(q[None])
     by_row = chain.parameter_twists(frames, q[None])[0]
     local = se3.adjoint(frames[0, -1] @ T_flange_scanner)
@@ -88,12 +88,12 @@ def base_covariance(
             continue
         index.append(i)
     C = np.array(result["covariance"], dtype=float).reshape(len(result["names"]), -1)[np.ix_(index, index)]
-    A = _moved(np.array(twists).reshape(-1, 6), places)
-    B = _moved(chain.joint_twists(frames)[0] * np.asarray(result["noise"]["joint_rad"])[:, None], places)
+    A = _moved(np.array(twists).reshape(-1, 6), points)
+    B = _moved(chain.joint_twists(frames)[0] * np.asarray(result["noise"]["joint_rad"])[:, None], points)
     return A @ C @ np.swapaxes(A, 1, 2), B @ np.swapaxes(B, 1, 2)
 
 
-def _moved(twists: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(P, 3, k): movement of each place by each spatial twist (k, 6)."""
-    moved = twists[None, :, :3] + np.cross(twists[None, :, 3:], places[:, None])
+def _moved(twists: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(P, 3, k): movement of each point by each spatial twist (k, 6)."""
+    moved = twists[None, :, :3] + np.cross(twists[None, :, 3:], points[:, None])
     return np.swapaxes(moved, 1, 2)

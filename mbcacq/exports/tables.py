@@ -39,6 +39,8 @@ def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
     noise = result["noise"]
     found = residuals(used, state_from_dict(dict(result), observations.cell), noise["scanner_mm"], noise["joint_rad"], rejected)
+    assert found.weighted is not None, "a result has noise, by which the residuals are weighted"
+    assert found.outlier is not None, "residuals of observations say which are rejected"
     rows = zip(found.pose, found.phase, found.ball, found.xyz, found.weighted, found.outlier, strict=True)
     return _csv(
         ["pose", "phase", "ball", "dx_mm", "dy_mm", "dz_mm", "dx_over_sigma", "dy_over_sigma", "dz_over_sigma", "used"],

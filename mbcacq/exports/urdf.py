@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,8 +69,8 @@ def patch(
     return _text(root, raw)
 
 
-def _parse(path: Path):
-    from lxml import etree
+def _parse(path: Path) -> tuple[Any, bytes]:
+    import lxml.etree as etree
 
     try:
         raw = path.read_bytes()
@@ -85,35 +86,27 @@ def _parse(path: Path):
     return root, raw
 
 
-def _text(root, raw: bytes) -> bytes:
-    """The element as it now is, within what stood before and behind it; line ends as they were."""
-    from lxml import etree
+def _text(root: Any, raw: bytes) -> bytes:
+    """The changed element between the original text before and behind it, with the original line ends."""
+    import lxml.etree as etree
 
     encoding = root.getroottree().docinfo.encoding or "utf-8"
     masked = re.sub(rb"<!--.*?-->", lambda m: b" " * len(m.group()), raw, flags=re.DOTALL)
-    start = re.search(rb"<[A-Za-z_]", masked).start()
+    first = re.search(rb"<[A-Za-z_]", masked)
+    assert first is not None, "a well-formed document has an element"
+    start = first.start()
     end = masked.rindex(b">") + 1
     body = etree.tostring(root, encoding=encoding, xml_declaration=False, with_tail=False)
     return raw[:start] + (body.replace(b"\n", b"\r\n") if b"\r\n" in raw else body) + raw[end:]
 
 
-def _chain(named: dict, joints: Sequence[str] | None, n: int, path) -> list:
+def _chain(named: dict[str, Any], joints: Sequence[str] | None, n: int, path: str | Path) -> list[Any]:
     """Joint elements from the first moving one to the last, with the fixed ones between and the first fixed one behind."""
-    if joints:
-        for name in joints:
-            if name not in named:
-                raise ConfigError(f"{path}: has no joint '{name}'; its joints are {', '.join(map(str, named))}")
-        tip = named[joints[-1]]
-    else:
-        moving = [j for j in named.values() if j.get("type") in ("revolute", "continuous")]
-        if len(moving) != n:
-            raise ConfigError(f"{path}: has {len(moving)} moving joints, the arm has {n} axes; name them with --joint, base first")
-        above = {link for j in moving for link in _climb(named, _link(j, "parent"))}
-        tip = next((j for j in moving if _link(j, "child") not in above), moving[-1])
+    tip = _named_tip(named, joints, path) if joints else _only_tip(named, n, path)
     up = {_link(j, "child"): j for j in named.values()}
     chain = [up[link] for link in _climb(named, _link(tip, "child")) if link in up][::-1]
-    first = next((i for i, j in enumerate(chain) if j.get("type") != "fixed"), 0)
-    chain = chain[first:]
+    while chain and chain[0].get("type") == "fixed":
+        chain.pop(0)
     moving = [j.get("name") for j in chain if j.get("type") != "fixed"]
     if len(moving) != n or joints and moving != list(joints):
         raise ConfigError(
@@ -122,6 +115,23 @@ def _chain(named: dict, joints: Sequence[str] | None, n: int, path) -> list:
         )
     after = [j for j in named.values() if j.get("type") == "fixed" and _link(j, "parent") == _link(tip, "child")]
     return chain + after[:1]
+
+
+def _named_tip(named: dict[str, Any], joints: Sequence[str], path: str | Path) -> Any:
+    """The last of the joints that the user named."""
+    for name in joints:
+        if name not in named:
+            raise ConfigError(f"{path}: has no joint '{name}'; its joints are {', '.join(map(str, named))}")
+    return named[joints[-1]]
+
+
+def _only_tip(named: dict[str, Any], n: int, path: str | Path) -> Any:
+    """The last moving joint of a file whose moving joints are those of the arm: no other moving joint hangs on it."""
+    moving = [j for j in named.values() if j.get("type") in ("revolute", "continuous")]
+    if len(moving) != n:
+        raise ConfigError(f"{path}: has {len(moving)} moving joints, the arm has {n} axes; name them with --joint, base first")
+    above = {link for j in moving for link in _climb(named, _link(j, "parent"))}
+    return next((j for j in moving if _link(j, "child") not in above), moving[-1])
 
 
 def _climb(named: dict, link: str | None) -> list[str]:
@@ -149,7 +159,7 @@ def _origin(element, path) -> np.ndarray:
 def _set_origin(element, T: np.ndarray) -> None:
     origin = element.find("origin")
     if origin is None:
-        from lxml import etree
+        import lxml.etree as etree
 
         origin = etree.SubElement(element, "origin")
     xyz, (y, p, r) = se3.to_abc(T)
@@ -172,13 +182,13 @@ def _check_axis(element, U: np.ndarray, F: np.ndarray, sign: float, path) -> Non
         raise ConfigError(
             f"{path}:{element.sourceline}: the axis of joint '{element.get('name')}' is {distance:.1f} mm and "
             f"{np.degrees(angle):.1f} deg away from the calibrated arm's at its zero position: "
-            "another robot, or other joint senses or zeros; "
+            "another robot, or other directions of rotation or zeros of the joints; "
             "give the URDF that uses the controller's joint angles"
         )
 
 
 def _add_scanner(root, named: dict, flange: str, T: np.ndarray, scanner: str) -> None:
-    from lxml import etree
+    import lxml.etree as etree
 
     existing = next((j for j in named.values() if _link(j, "child") == scanner), None)
     if existing is not None:

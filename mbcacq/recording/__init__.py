@@ -1,13 +1,44 @@
-"""Recordings: written during a run, read back, recovered after a crash, exchanged as observation sets."""
+"""Recordings: written during a run, read back, recovered after a crash, exchanged as observation sets and trajectory sets."""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
+    from mbcacq.model.trajectory import Trajectory
+    from mbcacq.recording.datasets.observation_set import read_observation_set, write_observation_set
+    from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
+    from mbcacq.recording.rrd.diagnosis_recording import write_diagnosis
+    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.result_recording import log_result
+    from mbcacq.recording.rrd.writer import Recorder
+    from mbcacq.recording.run_folder.gaps import find_gaps
+    from mbcacq.recording.run_folder.journal import Journal
+    from mbcacq.recording.run_folder.progress import poses_done, repair_and_read_progress
+    from mbcacq.recording.run_folder.recovery import recover
+
+__all__ = [
+    "ACCEPTED",
+    "Journal",
+    "Recorder",
+    "Recording",
+    "Trajectory",
+    "find_gaps",
+    "load_observations",
+    "load_trajectories",
+    "log_result",
+    "poses_done",
+    "read_observation_set",
+    "read_trajectory_set",
+    "recover",
+    "repair_and_read_progress",
+    "write_diagnosis",
+    "write_observation_set",
+]
 
 _LAZY = {
     "Journal": "run_folder.journal",
@@ -20,17 +51,15 @@ _LAZY = {
     "read_observation_set": "datasets.observation_set",
     "read_trajectory_set": "datasets.trajectory_set",
     "recover": "run_folder.recovery",
-    "take_stock": "run_folder.progress",
+    "repair_and_read_progress": "run_folder.progress",
     "write_diagnosis": "rrd.diagnosis_recording",
     "write_observation_set": "datasets.observation_set",
 }
-__all__ = ["ACCEPTED", "load", *_LAZY]
-
 ACCEPTED = "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv)"
 
 
-def load(path: Path | str) -> Observations:
-    """The observations in a run folder, a .rrd file or an observation-set folder.
+def load_observations(path: Path | str) -> Observations:
+    """Read the observations in a run folder, a .rrd file or an observation-set folder.
 
     Raises ConfigError if it is none of these or its content is wrong, RecordingError if a recording is torn.
     """
@@ -45,15 +74,40 @@ def load(path: Path | str) -> Observations:
         from mbcacq.recording.datasets.observation_set import read_observation_set
 
         return read_observation_set(path)
-    if path.suffix == ".rrd" or (path.is_dir() and any(path.glob("run*.rrd"))):
+    if _is_recording(path):
         from mbcacq.recording.rrd.reader import read_observations
 
         return read_observations(path)
     raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")
 
 
+def load_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Trajectory]:
+    """Read one trajectory for each path: a trajectory-set folder, or the controller cycles of a run folder or .rrd file.
+
+    Raises ConfigError if a path is none of these or its content is wrong, RecordingError if a recording is torn.
+    """
+    return [_load_trajectory(Path(path)) for path in ([paths] if isinstance(paths, Path | str) else paths)]
+
+
+def _load_trajectory(path: Path) -> Trajectory:
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
+
+    if is_trajectory_set(path):
+        return read_trajectory_set(path)
+    if path.exists() and _is_recording(path):
+        from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
+
+        return trajectory_of_run(path)
+    raise ConfigError(f"{path} holds no trajectory; give a trajectory-set folder (cell.yaml, trajectory.csv), a run folder or a .rrd file")
+
+
+def _is_recording(path: Path) -> bool:
+    return path.suffix == ".rrd" or (path.is_dir() and any(path.glob("run*.rrd")))
+
+
 def __getattr__(name: str):
-    """The room's classes and functions by name, imported only when asked for: rerun takes a quarter of a second."""
+    """Import the room's classes and functions only when asked for: rerun takes a quarter of a second."""
     if name in _LAZY:
         return getattr(importlib.import_module(f"mbcacq.recording.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page that says how good a calibrated cell is, and why."""
+"""The report: one self-contained HTML page with the accuracy of a calibrated cell and its causes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.report.sources.run_folder import about_run, everything_about
+from mbcacq.report.sources.run_folder import read_run_identity, read_run_info
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
 
-__all__ = ["about_run", "everything_about", "report_from_result", "write_diagnosis_page"]
+__all__ = ["read_run_identity", "read_run_info", "report_from_result", "write_diagnosis_page"]
 
 
 def report_from_result(
@@ -19,7 +19,7 @@ def report_from_result(
 ) -> Path:
     """Write the report of a result.json, with 'verification', 'accuracy_map' and 'gaps' in it or not.
 
-    observations: the recording, for residuals, histogram and coverage. run_info: what ``everything_about`` a run says: optional texts
+    observations: the recording, for residuals, histogram and coverage. run_info: what ``read_run_info`` returns for a run: optional texts
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'devices', 'hashes'. Raises
     ConfigError for a damaged result, RecordingError where the file cannot be written.
     """
@@ -32,6 +32,6 @@ def report_from_result(
 def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any], path: str | Path, title: str = "Diagnosis") -> Path:
     """Write a diagnosis (its JSON and what its pictures need) as a page of its own."""
     from mbcacq.report.page import render_diagnosis, write
-    from mbcacq.report.sources.diagnosis_content import told
+    from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
-    return write(render_diagnosis(told(diagnosis, pictures), title), path)
+    return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title), path)

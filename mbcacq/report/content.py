@@ -1,11 +1,12 @@
-"""What a report says, as plain values: between the result file and the page. Lengths mm, angles deg; None or empty is left out.
+"""Content of a report as plain values, between the result file and the page. Lengths mm, angles deg; None or empty is left out.
 
 ``Content``: figures are those of the verification (name, value, uncertainty, limit, verdict); headlines the numbers of the first screen
-(label, value with unit, what it is compared with); diagnosis is a ``told.Told`` or None.
+(label, value with unit, what it is compared with).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ReportVerdict:
-    """level: 'pass', 'fail', 'undecided' (within the measurement's uncertainty of the limit) or 'none' (nothing to judge by)."""
+    """level: 'pass', 'fail', 'undecided' (within the measurement's uncertainty of the limit) or 'none' (no limit or no verification)."""
 
     level: str
     headline: str
@@ -34,7 +35,7 @@ class Action:
 class Spacing:
     """Sphere spacing errors at the verification artefact. place: k names; certified: (k,) mm; before, after: (k,) mm signed;
     sigma: (k,) mm standard deviation that the fit expects, or None; limit: mm or None; more: further figures (label, text). independent:
-    the poses took no part in the fit.
+    the poses were held out of the fit.
     """
 
     place: list[str]
@@ -84,7 +85,8 @@ class Residuals:
         if self.outlier is None or not self.outlier.any() or self.outlier.all():
             return self
         keep = ~self.outlier
-        return Residuals(*(None if (v := getattr(self, f.name)) is None else v[keep] for f in fields(self)))
+        kept = {f.name: v[keep] for f in fields(self) if (v := getattr(self, f.name)) is not None}
+        return Residuals(**kept)
 
 
 @dataclass(frozen=True)
@@ -109,16 +111,19 @@ class AccuracyGrid:
 
 @dataclass(frozen=True)
 class Devices:
-    """How the devices did. late: (k,) late answers counted by the controller at each cycle; period_ms: (k,) from cycle to cycle on this
-    computer; exposure_s: (e,) from one exposure to the next at a pose; state_s: state -> seconds spent in it; lost: sentences on what the
-    recording lacks; health: (quantity, lowest, highest, last)."""
+    """Timing and health of the devices.
+
+    late: (k,) late answers counted by the controller at each cycle; period_ms: (k,) from cycle to cycle on this computer; exposure_s: (e,)
+    from one exposure to the next at a pose; state_s: (state, seconds spent in it); gaps: sentences on what the recording lacks and on
+    warnings; health: (quantity, lowest, highest, last).
+    """
 
     late: np.ndarray | None = None
     period_ms: np.ndarray | None = None
     nominal_ms: float | None = None
     exposure_s: np.ndarray | None = None
     state_s: list[tuple[str, float]] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
+    gaps: list[str] = field(default_factory=list)
     health: list[tuple[str, str, str, str]] = field(default_factory=list)
 
 
@@ -133,6 +138,41 @@ class Coverage:
     flange: np.ndarray | None = None
     balls: np.ndarray | None = None
     ball_phase: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class EffectContent:
+    """One effect of a diagnosis. parameters: (name, value, standard deviation, unit) as texts; alternatives: sentences."""
+
+    title: str
+    depends_on: str
+    p_value: str
+    gain: str
+    parameters: list[tuple[str, str, str, str]]
+    alternatives: list[str]
+
+
+@dataclass(frozen=True)
+class DiagnosisContent:
+    """A diagnosis in words and units.
+
+    mismatch: (location, covariate, share of the excess over noise). validation: (data, 3D rms before, after) with a row for the data fitted
+    and one for the held-out data; noise_floor: what is expected from noise alone. evidence_map: (locations, covariates, strengths (a, c),
+    NaN where nothing was tested). curves, covariates, centres: as in the file of pictures.
+    """
+
+    level: str
+    headline: str
+    reason: str
+    effects: list[EffectContent] = field(default_factory=list)
+    mismatch: list[tuple[str, str, str]] = field(default_factory=list)
+    validation: list[tuple[str, str, str]] = field(default_factory=list)
+    noise_floor: str = ""
+    remarks: list[str] = field(default_factory=list)
+    evidence_map: tuple[list[str], list[str], np.ndarray] | None = None
+    curves: list[Mapping[str, Any]] = field(default_factory=list)
+    covariates: list[Mapping[str, Any]] = field(default_factory=list)
+    centres: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -158,7 +198,7 @@ class Content:
     spheres: Spheres | None = None
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
-    diagnosis: Any = None
+    diagnosis: DiagnosisContent | None = None
     warnings: list[str] = field(default_factory=list)
     versions: list[tuple[str, str]] = field(default_factory=list)
     hashes: list[tuple[str, str, str]] = field(default_factory=list)

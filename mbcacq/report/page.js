@@ -38,8 +38,8 @@
     draw(plot);
     (window.requestIdleCallback || ((f) => setTimeout(f, 1)))(next, { timeout: 200 });
   };
-  const seen = new IntersectionObserver((entries) => entries.forEach((e) => { if (e.isIntersecting) draw(e.target); }), { rootMargin: "300px" });
-  plots.forEach((plot) => seen.observe(plot));
+  const visible = new IntersectionObserver((entries) => entries.forEach((e) => { if (e.isIntersecting) draw(e.target); }), { rootMargin: "300px" });
+  plots.forEach((plot) => visible.observe(plot));
   setTimeout(next, 30);
   const paper = () => plots.forEach((plot) => draw(plot, plot.closest(".three") ? 215 : plot.closest(".two") ? 325 : 670));
   const screen = () => plots.forEach((plot) => Plotly.relayout(plot, { width: undefined, autosize: true }));

@@ -14,7 +14,7 @@ _BALL = re.compile(r"ball_(.+)\.([xyz])")
 
 @dataclass(frozen=True)
 class Matrix:
-    """heads: column titles; rows: (name, cells), a cell a Parameter or None; the corrections are shown times ``scale`` with ``digits``."""
+    """heads: column titles; rows: (name, cells), a cell a ParameterRow or None. Corrections are shown times ``scale`` with ``digits``."""
 
     title: str
     corner: str

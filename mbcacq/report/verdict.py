@@ -10,26 +10,45 @@ import numpy as np
 from mbcacq.report.content import Action, ReportVerdict, Spacing
 
 SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
+VERIFY_INDEPENDENTLY = Action(
+    "Verify on poses of their own",
+    "The verification poses took part in the calibration: they say how well it fits, not how well it predicts. "
+    "Give the bar's step the phase 'verification' and measure again.",
+)
+MEASURE_MORE = Action(
+    "Measure more, then calibrate again",
+    "The limit is exceeded, and no effect was found that explains it. See which "
+    "parameters are least certain below, and let the plan be extended by poses that determine them.",
+    "mbcacq plan design PLAN",
+)
+DECIDE_BETTER = Action(
+    "Decide with a better certificate or more places",
+    "The largest error lies within the uncertainty of the limit: only a smaller uncertainty of the certified distance can decide.",
+)
+MEASURE_INDEPENDENTLY = Action(
+    "Measure an artefact that judges",
+    "Nothing independent says how good the cell is. Add a scale bar longer than the view as a step of phase 'verification'.",
+)
 
 
 def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> ReportVerdict:
-    """certificate: standard uncertainty (mm) of a certified distance."""
+    """Judge the verification against its limit. certificate: standard uncertainty (mm) of a certified distance."""
     fit = result["fit"]
     if spacing is None:
         return ReportVerdict(
             "none",
             "Calibrated, not verified",
-            f"No verification artefact was measured. What the calibration leaves on its own poses: {fit['rms_mm']:.4f} mm rms.",
+            f"No verification artefact was measured. Residual on the poses of the calibration: {fit['rms_mm']:.4f} mm rms.",
         )
     before, after = np.abs(spacing.before), np.abs(spacing.after)
-    told = (
+    errors = (
         f"Mean sphere spacing error {after.mean():.3f} mm (before {before.mean():.3f} mm), "
         f"largest {after.max():.3f} mm at place {spacing.place[int(after.argmax())]}"
     )
     if spacing.limit is None:
-        return ReportVerdict("none", "Calibrated and verified", f"{told}. The plan sets no limit.")
+        return ReportVerdict("none", "Calibrated and verified", f"{errors}. The plan sets no limit.")
     U = 2 * certificate
-    against = f"{told}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified distance {U:.4f} mm (k = 2)."
+    against = f"{errors}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified distance {U:.4f} mm (k = 2)."
     if after.max() + U <= spacing.limit:
         return ReportVerdict("pass", "Passed: every place is within the limit", against)
     if after.max() - U > spacing.limit:
@@ -54,58 +73,61 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[
 def next_action(
     verdict: ReportVerdict, spacing: Spacing | None, result: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, name: str
 ) -> Action:
-    """name: of the run folder or the data, for the commands."""
-    factor = max(result["noise"].get("check_factor") or [0.0])
+    """The one thing to do next. name: of the run folder or the data, for the commands."""
     if spacing is not None and not spacing.independent:
-        return Action(
-            "Verify on poses of their own",
-            "The verification poses took part in the calibration: they say how well it fits, not how well it predicts. "
-            "Give the bar's step the phase 'verification' and measure again.",
-        )
-    if diagnosis is None and (verdict.level == "fail" or factor > SUSPICIOUS):
-        why = (
-            "The limit is exceeded" if verdict.level == "fail" else f"The residuals need {factor:.1f} times the stated noise"
-        ) + ": something may be missing in the model. Ask what, and where."
-        return Action("Ask why", why, f"mbcacq diagnose {name}")
-    if diagnosis is not None and diagnosis["verdict"] in ("explained", "partly_explained", "unexplained"):
-        return _after_diagnosis(diagnosis, verdict)
-    if diagnosis is not None and diagnosis.get("advice"):
-        return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")))
+        return VERIFY_INDEPENDENTLY
+    if diagnosis is None:
+        action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)
+    else:
+        action = _after_diagnosis(verdict, diagnosis)
+    return action or _without_finding(verdict, spacing, name)
+
+
+def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Action | None:
+    """None where nothing is suspicious. factor: noise that the residuals need over the stated noise."""
     if verdict.level == "fail":
-        return Action(
-            "Measure more, then calibrate again",
-            "The limit is exceeded, and no effect was found that explains it. See which "
-            "parameters are least certain below, and let the plan be extended by poses that show them.",
-            "mbcacq plan design PLAN",
-        )
-    if verdict.level == "undecided":
-        return Action(
-            "Decide with a better certificate or more places",
-            "The largest error lies within the uncertainty of the limit: only a smaller uncertainty of the certified distance can decide.",
-        )
-    if spacing is None:
-        return Action(
-            "Measure an artefact that judges",
-            "Nothing independent says how good the cell is. Add a scale bar longer than the view as a step of phase 'verification'.",
-        )
-    return Action("Put the result to use", "Write it for the controller, for ROS or as tables.", f"mbcacq export {name} --results DIR")
+        reason = "The limit is exceeded"
+    elif factor > SUSPICIOUS:
+        reason = f"The residuals need {factor:.1f} times the stated noise"
+    else:
+        return None
+    return Action("Ask why", f"{reason}: something may be missing in the model. Ask what, and where.", f"mbcacq diagnose {name}")
 
 
-def _after_diagnosis(diagnosis: Mapping[str, Any], verdict: ReportVerdict) -> Action:
+def _after_diagnosis(verdict: ReportVerdict, diagnosis: Mapping[str, Any]) -> Action | None:
+    """None where the diagnosis found nothing and advises nothing."""
+    if diagnosis["verdict"] in ("explained", "partly_explained", "unexplained"):
+        return _after_finding(verdict, diagnosis)
+    if diagnosis.get("advice"):
+        return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")))
+    return None
+
+
+def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any]) -> Action:
     effects = diagnosis.get("effects") or []
     if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == "unknown":
         first = (diagnosis.get("mismatch") or [{"at": "the arm", "depends_on": "something not recorded"}])[0]
         return Action(
             f"Look at {first['at']}",
-            f"What is left depends on {readable(first['depends_on'])} there, and no known effect describes it. "
-            "A repeated measurement in another order tells a lasting cause from a passing one.",
+            f"The residual structure there depends on {readable(first['depends_on'])}, and no known effect describes it. "
+            "A repeated measurement in another order separates a lasting cause from a passing one.",
         )
     names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in effects[:2])
     what = "Mind it where you use the cell" if verdict.level == "pass" else "Repair it, or correct for it"
     return Action(
         f"{what}: {names}",
-        "The diagnosis names it, and it predicts poses that took no part. The section Diagnosis shows its size and shape.",
+        "The diagnosis names it, and it predicts held-out poses. The section Diagnosis shows its size and its response curve.",
     )
+
+
+def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str) -> Action:
+    if verdict.level == "fail":
+        return MEASURE_MORE
+    if verdict.level == "undecided":
+        return DECIDE_BETTER
+    if spacing is None:
+        return MEASURE_INDEPENDENTLY
+    return Action("Put the result to use", "Write it for the controller, for ROS or as tables.", f"mbcacq export {name} --results DIR")
 
 
 def readable(name: str) -> str:

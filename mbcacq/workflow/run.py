@@ -59,11 +59,11 @@ def resume_folder(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
 
     Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
-    from mbcacq.recording import take_stock
+    from mbcacq.recording import repair_and_read_progress
     from mbcacq.recording.run_folder.run_plan import refuse_change
 
     refuse_change(folder, loaded.text, loaded.files, cell)
-    return take_stock(folder)
+    return repair_and_read_progress(folder)
 
 
 def without_partial_stations(poses: Sequence[PlannedPose], before: Progress) -> frozenset[int]:
@@ -171,9 +171,9 @@ def places_seen(folder: Path, loaded: LoadedPlan, done: frozenset[int]) -> dict[
     """Where the balls stood at the poses that count as done: station -> ball id -> (3,) mm, mean over its poses, base frame of the nominal
     arm."""
     from mbcacq.geometry import se3
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
-    obs = load(folder)
+    obs = load_observations(folder)
     T = obs.cell.robot.chain.flange(obs.q) @ loaded.cell.T_flange_scanner
     place = se3.apply(T[obs.pose], obs.xyz)
     seen: dict[str, dict[int, list[np.ndarray]]] = {}
@@ -204,12 +204,12 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
     """
     from mbcacq.calibration import CalibrationOptions, calibrate, verify
     from mbcacq.calibration.accuracy_map import accuracy_map
-    from mbcacq.recording import find_gaps, load, log_result
+    from mbcacq.recording import find_gaps, load_observations, log_result
     from mbcacq.recording.datasets.csvfile import write_text
     from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.report import everything_about, report_from_result
+    from mbcacq.report import read_run_info, report_from_result
 
-    observations = load(run)
+    observations = load_observations(run)
     calibration = calibrate(observations, CalibrationOptions(refuse="position" in observations.phase))
     result = calibration.to_dict() | {
         "verification": verify(observations, calibration, limit_mm=limit_mm).to_dict(),
@@ -217,7 +217,7 @@ def evaluate(run: Path, limit_mm: float | None = None) -> dict:
         "gaps": find_gaps(run),
     }
     write_text(run / "result.json", json.dumps(result, indent=1))
-    report = report_from_result(result, path=run / "report.html", observations=observations, run_info=everything_about(run))
+    report = report_from_result(result, path=run / "report.html", observations=observations, run_info=read_run_info(run))
     log_result(run, observations, calibration.state, calibration.preliminary)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     return result | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}

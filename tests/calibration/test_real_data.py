@@ -14,14 +14,14 @@ from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.recording import load
+from mbcacq.recording import load_observations
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data folder is not there")
 
 
 def test_independent_simulation_is_explained_down_to_its_noise():
-    obs = load(DATA / "example-none")
+    obs = load_observations(DATA / "example-none")
     found = calibrate(obs)
     assert found.rejected == ()
     assert found.chi2 / found.dof == pytest.approx(1, abs=0.05)
@@ -41,34 +41,34 @@ def test_independent_simulation_is_explained_down_to_its_noise():
 
 
 def test_left_out_stations_of_a_clean_cell_show_the_noise_only():
-    figure = held_out(load(DATA / "example-none"), split="station")
+    figure = held_out(load_observations(DATA / "example-none"), split="station")
     assert figure.fits == 16
     assert 0.0110 < figure.rms_mm < 0.0135
 
 
 def test_ur5_with_a_laser_tracker():
-    figure = held_out(load(DATA / "ur5-tracker"), split="random", size=300)
+    figure = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300)
     assert figure.poses == 900
     assert figure.rms_mm <= 0.118
-    again = held_out(load(DATA / "ur5-tracker"), split="random", size=300)
+    again = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300)
     assert again == figure
 
 
 def test_panda_in_sockets():
-    figure = held_out(load(DATA / "panda-sockets"), split="station")
+    figure = held_out(load_observations(DATA / "panda-sockets"), split="station")
     assert figure.fits == 6
     assert figure.spread_mm <= 0.214
     assert figure.rms_mm > figure.spread_mm  # the six freedoms of a place are paid for
 
 
 def test_blocks_are_judged_only_where_training_knows_the_socket():
-    figure = held_out(load(DATA / "panda-sockets"), split="block")
+    figure = held_out(load_observations(DATA / "panda-sockets"), split="block")
     assert figure.poses < 387
     assert figure.rms_mm < 0.3
 
 
 def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_cannot_see():
-    found = calibrate(load(DATA / "iiwa14-sockets"))
+    found = calibrate(load_observations(DATA / "iiwa14-sockets"))
     assert {u.name for u in found.undetermined} == {"a_6", "alpha_6"}
     assert all(u.harmless for u in found.undetermined)
     assert {"hand_eye.rx", "hand_eye.ry", "hand_eye.rz", "theta_7"} <= set(found.held)
@@ -76,7 +76,7 @@ def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_cannot_see():
 
 
 def test_a_target_with_orientation():
-    found = calibrate(load(DATA / "ur10-tracker-c"))
+    found = calibrate(load_observations(DATA / "ur10-tracker-c"))
     assert found.residual.shape[1] == 6
     assert found.rms_mm < 0.52
     assert found.chi2 / found.dof == pytest.approx(1, abs=0.05)
@@ -96,6 +96,6 @@ def test_command_line():
 
 def test_one_station_cannot_be_left_out():
     with pytest.raises(Exception, match="one station only"):
-        held_out(load(DATA / "ur5-tracker"), split="station")
+        held_out(load_observations(DATA / "ur5-tracker"), split="station")
     with pytest.raises(ConfigError, match="no held-out split"):
-        held_out(load(DATA / "ur5-tracker"), CalibrationOptions(), "half")
+        held_out(load_observations(DATA / "ur5-tracker"), CalibrationOptions(), "half")

@@ -69,11 +69,11 @@ def test_the_recording_lacks_what_was_not_recorded(challenger):
 def test_the_twin_of_the_nominal_cell_is_what_the_nominal_model_predicts(tmp_path):
     from mbcacq.calibration import CalibrationOptions, calibrate
     from mbcacq.cli.simulate import command
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
     result = CliRunner().invoke(command, [str(PLANS / "quick.yaml"), "--out", str(tmp_path / "twin")], catch_exceptions=False)
     assert result.exit_code == 0
-    observations = load(tmp_path / "twin")
+    observations = load_observations(tmp_path / "twin")
     assert all(s.T_base_station is None for s in observations.cell.stations)
     found = calibrate(observations, CalibrationOptions(kinematics=False))
     np.testing.assert_allclose(found.state.T_flange_scanner, observations.cell.T_flange_scanner, atol=1e-6)

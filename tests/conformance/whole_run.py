@@ -19,7 +19,7 @@ from mbcacq.conformance.bounded import Hang, eventually, sentence
 from mbcacq.conformance.injection import NAMED, RECOVERED, UNREACHED
 from mbcacq.devices import MbcacqError, load_driver
 from mbcacq.plan import expand, load
-from mbcacq.recording import load as load_recording
+from mbcacq.recording import load_observations as load_recording
 from mbcacq.workflow import run as pipeline
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from mbcacq.cli.diagnose import command
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.output.text import words
-from mbcacq.recording import load
+from mbcacq.recording import load_observations
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 VERDICTS = {"none", "explained", "partly_explained", "unexplained", "cannot_tell"}
@@ -77,7 +77,7 @@ def test_the_clean_example_is_clean_on_the_command_line():
 def test_the_compliant_example_is_measured():
     truth = json.loads((DATA / "example-compliance.truth.json").read_text())["truth"]
 
-    d = diagnose(load(DATA / "example-compliance")).as_json()
+    d = diagnose(load_observations(DATA / "example-compliance")).as_json()
 
     assert d["verdict"] == "explained"
     assert [e["name"] for e in d["effects"]] == ["joint_compliance"]

@@ -51,19 +51,19 @@ def observed():
     )
     q0 = np.radians([[0, -70, 100, 10, 40, 0], [35, -50, 80, -20, 50, 60], [-40, -90, 110, 30, 30, -80]])
     q, station, phase, pose, ball, xyz = [], [], [], [], [], []
-    places = [truth.flange(one[None])[0] @ T_hand for one in q0]
-    places.append(places[0] @ se3.from_abc(np.array([0.0, 0, -20]), np.zeros(3)))
+    stations_in_base = [truth.flange(one[None])[0] @ T_hand for one in q0]
+    stations_in_base.append(stations_in_base[0] @ se3.from_abc(np.array([0.0, 0, -20]), np.zeros(3)))
     for k in range(156):
         s = k % 3 if k < 150 else 3
         angles = q0[s % 3] + rng.normal(0, 0.12, 6)
         T = truth.flange((angles + rng.normal(0, 5e-6, 6))[None])[0] @ T_hand
-        c = se3.apply(se3.inverse(T) @ places[s], balls if s < 3 else bar.centres)
-        seen = np.arange(8) if s < 3 else np.array([8, 9])
+        c = se3.apply(se3.inverse(T) @ stations_in_base[s], balls if s < 3 else bar.centres)
+        visible = np.arange(8) if s < 3 else np.array([8, 9])
         q.append(angles)
         station.append(s)
         phase.append("position" if s < 3 else "verification")
-        pose.extend([k] * len(seen))
-        ball.extend(seen)
+        pose.extend([k] * len(visible))
+        ball.extend(visible)
         xyz.extend(c + rng.normal(0, 0.005, c.shape))
     return (
         Observations(

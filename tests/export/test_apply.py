@@ -40,7 +40,7 @@ def test_the_uncertainty_is_the_scatter_of_cells_drawn_from_the_covariance(solve
     rng = np.random.default_rng(1)
     draws = rng.multivariate_normal(np.zeros(len(result["names"])), np.array(result["covariance"]), 3000, method="eigh")
     corner = np.array([[40.0, -40, 30], [-40, 40, -30]])
-    places = []
+    positions = []
     for draw in draws:
         errors, twist = np.zeros((6, 5)), np.zeros(6)
         for name, value in zip(result["names"], draw, strict=True):
@@ -50,9 +50,9 @@ def test_the_uncertainty_is_the_scatter_of_cells_drawn_from_the_covariance(solve
                 p, i = name.split("_")
                 errors[int(i) - 1, PARAMETERS.index(p)] = value
         T = calibrated.with_errors(errors).flange((Q + rng.normal(0, result["noise"]["joint_rad"]))[None])[0] @ T_hand @ se3.exp(twist)
-        places.append(se3.apply(T, corner).mean(axis=0))
+        positions.append(se3.apply(T, corner).mean(axis=0))
     _, placed = place_scan(result, Q, corner)
-    np.testing.assert_allclose(np.std(places, axis=0), placed.total_mm, rtol=0.08)
+    np.testing.assert_allclose(np.std(positions, axis=0), placed.total_mm, rtol=0.08)
     np.testing.assert_allclose(placed.total_mm**2, placed.parameters_mm**2 + placed.repeatability_mm**2)
 
 
@@ -117,6 +117,6 @@ def test_the_command_keeps_what_the_cloud_carries(solved, result_file, tmp_path)
 
 
 @pytest.mark.parametrize("joints", ["", "a,b", "1;2;x"])
-def test_joints_that_are_no_numbers(result_file, tmp_path, joints):
+def test_joint_angles_that_are_no_numbers_are_refused(result_file, tmp_path, joints):
     with pytest.raises(ConfigError, match="is not a list of numbers"):
         CliRunner().invoke(command, [str(result_file), "--joints", joints, str(tmp_path / "a.ply")], catch_exceptions=False)

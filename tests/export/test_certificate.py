@@ -32,7 +32,7 @@ def write(tmp_path):
 CENTRES = [[-4.4902, 24.8573, -10.4992], [-37.3617, 6.312, -5.4404]]
 
 
-def test_csv(write):
+def test_a_csv_certificate_is_read(write):
     a = read_certificate(write("c.csv", CSV), "mbc", "MBC-8")
     assert (a.id, a.name, a.ball_ids) == ("mbc", "MBC-8", (1, 2))
     np.testing.assert_array_equal(a.centres, CENTRES)
@@ -41,13 +41,13 @@ def test_csv(write):
     assert a.reference_temperature_C == 20.1
 
 
-def test_csv_of_a_continental_spreadsheet(write):
+def test_csv_with_semicolons_and_decimal_commas_is_read(write):
     a = read_certificate(write("c.csv", "Label;X;Y;Z;D\nA7;1,5;-2,25;3;12,0\nA9;0;0;0;12\n"), "mbc")
     assert a.ball_ids == (7, 9)
     np.testing.assert_array_equal(a.centres[0], [1.5, -2.25, 3])
 
 
-def test_yaml(write):
+def test_a_yaml_certificate_is_read(write):
     text = (
         "certificate: DKD-1\ndate: 2026-03-04\nT: 20.5\nalpha: 11.5\nU: 0.002\nk: 2\nspheres:\n"
         "  - {label: S1, x: -4.4902, y: 24.8573, z: -10.4992, d: 12.0003}\n  - {label: S2, x: -37.3617, y: 6.312, z: -5.4404, d: 11.9998}\n"
@@ -64,7 +64,7 @@ def test_dmis_takes_the_measured_spheres(write):
     np.testing.assert_array_equal(a.diameters, [12.0003, 11.9998])
 
 
-def test_dmis_in_inches(write):
+def test_dmis_in_inches_is_read_in_millimetres(write):
     a = read_certificate(write("c.dmo", "UNITS/INCH,ANGDEC\nFA(A)=FEAT/SPHERE,OUTER,CART,1,2,-3,0.5\n"), "mbc")
     np.testing.assert_allclose(a.centres, [[25.4, 50.8, -76.2]])
     np.testing.assert_allclose(a.diameters, [12.7])
@@ -112,6 +112,6 @@ def test_faults_name_file_and_line(write, name, text, message):
         read_certificate(write(name, text), "mbc")
 
 
-def test_a_missing_file(tmp_path):
+def test_a_missing_certificate_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.csv"):
         read_certificate(tmp_path / "none.csv", "mbc")

@@ -21,7 +21,7 @@ def run(*arguments):
     return outcome
 
 
-def test_every_format_tells_the_same_hand_eye(solved, result_file, tmp_path):
+def test_every_format_has_the_same_hand_eye_transform(solved, result_file, tmp_path):
     out = tmp_path / "out"
     assert run(result_file, "--results", out, "--tool", 7).exit_code == 0
     T = np.array(solved[0]["T_flange_scanner"])
@@ -55,7 +55,7 @@ def test_the_patched_urdf_is_the_calibrated_arm(solved, result_file, tmp_path):
     np.testing.assert_allclose(in_urdf, calibrated.flange(q[None])[0] @ solved[0]["T_flange_scanner"], atol=2e-5)
 
 
-def test_a_diff_against_the_controllers_file(result_file, tmp_path):
+def test_the_export_has_a_diff_against_the_controllers_file(result_file, tmp_path):
     (tmp_path / "config.dat").write_bytes(b"DEFDAT\r\nTOOL_DATA[2]={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\r\nENDDAT\r\n")
     run(result_file, "--results", tmp_path / "out", "--tool", 2, "--config-dat", tmp_path / "config.dat")
     diff = (tmp_path / "out" / "config.dat.diff").read_bytes()
@@ -84,12 +84,12 @@ def test_a_certificate_becomes_an_artefact_file(tmp_path):
     assert run(tmp_path / "c.dmo", "--artefact", "mbc", "--output", out, "--force").exit_code == 0
 
 
-def test_nothing_asked_for_nothing_done(result_file):
+def test_an_export_without_a_target_is_refused(result_file):
     with pytest.raises(ConfigError, match="nothing to export"):
         run(result_file)
 
 
-def test_what_was_written_is_said_to_machines_too(result_file, tmp_path):
+def test_what_was_written_is_printed_as_json(result_file, tmp_path):
     said = json.loads(run(result_file, "--results", tmp_path / "out", "--json").stdout)
     assert said["format"] == "mbcacq-export/1"
     assert {w["file"] for w in said["written"]} == {str(p) for p in (tmp_path / "out").iterdir()}
@@ -98,7 +98,7 @@ def test_what_was_written_is_said_to_machines_too(result_file, tmp_path):
     assert said["written"] == [{"file": str(tmp_path / "mbc.yaml"), "balls": 2, "uncertainty_mm": 0.001}]
 
 
-def test_an_earlier_export_is_replaced_only_when_told(result_file, tmp_path):
+def test_an_earlier_export_is_replaced_only_with_force(result_file, tmp_path):
     out = tmp_path / "out"
     run(result_file, "--results", out, "--tool", 7)
     before = (out / "tool_data.txt").read_bytes()

@@ -70,7 +70,7 @@ def test_the_covariance_to_the_last_bit(solved):
     np.testing.assert_array_equal([[float(r[n]) for n in solved[0]["names"]] for r in rows], solved[0]["covariance"])
 
 
-def test_verification(solved):
+def test_the_verification_csv_has_every_place(solved):
     rows = read(tables.verification_csv(solved[0]))
     assert rows[0]["station"] == "b1"
     assert (rows[0]["ball_a"], rows[0]["ball_b"]) == ("9", "10")

@@ -22,17 +22,17 @@ def test_easy_handeye2_reads_metres_and_a_quaternion():
     assert data["parameters"]["robot_effector_frame"] == "tool0"
 
 
-def test_round_trip(tmp_path):
+def test_an_easy_handeye2_file_reads_back(tmp_path):
     rng = np.random.default_rng(0)
     R, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    turned = T.copy()
-    turned[:3, :3] = R * np.sign(np.linalg.det(R))
+    rotated = T.copy()
+    rotated[:3, :3] = R * np.sign(np.linalg.det(R))
     path = tmp_path / "a.calib"
-    path.write_text(ros.hand_eye_yaml(turned, name="a"))
-    np.testing.assert_allclose(ros.read_hand_eye(path), turned, atol=1e-12)
+    path.write_text(ros.hand_eye_yaml(rotated, name="a"))
+    np.testing.assert_allclose(ros.read_hand_eye(path), rotated, atol=1e-12)
 
 
-def test_the_older_flat_form(tmp_path):
+def test_the_older_flat_form_of_easy_handeye_is_read(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("transformation: {x: 0.0015, y: -0.002, z: 0.265, qx: 1.0, qy: 0.0, qz: 0.0, qw: 0.0}\n")
     np.testing.assert_allclose(ros.read_hand_eye(path), T, atol=1e-12)

@@ -61,7 +61,7 @@ def by_hand(rows, sign, q):
 
 
 def test_the_result_file_is_the_true_arm_by_hand(solved):
-    """Only what result.json says of itself is used; it places a point where the true cell has it, to a few hundredths of a millimetre."""
+    """With nothing but result.json a point is placed where the true cell has it, to a few hundredths of a millimetre."""
     result, _, truth, T_hand = solved
     T = by_hand(result["robot"]["calibrated"], result["robot"]["sign"], [0.2, -1.0, 1.5, 0.1, 0.6, 0.3]) @ np.array(
         result["T_flange_scanner"]
@@ -71,10 +71,10 @@ def test_the_result_file_is_the_true_arm_by_hand(solved):
     np.testing.assert_allclose(T[:3, :3], true[:3, :3], atol=3e-4)
 
 
-def test_another_urdf_parser_sees_the_calibrated_arm_and_the_scanner(solved, out):
+def test_another_urdf_parser_reads_the_calibrated_arm_and_the_scanner(solved, out):
     mujoco = pytest.importorskip("mujoco", reason="an independent URDF parser is in the dev extra")
     result = solved[0]
-    # MuJoCo wants masses, and keeps fixed links apart only when told.
+    # MuJoCo wants masses, and keeps fixed links apart only with fusestatic="false".
     more = '<mujoco><compiler boundmass="0.01" boundinertia="0.0001" fusestatic="false" balanceinertia="true"/></mujoco></robot>'
     model = mujoco.MjModel.from_xml_string((out / "arm.urdf").read_text().replace("</robot>", more))
     data = mujoco.MjData(model)
@@ -83,12 +83,12 @@ def test_another_urdf_parser_sees_the_calibrated_arm_and_the_scanner(solved, out
     for q in Q:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-        seen = np.eye(4)
-        seen[:3, :3], seen[:3, 3] = data.body("scanner_frame").xmat.reshape(3, 3), data.body("scanner_frame").xpos
-        seen = np.linalg.inv(world) @ seen
+        parsed = np.eye(4)
+        parsed[:3, :3], parsed[:3, 3] = data.body("scanner_frame").xmat.reshape(3, 3), data.body("scanner_frame").xpos
+        parsed = np.linalg.inv(world) @ parsed
         T = by_hand(result["robot"]["calibrated"], result["robot"]["sign"], q) @ np.array(result["T_flange_scanner"])
-        np.testing.assert_allclose(1e3 * seen[:3, 3], T[:3, 3], atol=1e-3)
-        np.testing.assert_allclose(seen[:3, :3], T[:3, :3], atol=1e-7)
+        np.testing.assert_allclose(1e3 * parsed[:3, 3], T[:3, 3], atol=1e-3)
+        np.testing.assert_allclose(parsed[:3, :3], T[:3, :3], atol=1e-7)
     assert np.abs(by_hand(result["robot"]["nominal"], result["robot"]["sign"], Q[0]) - CHAIN.flange(Q[:1])[0]).max() < 1e-9
 
 

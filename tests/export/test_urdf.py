@@ -135,11 +135,11 @@ def test_comments_limits_and_other_joints_stay(file):
 def test_the_scanner_is_added_once_and_then_updated(file, tmp_path):
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rot([1, 0, 0], np.pi), [1, 2, 265]
-    once = urdf.patch(file, CHAIN, CHAIN, T_flange_scanner=T, scanner="eye")
+    once = urdf.patch(file, CHAIN, CHAIN, T_flange_scanner=T, scanner="camera")
     T[2, 3] = 266.0
     (tmp_path / "b.urdf").write_bytes(once)
-    twice = urdf.patch(tmp_path / "b.urdf", CHAIN, CHAIN, T_flange_scanner=T, scanner="eye")
-    joints = [j for j in etree.fromstring(twice).iter("joint") if j.find("child").get("link") == "eye"]
+    twice = urdf.patch(tmp_path / "b.urdf", CHAIN, CHAIN, T_flange_scanner=T, scanner="camera")
+    joints = [j for j in etree.fromstring(twice).iter("joint") if j.find("child").get("link") == "camera"]
     assert len(joints) == 1
     assert joints[0].find("parent").get("link") == "tool0"
     # tool0 of this file looks out of the arm, the flange of the MD-H chain into it: half a turn about x lies between them.

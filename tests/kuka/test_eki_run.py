@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.recording import load
+from mbcacq.recording import load_observations
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def test_eki_and_rsi_calibrate_the_same_cell(benchmark, tmp_path):
     """One true cell, independent noise: 24 parameters apart by no more than their stated uncertainty. The full plan: docs/kuka.md."""
     results, moved = {}, {}
     for seed, driver in enumerate(("kuka_rsi", "kuka_eki"), 5):
-        run = load(benchmark.record("quick.yaml", driver, seed, tmp_path / driver))
+        run = load_observations(benchmark.record("quick.yaml", driver, seed, tmp_path / driver))
         results[driver], moved[driver] = calibrate(run, CalibrationOptions(refuse=False)).to_dict(), run.q
     np.testing.assert_allclose(moved["kuka_rsi"], moved["kuka_eki"], atol=2e-4)  # both stand where the plan says
     assert np.abs(moved["kuka_rsi"] - moved["kuka_eki"]).max() > 0

@@ -102,9 +102,9 @@ def test_a_run_records_what_it_reads(outside, tmp_path):
         done = mbcacq(outside, "run", plan, "--dry-run", "--out", run)
         assert done.returncode == 0, done.stderr
         answers = probe.answers[1:]
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
-    assert load(run).temperatures["air_C"].tolist() == answers
+    assert load_observations(run).temperatures["air_C"].tolist() == answers
     assert len(answers) == 4
 
 

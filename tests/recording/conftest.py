@@ -36,7 +36,7 @@ def a_set(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def a_run(tmp_path: Path) -> Path:
-    """A run folder written from made events."""
+    """A run folder written from synthetic events."""
     import synthetic
 
     from mbcacq.recording import Journal, Recorder

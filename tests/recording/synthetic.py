@@ -1,4 +1,4 @@
-"""A small run as events, made from numbers: a six-axis arm looks at three balls from a few poses."""
+"""A small synthetic run as events: a six-axis arm looks at three balls from a few poses."""
 
 from __future__ import annotations
 
@@ -89,15 +89,15 @@ def pose(rng: np.random.Generator, number: int, time_s: float, points: int = 500
     for exposure in range(2):
         yield events.ScanTaken(time_s + 0.2, number, exposure, scan(rng, points))
         yield events.CentresFound(time_s + 0.25, number, exposure, BALLS, rng.normal(size=(3, 3)), np.full(3, 150), rng.random(3))
-    seen = BALLS if number % 3 else BALLS[:2]
-    k = len(seen)
+    found = BALLS if number % 3 else BALLS[:2]
+    k = len(found)
     yield events.PoseDone(
         time_s + 0.3,
         *about,
         q + 1e-9 * rng.normal(size=6),
         direction,
         time_s + 0.04 + rng.random(),
-        seen,
+        found,
         40 * rng.normal(size=(k, 3)),
         rng.integers(100, 200, k),
         rng.random(k),

@@ -14,7 +14,7 @@ ANGLES = st.floats(min_value=-10.0, max_value=10.0, allow_nan=False) | st.floats
 
 
 @given(st.lists(ANGLES, min_size=1, max_size=50))
-def test_every_angle_survives_the_way_through_text(values):
+def test_every_angle_survives_writing_and_reading(values):
     q = np.array(values)
     text = angles.degrees_text(q)
     back = angles.radians(np.array(text, dtype=float), text)

@@ -1,4 +1,4 @@
-"""What is drawn is true: distances to the sphere, the way of the flange, spikes of a curve, the arm of a URDF."""
+"""What is drawn is true: distances to the sphere, the path of the flange, spikes of a curve, the arm of a URDF."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact
 from mbcacq.recording import Recorder, Recording
 from mbcacq.recording.datasets.cell_yaml import parse_cell
-from mbcacq.recording.rrd import camera, layout
+from mbcacq.recording.rrd import layout, scan_colouring
 from mbcacq.recording.rrd.drawing import flange_strips
 from mbcacq.recording.rrd.result_recording import round_scale
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -29,30 +29,32 @@ def test_points_are_coloured_by_their_distance_to_the_certified_sphere():
     artefact = Artefact("mbc", "", (4, 9), np.zeros((2, 3)), np.array([12.0, 20.0]))
     centres = np.array([[0.0, 0, 0], [40, 0, 0]])
     points = np.vstack([sphere(rng, centres[0], 6.030, 3000), sphere(rng, centres[1], 9.985, 3000, 0.004), rng.uniform(60, 90, (9000, 3))])
-    seen = camera.look(points.astype(np.float32), artefact, np.array([4, 9]), centres)
-    np.testing.assert_allclose(seen.radius_um, [30.0, -15.0], atol=0.5)
-    np.testing.assert_allclose(seen.form_um, [0.0, 2 * 1.96 * 4.0], atol=1.0)  # 95 % of a normal distribution
-    first = seen.colours[: camera.MOST_ON_BALL // 2].astype(int)
-    assert (first == camera.OUTSIDE).all()  # 30 um outside: the end of the scale
-    last = seen.colours[-camera.MOST_ON_BALL // 2 :].astype(int)
+    coloured = scan_colouring.colour_scan(points.astype(np.float32), artefact, np.array([4, 9]), centres)
+    np.testing.assert_allclose(coloured.radius_um, [30.0, -15.0], atol=0.5)
+    np.testing.assert_allclose(coloured.form_um, [0.0, 2 * 1.96 * 4.0], atol=1.0)  # 95 % of a normal distribution
+    first = coloured.colours[: scan_colouring.MOST_ON_BALL // 2].astype(int)
+    assert (first == scan_colouring.OUTSIDE).all()  # 30 um outside: the end of the scale
+    last = coloured.colours[-scan_colouring.MOST_ON_BALL // 2 :].astype(int)
     assert (last[:, 2] > last[:, 0]).mean() > 0.95  # inside: towards blue
-    assert len(seen.on_balls) <= 2 * camera.MOST_ON_BALL
-    assert 0 < len(seen.beside) <= camera.MOST_BESIDE
-    assert seen.beside.min() > 59
+    assert len(coloured.on_balls) <= 2 * scan_colouring.MOST_ON_BALL
+    assert 0 < len(coloured.background) <= scan_colouring.MOST_BACKGROUND
+    assert coloured.background.min() > 59
 
 
-def test_a_scan_without_balls_is_all_beside():
-    seen = camera.look(np.random.default_rng(0).uniform(0, 9, (50, 3)), CELL.artefacts[0], np.zeros(0, int), np.zeros((0, 3)))
-    assert len(seen.on_balls) == 0
-    assert len(seen.beside) == 50
+def test_a_scan_without_balls_is_all_background():
+    coloured = scan_colouring.colour_scan(
+        np.random.default_rng(0).uniform(0, 9, (50, 3)), CELL.artefacts[0], np.zeros(0, int), np.zeros((0, 3))
+    )
+    assert len(coloured.on_balls) == 0
+    assert len(coloured.background) == 50
 
 
-def test_each_way_ends_at_its_pose():
+def test_each_path_ends_at_its_pose():
     rng = np.random.default_rng(1)
     route = {7: rng.normal(size=(3, 6)), 8: rng.normal(size=(1, 6))}
     strips = flange_strips(CELL, np.zeros(6), route)
-    for strip, legs in zip(strips, route.values(), strict=True):
-        np.testing.assert_allclose(strip[-1], CELL.robot.chain.flange(legs[-1:])[0, :3, 3], atol=1e-3)
+    for strip, ends in zip(strips, route.values(), strict=True):
+        np.testing.assert_allclose(strip[-1], CELL.robot.chain.flange(ends[-1:])[0, :3, 3], atol=1e-3)
     np.testing.assert_allclose(strips[1][0], strips[0][-1], atol=1e-3)
 
 
@@ -122,7 +124,7 @@ def test_a_urdf_of_the_same_arm_is_drawn_and_moves(tmp_path):
         ("no xml", "cannot be read as a URDF"),
     ],
 )
-def test_another_urdf_is_told_and_the_links_are_drawn(tmp_path, text, what):
+def test_another_urdf_is_refused_with_a_warning_and_the_links_are_drawn(tmp_path, text, what):
     from dataclasses import replace
 
     file = tmp_path / "arm.urdf"

@@ -7,7 +7,7 @@ from mbcacq.errors import Aborted
 from mbcacq.recording import Recorder, Recording
 
 
-def test_the_end_is_recorded_wherever_the_signal_came(tmp_path, monkeypatch):
+def test_the_end_of_a_run_is_recorded_though_a_signal_came_while_writing(tmp_path, monkeypatch):
     stream = list(synthetic.run())
     writing = vars(Recorder)["_write"]  # dispatches by the kind of event
 

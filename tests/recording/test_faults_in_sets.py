@@ -7,7 +7,7 @@ import re
 import pytest
 
 from mbcacq.errors import ConfigError
-from mbcacq.recording import load
+from mbcacq.recording import load_observations
 
 FAULTS = [
     ("poses.csv", "10.25", "ten", r"poses\.csv:3: column q1_deg: 'ten' is not a number"),
@@ -47,7 +47,7 @@ def test_a_fault_is_named_with_its_place(a_set, file, old, new, message):
     assert old in text
     (a_set / file).write_text(text.replace(old, new) if old == "," else text.replace(old, new, 1))
     with pytest.raises(ConfigError) as caught:
-        load(a_set)
+        load_observations(a_set)
     assert re.search(message, str(caught.value)), str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -57,51 +57,51 @@ def test_a_file_without_rows_is_refused(a_set, file):
     header = (a_set / file).read_text().splitlines()[0]
     (a_set / file).write_text(header + "\n")
     with pytest.raises(ConfigError, match="no rows below the header"):
-        load(a_set)
+        load_observations(a_set)
     (a_set / file).write_text("")
     with pytest.raises(ConfigError, match="the file is empty"):
-        load(a_set)
+        load_observations(a_set)
 
 
-def test_a_direction_that_is_none(a_set):
+def test_a_direction_other_than_minus_one_zero_and_one_is_refused(a_set):
     path = a_set / "poses.csv"
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head + ",dir1,dir2,dir3,dir4,dir5,dir6", rows[0] + ",1,0,-1,1,1,1", rows[1] + ",1,0,-1,2,1,1"]))
     with pytest.raises(ConfigError, match=r"poses\.csv:3: column dir4: '2' is none of -1, 0, 1"):
-        load(a_set)
+        load_observations(a_set)
 
 
-def test_a_quaternion_that_is_none(a_set):
+def test_a_quaternion_that_is_not_of_unit_length_is_refused(a_set):
     path = a_set / "centres.csv"
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head + ",qw,qx,qy,qz", rows[0] + ",1,0,0,0", rows[1] + ",0.9,0,0,0", rows[2] + ",1,0,0,0"]))
     with pytest.raises(ConfigError, match=r"centres\.csv:3: column qw: qw, qx, qy, qz have length 0.9, not 1"):
-        load(a_set)
+        load_observations(a_set)
 
 
-def test_bytes_that_are_no_text(a_set):
+def test_bytes_that_are_no_text_are_refused(a_set):
     path = a_set / "poses.csv"
     path.write_bytes(path.read_bytes().replace(b"first", b"caf\xe9"))
     with pytest.raises(ConfigError, match=r"poses\.csv:2: not UTF-8 text \(byte 0xe9\)"):
-        load(a_set)
+        load_observations(a_set)
 
 
-def test_neither_centres_nor_clouds(a_set):
+def test_a_set_with_neither_centres_nor_clouds_is_refused(a_set):
     (a_set / "centres.csv").unlink()
     with pytest.raises(ConfigError, match=r"neither centres\.csv nor a folder scans"):
-        load(a_set)
+        load_observations(a_set)
 
 
-def test_a_path_that_is_nothing_names_what_is_accepted(tmp_path):
+def test_a_path_that_is_no_data_is_refused_with_what_is_accepted(tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
     for path in (tmp_path, tmp_path / "notes.txt", tmp_path / "absent"):
         with pytest.raises(ConfigError, match=r"a run folder \(with run\.rrd\), a recording \(\.rrd\), or an observation-set folder"):
-            load(path)
+            load_observations(path)
 
 
-def test_keys_of_other_programs_are_passed_over(a_set):
+def test_keys_of_other_programs_are_ignored(a_set):
     path = a_set / "cell.yaml"
-    plain = load(a_set)
+    plain = load_observations(a_set)
     text = path.read_text()
     text = (
         text.replace("d_mm: 515", "colour: red, d_mm: 515")
@@ -110,6 +110,6 @@ def test_keys_of_other_programs_are_passed_over(a_set):
     )
     path.write_text(text + "made_by: another program\n")
     assert text.count("colour") == text.count("glued") == text.count("shelf") == 1
-    strange = load(a_set)
+    strange = load_observations(a_set)
     assert strange.cell.ball_ids == plain.cell.ball_ids
     assert (strange.cell.robot.chain.rows == plain.cell.robot.chain.rows).all()

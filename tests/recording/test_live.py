@@ -1,4 +1,4 @@
-"""A viewer that looks on live and goes away, or stops reading, costs the recording nothing."""
+"""A viewer that is connected live and goes away, or stops reading, takes nothing from the recording."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from mbcacq.recording import Recorder, Recording, load
+from mbcacq.recording import Recorder, Recording, load_observations
 from mbcacq.recording.rrd import rerun_program
 
 
@@ -25,7 +25,7 @@ def clients_of(port):
     return sum(line.split()[1] == wanted and line.split()[3] == "01" for line in Path("/proc/net/tcp").read_text().splitlines()[1:])
 
 
-def test_connections_that_break_off_or_say_nothing(tmp_path):
+def test_live_connections_that_break_off_or_stay_silent_take_nothing(tmp_path):
     with Recorder(tmp_path, live=True, port=0) as recorder:
         port, silent = port_of(recorder.live_url), []
         for number, event in enumerate(synthetic.run()):
@@ -45,7 +45,7 @@ def test_connections_that_break_off_or_say_nothing(tmp_path):
     with Recorder(plain) as recorder:
         for event in synthetic.run():
             recorder(event)
-    np.testing.assert_array_equal(load(tmp_path).xyz, load(plain).xyz)
+    np.testing.assert_array_equal(load_observations(tmp_path).xyz, load_observations(plain).xyz)
 
 
 @pytest.mark.skipif(
@@ -53,8 +53,8 @@ def test_connections_that_break_off_or_say_nothing(tmp_path):
     reason="no Vulkan driver is installed (apt-get install mesa-vulkan-drivers)",
 )
 @pytest.mark.skipif(not os.path.exists("/proc/net/tcp"), reason="asks Linux who is connected")
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
-def test_a_viewer_that_dies_or_freezes_while_it_looks_on(tmp_path, number):
+@pytest.mark.parametrize("number", ["SIGKILL", "SIGSTOP"], ids=["killed", "frozen"])
+def test_a_live_viewer_that_dies_or_freezes_takes_nothing_from_the_recording(tmp_path, number):
     stream = list(synthetic.run())
     with Recorder(tmp_path, live=True, port=0) as recorder:
         port = port_of(recorder.live_url)
@@ -75,11 +75,11 @@ def test_a_viewer_that_dies_or_freezes_while_it_looks_on(tmp_path, number):
                 time.sleep(0.05)
             for event in stream[: len(stream) // 3]:
                 recorder(event)
-            os.killpg(viewer.pid, number)
+            os.killpg(viewer.pid, signal.Signals[number])
             for event in stream[len(stream) // 3 :]:
                 recorder(event)
         finally:
             os.killpg(viewer.pid, signal.SIGKILL)
             viewer.wait()
     assert Recording(tmp_path / "run.rrd").about()["exit_status"] == "success"
-    assert load(tmp_path).n_poses == len({e.pose for e in stream if type(e).__name__ == "PoseDone"})
+    assert load_observations(tmp_path).n_poses == len({e.pose for e in stream if type(e).__name__ == "PoseDone"})

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mbcacq.model.observations import Observations
-from mbcacq.recording import load, read_observation_set, write_observation_set
+from mbcacq.recording import load_observations, read_observation_set, write_observation_set
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
@@ -31,8 +31,8 @@ def assert_same(a: Observations, b: Observations) -> None:
             assert left == right, field.name
 
 
-def test_literal_values(a_set):
-    obs = load(a_set)
+def test_the_values_of_a_small_set_are_read(a_set):
+    obs = load_observations(a_set)
     assert obs.pose_id.tolist() == [10, 11]
     assert obs.station.tolist() == [0, 1]
     assert obs.q[0, 1] == -np.pi / 2
@@ -48,40 +48,41 @@ def test_literal_values(a_set):
 
 
 def test_columns_may_stand_in_any_order_with_crlf_and_byte_order_mark(a_set):
-    before = load(a_set)
+    before = load_observations(a_set)
     rows = [line.split(",", 9) for line in (a_set / "poses.csv").read_text().splitlines()]
     (a_set / "poses.csv").write_bytes(("\ufeff" + "\r\n".join(",".join(reversed(row)) for row in rows)).encode())
-    assert_same(before, load(a_set))
+    assert_same(before, load_observations(a_set))
 
 
 def test_what_was_read_is_written_back_without_loss(a_set, tmp_path):
-    obs = load(a_set)
+    obs = load_observations(a_set)
     write_observation_set(obs, tmp_path / "copy")
-    assert_same(obs, load(tmp_path / "copy"))
+    assert_same(obs, load_observations(tmp_path / "copy"))
     assert (tmp_path / "copy" / "cell.yaml").read_text() == (a_set / "cell.yaml").read_text()
 
 
 @pytest.mark.parametrize("name", ["example-none", "example-compliance", "iiwa14-sockets", "panda-sockets", "ur5-tracker", "ur10-tracker-c"])
 def test_measured_sets_survive_the_round_trip(shared_data, tmp_path, name):
-    obs = load(shared_data / name)
+    obs = load_observations(shared_data / name)
     write_observation_set(obs, tmp_path / "copy")
-    assert_same(obs, load(tmp_path / "copy"))
+    assert_same(obs, load_observations(tmp_path / "copy"))
 
 
 def test_measured_sets_are_read_whole(shared_data):
     counts = {
-        name: (obs := load(shared_data / name)).n_poses for name in ("iiwa14-sockets", "panda-sockets", "ur5-tracker", "ur10-tracker-a")
+        name: (obs := load_observations(shared_data / name)).n_poses
+        for name in ("iiwa14-sockets", "panda-sockets", "ur5-tracker", "ur10-tracker-a")
     }
     assert counts == {"iiwa14-sockets": 180, "panda-sockets": 387, "ur5-tracker": 1000, "ur10-tracker-a": 11911}
     assert obs.rotation.shape == (11911, 3, 3)
     np.testing.assert_allclose(np.linalg.det(obs.rotation), 1.0, atol=1e-12)
-    assert load(shared_data / "iiwa14-sockets").q.shape == (180, 7)
+    assert load_observations(shared_data / "iiwa14-sockets").q.shape == (180, 7)
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_arrays_survive_the_round_trip(a_set, tmp_path, data):
-    cell = load(a_set).cell
+    cell = load_observations(a_set).cell
     poses = data.draw(st.integers(1, 6))
 
     def draw(*shape):
@@ -112,20 +113,20 @@ def test_any_arrays_survive_the_round_trip(a_set, tmp_path, data):
     )
     shutil.rmtree(tmp_path / "any", ignore_errors=True)
     write_observation_set(obs, tmp_path / "any")
-    assert_same(obs, load(tmp_path / "any"))
+    assert_same(obs, load_observations(tmp_path / "any"))
 
 
 def test_a_changed_cell_is_written_anew(a_set, tmp_path):
-    obs = load(a_set)
+    obs = load_observations(a_set)
     moved = obs.cell.T_flange_scanner.copy()
     moved[0, 3] += 0.125
     changed = dataclasses.replace(obs, cell=dataclasses.replace(obs.cell, T_flange_scanner=moved))
     write_observation_set(changed, tmp_path / "copy")
-    np.testing.assert_array_equal(load(tmp_path / "copy").cell.T_flange_scanner, moved)
+    np.testing.assert_array_equal(load_observations(tmp_path / "copy").cell.T_flange_scanner, moved)
 
 
 def test_a_cell_survives_yaml_bit_for_bit(a_set):
-    cell = load(a_set).cell
+    cell = load_observations(a_set).cell
     back = parse_cell(cell_to_yaml(cell))
     np.testing.assert_array_equal(back.robot.chain.rows, cell.robot.chain.rows)
     np.testing.assert_array_equal(back.T_flange_scanner, cell.T_flange_scanner)
@@ -134,11 +135,11 @@ def test_a_cell_survives_yaml_bit_for_bit(a_set):
     assert back.robot.repeatability_mm == 0.02
 
 
-def test_orientations_come_back(a_set):
+def test_orientations_survive_the_round_trip(a_set):
     text = (a_set / "centres.csv").read_text().splitlines()
     half = "0.7071067811865476"
     (a_set / "centres.csv").write_text("\n".join([text[0] + ",qw,qx,qy,qz", *(f"{row},{half},0,0,{half}" for row in text[1:])]))
     obs = read_observation_set(a_set)
     np.testing.assert_allclose(obs.rotation[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)  # a quarter turn about z
     write_observation_set(obs, a_set)
-    np.testing.assert_array_equal(load(a_set).rotation, obs.rotation)
+    np.testing.assert_array_equal(load_observations(a_set).rotation, obs.rotation)

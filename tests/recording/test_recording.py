@@ -14,7 +14,7 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.recording import Journal, Recorder, Recording, load, poses_done, write_observation_set
+from mbcacq.recording import Journal, Recorder, Recording, load_observations, poses_done, write_observation_set
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
@@ -31,7 +31,7 @@ def record(folder, stream, **options):
 
 def test_observations_are_those_of_the_run(a_run):
     done = of(events.PoseDone, synthetic.run())
-    for obs in (load(a_run), load(a_run / "run.rrd")):
+    for obs in (load_observations(a_run), load_observations(a_run / "run.rrd")):
         assert obs.pose_id.tolist() == [0, 1, 2, 3]
         np.testing.assert_array_equal(obs.q, [e.q for e in done])
         np.testing.assert_array_equal(obs.direction, [e.direction for e in done])
@@ -48,9 +48,9 @@ def test_observations_are_those_of_the_run(a_run):
 
 
 def test_a_recording_becomes_an_observation_set_and_loses_nothing(a_run, tmp_path):
-    obs = load(a_run)
+    obs = load_observations(a_run)
     write_observation_set(obs, tmp_path / "set")
-    back = load(tmp_path / "set")
+    back = load_observations(tmp_path / "set")
     for field in dataclasses.fields(obs):
         value = getattr(obs, field.name)
         if isinstance(value, np.ndarray):
@@ -81,7 +81,7 @@ def test_every_scan_comes_back(a_run):
         assert back.scan.measurements == {"width": 1.25}
 
 
-def test_a_scan_without_intensity_and_a_pose_without_current(tmp_path):
+def test_a_scan_without_intensity_and_a_pose_without_current_come_back(tmp_path):
     rng = np.random.default_rng(3)
     stream = list(synthetic.run())
     bare = dataclasses.replace(synthetic.scan(rng), intensity=None, pixel=None, measurements={})
@@ -92,7 +92,7 @@ def test_a_scan_without_intensity_and_a_pose_without_current(tmp_path):
     assert scan.intensity is None
     assert scan.pixel is None
     assert scan.measurements == {}
-    assert load(tmp_path).temperatures == {}
+    assert load_observations(tmp_path).temperatures == {}
 
 
 def test_the_run_itself_is_in_it(a_run):
@@ -183,7 +183,7 @@ def test_a_resumed_run_is_one_run(tmp_path):
         assert second.recording_id == first.recording_id
         for event in again:
             second(event)
-    obs = load(tmp_path)
+    obs = load_observations(tmp_path)
     assert obs.pose_id.tolist() == [0, 1, 2, 3]
     done = of(events.PoseDone, stream[:cut])[:1] + of(events.PoseDone, again)  # pose 1 was measured twice; the later one counts
     np.testing.assert_array_equal(obs.q, [e.q for e in done])
@@ -204,7 +204,7 @@ def test_a_controller_that_starts_anew_at_once_does_not_turn_time_back(tmp_path)
         for number in (2, 3):
             for event in synthetic.pose(rng, number, 1.0 + number - 2):
                 second(dataclasses.replace(event, robot_time_s=1000.0 + 50 * (number - 2)) if isinstance(event, events.PoseDone) else event)
-    assert load(tmp_path).time_s.tolist() == pytest.approx([1000.0, 1050.0, 1069.0, 1119.0])
+    assert load_observations(tmp_path).time_s.tolist() == pytest.approx([1000.0, 1050.0, 1069.0, 1119.0])
 
 
 def test_a_recording_is_never_overwritten(a_run):
@@ -214,11 +214,11 @@ def test_a_recording_is_never_overwritten(a_run):
     assert (a_run / "run.rrd").read_bytes() == before
 
 
-def test_what_is_no_recording(tmp_path):
+def test_what_is_no_recording_is_refused(tmp_path):
     for content in (b"", b"RRF2", b"hello world, this is no recording" * 10):
         (tmp_path / "x.rrd").write_bytes(content)
         with pytest.raises(RecordingError):
-            load(tmp_path / "x.rrd")
+            load_observations(tmp_path / "x.rrd")
     with pytest.raises(ConfigError, match="does not exist"):
         Recording(tmp_path / "absent.rrd")
 
@@ -226,7 +226,7 @@ def test_what_is_no_recording(tmp_path):
 def test_a_run_without_a_finished_pose_says_so(tmp_path):
     record(tmp_path, list(synthetic.run())[:8])
     with pytest.raises(RecordingError, match="no finished pose"):
-        load(tmp_path)
+        load_observations(tmp_path)
 
 
 def test_a_fault_in_an_event_keeps_what_came_before(tmp_path):
@@ -238,7 +238,7 @@ def test_a_fault_in_an_event_keeps_what_came_before(tmp_path):
     with pytest.raises(RecordingError, match="what came before is kept"):
         recorder(events.HealthReceived(9.0, "scanner", {"temperature": "warm"}))
     recorder.close()
-    assert load(tmp_path).pose_id.tolist() == [0, 1]
+    assert load_observations(tmp_path).pose_id.tolist() == [0, 1]
 
 
 def test_live_serves_this_computer_only(tmp_path):
@@ -255,7 +255,7 @@ def test_live_serves_this_computer_only(tmp_path):
         }
         assert listening == {"127.0.0.1"}
         assert f"127.0.0.1:{port}" in recorder.live_url
-    assert load(tmp_path).n_poses == 4
+    assert load_observations(tmp_path).n_poses == 4
 
 
 def test_a_taken_port_does_not_end_a_live_run(tmp_path):
@@ -263,7 +263,7 @@ def test_a_taken_port_does_not_end_a_live_run(tmp_path):
         assert str(other.getsockname()[1]) not in recorder.live_url
         for event in synthetic.run():
             recorder(event)
-    assert load(tmp_path).n_poses == 4
+    assert load_observations(tmp_path).n_poses == 4
 
 
 def test_without_live_nothing_listens(tmp_path):
@@ -275,11 +275,11 @@ def test_without_live_nothing_listens(tmp_path):
     assert after == before
 
 
-def test_the_result_stands_beside_the_run(a_run):
+def test_the_result_is_written_next_to_the_run(a_run):
     from mbcacq.estimation.forward_model import CellState
     from mbcacq.recording import log_result
 
-    obs = load(a_run)
+    obs = load_observations(a_run)
     place = np.eye(4)
     place[:3, 3] = [300.0, 0.0, 100.0]
     state = CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, np.stack([place, np.eye(4)]), obs.cell.ball_centres)
@@ -291,16 +291,16 @@ def test_the_result_stands_beside_the_run(a_run):
     T = obs.cell.robot.chain.flange(obs.q[:1])[0] @ obs.cell.T_flange_scanner
     expected = obs.xyz[0] - T[:3, :3].T @ (place[:3, 3] + obs.cell.ball_centres[0] - T[:3, 3])  # measured minus where the cell says it is
     np.testing.assert_allclose(rows[0]["after_mm"].reshape(-1, 3)[0], expected, atol=1e-9)
-    assert load(a_run).n_poses == 4
+    assert load_observations(a_run).n_poses == 4
 
 
-@pytest.mark.parametrize("beside", [True, False])
-def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, beside):
+@pytest.mark.parametrize("of_a_run", [True, False])
+def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, of_a_run):
     from rerun.chunk import RrdReader
 
     from mbcacq.recording import write_diagnosis
 
-    obs = load(a_run)
+    obs = load_observations(a_run)
     before = np.array([[0.003, 0, 0], [0, 0.004, 0], [0, 0, 0.005]])
     centres = {
         "pose": [0, 0, 1],
@@ -311,17 +311,17 @@ def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, beside)
         "of": 3,
     }
     cause = {"name": "q2", "label": "angle of A2", "unit": "deg", "values": [10.0, 10.0, 30.0]}
-    path = write_diagnosis(tmp_path / "errors.rrd", obs, "# Why", {"centres": centres, "causes": [cause]}, a_run if beside else None)
+    path = write_diagnosis(tmp_path / "errors.rrd", obs, "# Why", {"centres": centres, "causes": [cause]}, a_run if of_a_run else None)
     curves = {}
     for chunk in RrdReader(path).stream().filter(content=f"/{layout.DIAGNOSIS}/**"):
         batch = chunk.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
             curves[chunk.entity_path.rsplit("/", 1)[1]] = np.concatenate(batch.column("Scalars:scalars").to_pylist())
-            assert (layout.TIME in batch.schema.names) == beside  # a run's own clock, where there is one
+            assert (layout.TIME in batch.schema.names) == of_a_run  # a run's own clock, where there is one
     np.testing.assert_allclose(curves["before"], [1e3 * np.sqrt((0.003**2 + 0.004**2) / 2), 5.0])  # um, rms of a pose
     np.testing.assert_allclose(curves["after"], curves["before"] / 10)
     np.testing.assert_allclose(curves["q2"], [10.0, 30.0])
-    if beside:
+    if of_a_run:
         assert RrdReader(path).recordings()[0].recording_id == Recording(a_run / "run.rrd").recording_id
 
 
@@ -332,14 +332,14 @@ def test_subscribers_may_call_from_several_threads(tmp_path):
     batches = [synthetic.cycles(rng, 0.04 * k) for k in range(50)]
     with Recorder(tmp_path) as recorder:
         recorder(synthetic.start())
-        pump = threading.Thread(target=lambda: [recorder(events.CyclesReceived(0.04 * k, b)) for k, b in enumerate(batches)])
-        pump.start()
+        sender = threading.Thread(target=lambda: [recorder(events.CyclesReceived(0.04 * k, b)) for k, b in enumerate(batches)])
+        sender.start()
         for number in range(3):
             for event in synthetic.pose(np.random.default_rng(number), number, 1.0 + number):
                 if not isinstance(event, events.CyclesReceived):
                     recorder(event)
-        pump.join()
-    assert load(tmp_path).pose_id.tolist() == [0, 1, 2]
+        sender.join()
+    assert load_observations(tmp_path).pose_id.tolist() == [0, 1, 2]
     np.testing.assert_array_equal(Recording(tmp_path / "run.rrd").cycles().columns["q"], np.concatenate([b.columns["q"] for b in batches]))
 
 
@@ -353,13 +353,13 @@ def test_the_command_line_exports_and_recovers(a_run, tmp_path):
 
     out = mbcacq("export", a_run, "--observations", tmp_path / "set", "--scans", "--trajectory", tmp_path / "time")
     assert out.returncode == 0, out.stderr
-    np.testing.assert_array_equal(load(tmp_path / "set").xyz, load(a_run).xyz)
+    np.testing.assert_array_equal(load_observations(tmp_path / "set").xyz, load_observations(a_run).xyz)
     assert sorted(path.name for path in (tmp_path / "set" / "scans").iterdir()) == ["0.ply", "1.ply", "2.ply", "3.ply"]
     again = mbcacq("export", a_run, "--observations", tmp_path / "set")
     assert again.returncode == 2
     assert "already holds a set" in again.stderr
-    told = mbcacq("recover", a_run, "--json")
-    assert json.loads(told.stdout)["recordings"][0] | {"source": 0, "output": 0} == {
+    recovered = mbcacq("recover", a_run, "--json")
+    assert json.loads(recovered.stdout)["recordings"][0] | {"source": 0, "output": 0} == {
         "source": 0,
         "output": 0,
         "damaged": False,

@@ -6,7 +6,7 @@ import synthetic
 
 from mbcacq.errors import ConfigError
 from mbcacq.model import shipped
-from mbcacq.recording import load, read_trajectory_set
+from mbcacq.recording import load_observations, load_trajectories, read_trajectory_set
 from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
 from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
@@ -32,7 +32,7 @@ def a_trajectory(tmp_path):
     return tmp_path
 
 
-def test_literal_values(a_trajectory):
+def test_the_values_of_a_small_set_are_read(a_trajectory):
     t = read_trajectory_set(a_trajectory)
     assert t.robot.gear_ratio.tolist() == [100, 50.5]
     assert t.q[0].tolist() == [np.pi / 2, -np.pi / 4]
@@ -46,7 +46,7 @@ def test_literal_values(a_trajectory):
     assert (t.q_set, t.motor_torque) == (None, None)
 
 
-def test_round_trip(a_trajectory, tmp_path):
+def test_a_trajectory_survives_writing_and_reading(a_trajectory, tmp_path):
     t = read_trajectory_set(a_trajectory)
     write_trajectory_set(t, tmp_path / "copy")
     back = read_trajectory_set(tmp_path / "copy")
@@ -55,7 +55,7 @@ def test_round_trip(a_trajectory, tmp_path):
     np.testing.assert_array_equal(back.robot.chain.rows, t.robot.chain.rows)
 
 
-def test_measured_trajectories(shared_data):
+def test_measured_trajectories_are_read_whole(shared_data):
     t = read_trajectory_set(shared_data / "kr300-trajectory-a")
     assert t.q.shape == t.q_set.shape == t.motor_torque.shape == (2501, 6)
     assert np.isfinite(t.q_joint).all(axis=0).tolist() == [True, True, True, False, False, False]
@@ -84,7 +84,7 @@ def test_a_fault_is_named_with_its_place(a_trajectory, file, old, new, message):
         read_trajectory_set(a_trajectory)
 
 
-def test_a_robot_of_the_tool_by_name(tmp_path):
+def test_a_shipped_robot_is_taken_by_its_name(tmp_path):
     assert "kr300_r2700_2" in shipped.robots()
     (tmp_path / "cell.yaml").write_text("format: mbcacq-trajectory-set/1\nrobot: {model: kr6_r900_2, payload: {mass_kg: 2}}\n")
     (tmp_path / "trajectory.csv").write_text("time_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n0,0,0,0,0,0,0\n")
@@ -96,9 +96,9 @@ def test_a_robot_of_the_tool_by_name(tmp_path):
         read_trajectory_set(tmp_path)
 
 
-def test_load_says_what_a_trajectory_set_is_for(a_trajectory):
+def test_load_observations_refuses_a_trajectory_set(a_trajectory):
     with pytest.raises(ConfigError, match="only mbcacq diagnose takes it"):
-        load(a_trajectory)
+        load_observations(a_trajectory)
 
 
 def test_the_cycles_of_a_run_are_a_trajectory(a_run):
@@ -110,3 +110,15 @@ def test_the_cycles_of_a_run_are_a_trajectory(a_run):
     np.testing.assert_array_equal(t.q_set, np.concatenate([c["q_command"] for c in sent]))
     assert np.all(np.diff(t.time_s) > 0)
     assert t.robot.name == "six axes"
+
+
+def test_load_trajectories_takes_one_path_or_several_of_either_kind(a_run, a_trajectory):
+    run, folder = load_trajectories([a_run, str(a_trajectory)])
+    np.testing.assert_array_equal(run.q, trajectory_of_run(a_run).q)
+    np.testing.assert_array_equal(folder.q, read_trajectory_set(a_trajectory).q)
+    assert [t.name for t in load_trajectories(a_trajectory)] == [str(a_trajectory)]
+
+
+def test_load_trajectories_refuses_what_holds_no_trajectory(a_set):
+    with pytest.raises(ConfigError, match="holds no trajectory"):
+        load_trajectories(a_set)

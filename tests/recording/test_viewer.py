@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import struct
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -33,16 +34,16 @@ def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, v
     pictures = open_viewer.screenshots(open_viewer.files(a_run), tmp_path / "pictures", (800, 600), pose=1)
     assert headless() <= before
     assert [p.name for p in pictures] == ["cell.png", "motion.png", "spheres.png", "calibration.png", "diagnosis.png"]
-    seen = {p.read_bytes() for p in pictures}
-    assert len(seen) == 5  # each tab looks different
-    for data in seen:
+    images = {p.read_bytes() for p in pictures}
+    assert len(images) == 5  # each tab looks different
+    for data in images:
         assert data[:8] == b"\x89PNG\r\n\x1a\n"
         width, height = struct.unpack(">II", data[16:24])
         assert width * 600 == height * 800
         assert len(data) > 20_000  # more than an empty window
 
 
-def test_files_of_a_run(a_run, tmp_path):
+def test_the_viewer_opens_the_recording_and_the_result_of_a_run(a_run, tmp_path):
     assert open_viewer.files(a_run) == [a_run / "run.rrd"]
     shutil.copy(a_run / "run.rrd", a_run / layout.RESULT_FILE)
     assert open_viewer.files(a_run) == [a_run / "run.rrd", a_run / layout.RESULT_FILE]
@@ -52,11 +53,12 @@ def test_files_of_a_run(a_run, tmp_path):
         open_viewer.files(tmp_path / "absent.rrd")
 
 
-def test_a_pose_that_was_not_taken(a_run, tmp_path):
+def test_a_picture_of_a_pose_that_was_not_measured_is_refused(a_run, tmp_path):
     with pytest.raises(ConfigError, match="pose 99 is not in the recording"):
         open_viewer.screenshots(open_viewer.files(a_run), tmp_path, pose=99)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="the program is a POSIX shell script")
 def test_a_program_that_hangs_is_stopped(tmp_path, monkeypatch):
     fake = tmp_path / "rerun"
     fake.write_text("#!/bin/sh\nsleep 60\n")

@@ -1,8 +1,10 @@
-"""Records made events for ever, in real time, and tells what it has handed over: to be killed. Arguments: folder [file size limit]."""
+"""Records synthetic events for ever, in real time, and prints what it has handed over: to be killed. Arguments: folder [file size limit].
+
+The limit stands for a full disk and needs POSIX.
+"""
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 
@@ -16,6 +18,8 @@ from mbcacq.recording import Journal, Recorder
 
 def main(folder: str, limit: int | None) -> int:
     if limit is not None:
+        import resource
+
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     rng = np.random.default_rng(0)
     try:

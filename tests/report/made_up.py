@@ -1,4 +1,4 @@
-"""A diagnosis and the devices of a run, made from numbers: for pages that need everything."""
+"""A synthetic diagnosis and devices of a run, for pages that need everything."""
 
 import numpy as np
 

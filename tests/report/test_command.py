@@ -1,4 +1,4 @@
-"""``mbcacq report`` on data of every kind, and what it says of a run's devices and diagnosis."""
+"""``mbcacq report`` on data of every kind, and its sections on devices and diagnosis."""
 
 import json
 import shutil
@@ -13,8 +13,8 @@ from mbcacq.acquisition import events
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.recording import Journal
-from mbcacq.report import everything_about, report_from_result, write_diagnosis_page
-from mbcacq.report.sources.diagnosis_content import split_unit, told
+from mbcacq.report import read_run_info, report_from_result, write_diagnosis_page
+from mbcacq.report.sources.from_diagnosis import diagnosis_content, split_unit
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_a_report_of_an_observation_set(a_set, tmp_path):
     assert "Accuracy map" in page.words
 
 
-def test_what_a_recording_lacks_is_said_by_calibrate_and_by_the_report(a_set, tmp_path):
+def test_calibrate_and_report_name_the_gaps_of_a_recording(a_set, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(a_set, run)
     with Journal(run) as journal:
@@ -89,15 +89,15 @@ def test_what_a_recording_lacks_is_said_by_calibrate_and_by_the_report(a_set, tm
     assert f"The recording lacks something: {'; '.join(said)}." in Page((run / "report.html").read_text(encoding="utf-8")).words
 
 
-def test_a_file_needs_a_place_for_its_report(a_set, tmp_path):
+def test_a_file_needs_a_path_for_its_report(a_set, tmp_path):
     with pytest.raises(ConfigError, match="--out"):
         CliRunner().invoke(app, ["report", str(a_set / "cell.yaml")], standalone_mode=False, catch_exceptions=False)
 
 
-def test_the_diagnosis_of_a_run_folder_is_told(tmp_path):
+def test_the_diagnosis_of_a_run_folder_is_reported(tmp_path):
     (tmp_path / "diagnosis.json").write_text(json.dumps(diagnosis()))
     (tmp_path / "diagnosis-pictures.json").write_text(json.dumps(pictures()))
-    info = everything_about(tmp_path)
+    info = read_run_info(tmp_path)
     words = Page(
         report_from_result(make_result(), path=tmp_path / "r.html", observations=make_observations(), run_info=info).read_text(
             encoding="utf-8"
@@ -106,25 +106,25 @@ def test_the_diagnosis_of_a_run_folder_is_told(tmp_path):
     assert "Joint compliance at A2" in words
     assert "A2 compliance 2.094 0.092 µrad/(N m)" in words
     assert "A2 order [2] 100.08 0.021" in words
-    assert "data that took no part (by station) 14.9 µm (χ²/dof 2.10) 9.7 µm (χ²/dof 1.03)" in words
+    assert "held-out data (by station) 14.9 µm (χ²/dof 2.10) 9.7 µm (χ²/dof 1.03)" in words
     assert "below 1%" in words
     assert "Mind it where you use the cell: joint compliance at A2" in words
 
 
-def test_pictures_that_are_damaged_leave_the_words(tmp_path):
-    assert told(diagnosis(), {"format": "other"}).curves == []
-    assert told(diagnosis(), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
+def test_damaged_pictures_are_left_out_and_the_text_stays(tmp_path):
+    assert diagnosis_content(diagnosis(), {"format": "other"}).curves == []
+    assert diagnosis_content(diagnosis(), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
     (tmp_path / "diagnosis.json").write_text('{"torn')
-    assert "diagnosis" not in everything_about(tmp_path)
+    assert "diagnosis" not in read_run_info(tmp_path)
 
 
 def test_a_diagnosis_as_a_page_of_its_own(tmp_path):
     page = Page(write_diagnosis_page(diagnosis(), pictures(), tmp_path / "d.html").read_text(encoding="utf-8"))
     assert page.loads == []
-    assert "The effects below bring the simulation down to the measured noise" in page.words
+    assert "With the effects below the model explains the data down to the measured noise" in page.words
 
 
-def test_devices_are_told(tmp_path):
+def test_timing_and_health_of_devices_are_reported(tmp_path):
     words = Page(
         report_from_result(make_result(), path=tmp_path / "r.html", run_info={"devices": devices()}).read_text(encoding="utf-8")
     ).words
@@ -152,7 +152,7 @@ def test_the_one_thing_to_do_next(tmp_path, change, what):
     assert f"Next: {what}" in words
 
 
-def test_units_are_told_apart_from_names():
+def test_units_are_separated_from_names():
     assert split_unit("A2.compliance_rad_per_Nm") == ("A2 compliance", "µrad/(N m)")
     assert split_unit("link2.time_constant_s") == ("link2 time constant", "s")
     assert split_unit("A4.order") == ("A4 order", "")
@@ -160,7 +160,7 @@ def test_units_are_told_apart_from_names():
 
 def test_the_largest_recording_makes_a_small_page(tmp_path):
     """Fifteen thousand poses: what is drawn is thinned, the largest are all there."""
-    from mbcacq.report.charts.calibration_charts import MOST, thinned
+    from mbcacq.report.charts.style import MOST, thinned
 
     size = np.abs(np.random.default_rng(0).normal(size=15_000))
     keep = thinned(size)

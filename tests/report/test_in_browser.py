@@ -54,7 +54,7 @@ def whole_page(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 900, False), (390, 844, True)])
-def test_everything_is_drawn_and_nothing_asked_for(whole_page, width, height, mobile):
+def test_everything_is_drawn_and_nothing_is_requested(whole_page, width, height, mobile):
     with Browser(width, height, mobile) as browser:
         browser.open(whole_page)
         assert browser.console == []
@@ -67,7 +67,7 @@ def test_everything_is_drawn_and_nothing_asked_for(whole_page, width, height, mo
         assert browser.run("document.documentElement.scrollWidth") <= width
 
 
-def test_the_first_screen_answers(whole_page):
+def test_verdict_picture_and_next_action_are_on_the_first_screen(whole_page):
     with Browser(1280, 900) as browser:
         browser.open(whole_page)
         for part in (".verdict", ".picture", ".next", "dl.numbers"):

@@ -1,4 +1,4 @@
-"""The report says what the result says, is one file that loads nothing, and lets no text out of its place."""
+"""The report agrees with the result, is one file that loads nothing, and escapes every text from files."""
 
 import copy
 import json
@@ -14,7 +14,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
-from mbcacq.report import about_run, report_from_result
+from mbcacq.report import read_run_identity, report_from_result
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
 CHAIN = Chain(
@@ -172,7 +172,7 @@ def test_the_table_is_that_of_the_published_experiment(tmp_path):
         (None, "none", "Calibrated and verified"),
     ],
 )
-def test_the_verdict_considers_the_certificate(tmp_path, limit, level, headline):
+def test_the_verdict_considers_the_uncertainty_of_the_certificate(tmp_path, limit, level, headline):
     report = page(tmp_path, make_result(limit), observations=make_observations())
     assert headline in report.words
     assert f'class="verdict {level}"' in (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -186,9 +186,9 @@ def test_without_verification_nothing_is_claimed(tmp_path):
     assert "Passed" not in words
 
 
-def test_verification_on_the_poses_of_the_fit_is_called_so(tmp_path):
+def test_verification_on_the_poses_of_the_fit_is_labelled_as_such(tmp_path):
     result = make_result()
-    assert "took no part in the calibration" in page(tmp_path, result).words
+    assert "were not used in the calibration" in page(tmp_path, result).words
     result["verification"]["places"][0]["station"] = "s1"
     assert "took part in the calibration" in page(tmp_path, result).words
 
@@ -204,19 +204,19 @@ def test_parameters_with_their_standard_deviations(tmp_path):
     assert "pose 41 ball 2" in words
 
 
-def test_poses_held_out_are_told(tmp_path):
+def test_the_residual_of_held_out_poses_is_reported(tmp_path):
     assert "held out" not in page(tmp_path, make_result()).words
     result = make_result() | {"held_out": {"split": "station", "poses": 64, "rms_mm": 0.0213}}
     assert "poses held out, 3D rms 21.3 µm (64 poses, by station)" in page(tmp_path, result).words
 
 
-def test_a_run_folder_tells_what_it_was(tmp_path):
-    assert about_run(tmp_path / "nowhere") == {}
+def test_name_start_versions_and_plan_come_from_the_run_folder(tmp_path):
+    assert read_run_identity(tmp_path / "nowhere") == {}
     (tmp_path / "plan.yaml").write_text("format: mbcacq-plan/1\n")
     (tmp_path / "journal.jsonl").write_text(
         '{"event": "run_started", "name": "cell 7", "started": "2026-11-21T07:45:48+00:00", "versions": {"numpy": "2.4.6"}}\n{"torn'
     )
-    info = about_run(tmp_path)
+    info = read_run_identity(tmp_path)
     assert info == {
         "name": "cell 7",
         "started": "2026-11-21T07:45:48+00:00",
@@ -227,7 +227,7 @@ def test_a_run_folder_tells_what_it_was(tmp_path):
     assert "cell 7 · 2026-11-21 07:45 UTC" in words
     assert "format: mbcacq-plan/1" in words
     (tmp_path / "journal.jsonl").write_text("torn")
-    assert list(about_run(tmp_path)) == ["plan_yaml"]
+    assert list(read_run_identity(tmp_path)) == ["plan_yaml"]
 
 
 def test_residuals_need_the_recording(tmp_path):
@@ -323,7 +323,7 @@ def test_a_result_survives_its_file(tmp_path):
     assert Page(a).words == Page(b).words
 
 
-def test_a_place_that_cannot_be_written(tmp_path):
+def test_a_path_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot be written"):
         report_from_result(make_result(), path=tmp_path / "file" / "r.html")

@@ -35,11 +35,11 @@ def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(tmp_path):
     assert "Traceback" not in first
     assert "disk" in first
     assert "resume the run" in first or "mbcacq recover" in first
-    from mbcacq.recording import find_gaps, load
+    from mbcacq.recording import find_gaps, load_observations
 
     assert mbcacq("recover", tmp_path / "full").returncode == 0
-    kept = load(tmp_path / "full").pose_id.tolist()
+    kept = load_observations(tmp_path / "full").pose_id.tolist()
     assert 1 <= len(kept) < 10
     assert any("planned poses were not measured" in gap for gap in find_gaps(tmp_path / "full"))
     assert (tmp_path / "again").read_text().strip() == "0", (tmp_path / "second").read_text()
-    assert sorted(load(tmp_path / "run").pose_id.tolist()) == list(range(10))
+    assert sorted(load_observations(tmp_path / "run").pose_id.tolist()) == list(range(10))

@@ -13,7 +13,7 @@ from mbcacq.devices import load_driver
 from mbcacq.errors import ExitCode, MbcacqError
 from mbcacq.plan import expand, load
 from mbcacq.recording import Recording, find_gaps
-from mbcacq.recording import load as load_run
+from mbcacq.recording import load_observations as load_run
 from mbcacq.workflow import run
 
 

@@ -15,7 +15,7 @@ import pytest
 import yaml
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
-from mbcacq.recording import Recording, find_gaps, load
+from mbcacq.recording import Recording, find_gaps, load_observations
 from mbcacq.recording.rrd import layout
 
 
@@ -52,7 +52,7 @@ def killed_after(plan, run, poses, then_s=0.0):
 
 
 def equal(run, whole):
-    a, b = load(whole), load(run)
+    a, b = load_observations(whole), load_observations(run)
     assert sorted(b.pose_id.tolist()) == a.pose_id.tolist() == list(range(7))
     order = np.argsort(b.pose_id)
     rows = np.argsort(np.argsort(order)[b.pose], kind="stable")

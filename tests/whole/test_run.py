@@ -100,14 +100,14 @@ def test_an_interrupted_run_is_resumed_into_the_same_result(tmp_path):
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     mbcacq("recover", run)
-    from mbcacq.recording import load, poses_done
+    from mbcacq.recording import load_observations, poses_done
 
     done = poses_done(run)
     assert 0 < len(done) < 10
-    assert load(run).n_poses >= len(done)
+    assert load_observations(run).n_poses >= len(done)
     resumed = mbcacq("run", "plans/quick.yaml", "--dry-run", "--resume", run, "--json")
     assert resumed.returncode == 0, resumed.stderr
-    observations = load(run)
+    observations = load_observations(run)
     assert sorted(observations.pose_id.tolist()) == list(range(10))
 
 
@@ -128,9 +128,9 @@ def test_an_interrupted_run_ends_in_order_with_a_complete_recording(tmp_path, nu
     assert process.returncode == code, text
     assert "Traceback" not in text
     assert "leaked" not in text
-    from mbcacq.recording import Recording, load
+    from mbcacq.recording import Recording, load_observations
 
-    assert load(run).n_poses >= 1
+    assert load_observations(run).n_poses >= 1
     assert Recording(run / "run.rrd").about()["exit_status"] == "abort"
 
 
@@ -168,9 +168,9 @@ def test_wrong_artefact_in_view_loses_nothing(tmp_path):
     done = mbcacq("run", plan_file(tmp_path, change), "--dry-run", "--out", tmp_path / "run")
     assert done.returncode == 4, done.stderr
     assert "artefact" in one_sentence(done)
-    from mbcacq.recording import load
+    from mbcacq.recording import load_observations
 
-    assert load(tmp_path / "run").n_poses >= 1
+    assert load_observations(tmp_path / "run").n_poses >= 1
 
 
 def test_a_scanner_that_is_not_there(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,8 @@ from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import CellSpec
 from mbcacq.recording.datasets.cell_writer import cell_to_yaml, robot_to_yaml
 from mbcacq.recording.datasets.yaml_text import line_of, load_yaml, read_yaml_text, validate
+
+Fault = tuple[tuple[int | str, ...], str]  # path of keys and indices in the YAML, and what is wrong there
 
 __all__ = ["cell_to_yaml", "parse_cell", "read_cell", "robot_to_yaml"]
 
@@ -31,33 +35,42 @@ def parse_cell(text: str, name: str = "cell.yaml") -> Cell:
 
 
 def _check_references(spec: CellSpec, node: yaml.Node, name: str) -> None:
-    def refuse(path: tuple[int | str, ...], text: str) -> None:
+    """Raise ConfigError at the first id, reference, direction or rotation that a schema cannot check."""
+    for path, text in chain(_repeated_ids(spec), _unknown_artefacts(spec), _zero_gravity(spec), _wrong_rotations(spec)):
         raise ConfigError(f"{name}:{line_of(node, path)}: {text}")
 
-    artefacts = [a.id for a in spec.artefacts]
-    for kind, ids in (("artefacts", artefacts), ("stations", [str(s.id) for s in spec.stations])):
+
+def _repeated_ids(spec: CellSpec) -> Iterator[Fault]:
+    for kind, ids in (("artefacts", [a.id for a in spec.artefacts]), ("stations", [str(s.id) for s in spec.stations])):
         for i, key in enumerate(ids):
             if ids.index(key) < i:
-                refuse((kind, i), f"{kind}: id '{key}' is used twice; give each an id of its own")
+                yield (kind, i), f"{kind}: id '{key}' is used twice; give each an id of its own"
     balls: set[int] = set()
     for i, artefact in enumerate(spec.artefacts):
         for k, ball in enumerate(artefact.balls):
             if ball.id in balls:
-                refuse(("artefacts", i, "balls", k), f"ball id {ball.id} is used twice; ids must be unique over all artefacts")
+                yield ("artefacts", i, "balls", k), f"ball id {ball.id} is used twice; ids must be unique over all artefacts"
             balls.add(ball.id)
+
+
+def _unknown_artefacts(spec: CellSpec) -> Iterator[Fault]:
+    artefacts = [a.id for a in spec.artefacts]
     for i, station in enumerate(spec.stations):
         if station.artefact not in artefacts:
-            refuse(
-                ("stations", i),
-                f"station '{station.id}' names the artefact '{station.artefact}', which is not among: {', '.join(artefacts)}",
-            )
+            known = ", ".join(artefacts)
+            yield ("stations", i), f"station '{station.id}' names the artefact '{station.artefact}', which is not among: {known}"
+
+
+def _zero_gravity(spec: CellSpec) -> Iterator[Fault]:
     if not np.any(spec.robot.base_to_gravity):
-        refuse(("robot", "base_to_gravity"), "base_to_gravity is the zero vector; give the direction of gravity in the base frame")
-    poses = [(("hand_eye",), spec.hand_eye)] + [
-        (("stations", i, "pose_in_base"), s.pose_in_base) for i, s in enumerate(spec.stations) if s.pose_in_base
-    ]
-    for path, pose in poses:
-        if pose.rotation is not None:
-            R = np.array(pose.rotation)
-            if np.abs(R @ R.T - np.eye(3)).max() > 0.02 or np.linalg.det(R) < 0:
-                refuse((*path, "rotation"), "the rotation matrix is not orthonormal and right-handed; correct its rows")
+        yield ("robot", "base_to_gravity"), "base_to_gravity is the zero vector; give the direction of gravity in the base frame"
+
+
+def _wrong_rotations(spec: CellSpec) -> Iterator[Fault]:
+    stations = [(("stations", i, "pose_in_base"), s.pose_in_base) for i, s in enumerate(spec.stations) if s.pose_in_base]
+    for path, pose in [(("hand_eye",), spec.hand_eye), *stations]:
+        if pose.rotation is None:
+            continue
+        R = np.array(pose.rotation)
+        if np.abs(R @ R.T - np.eye(3)).max() > 0.02 or np.linalg.det(R) < 0:
+            yield (*path, "rotation"), "the rotation matrix is not orthonormal and right-handed; correct its rows"

@@ -1,4 +1,4 @@
-"""CSV tables (RFC 4180, header, '.' as decimal point) column by column, with file, line and column in every complaint."""
+"""CSV tables (RFC 4180, header, '.' as decimal point) column by column, with file, line and column in every error message."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class CsvTable:
         try:
             values = np.array(cells, dtype=float)
         except ValueError:
-            values = None
-        if values is None or not np.isfinite(values).all() or any("_" in cell for cell in cells):
+            values = np.full(len(cells), np.nan)
+        if not np.isfinite(values).all() or any("_" in cell for cell in cells):
             self._refuse_number(name, cells)
         return values
 
@@ -79,7 +79,7 @@ class CsvTable:
         return np.stack([self.radians(name) if angle else self.number(name) for name in names], axis=1)
 
     def rest(self) -> dict[str, np.ndarray]:
-        """The columns nobody asked for, as text."""
+        """The columns that were not read, as text."""
         return {name: np.array(cells, dtype=np.str_) for name, cells in self.columns.items() if name not in self.taken}
 
     def _refuse_number(self, name: str, cells: Sequence[str]) -> None:

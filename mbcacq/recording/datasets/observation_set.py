@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,7 @@ def read_observation_set(folder: Path | str) -> Observations:
     folder = Path(folder)
     cell, text = read_cell(folder / "cell.yaml")
     poses = _read_poses(read_table(folder / "poses.csv"), cell)
+    centres: dict[str, Any]
     if (folder / "centres.csv").exists():
         centres = _read_centres(read_table(folder / "centres.csv"), cell, poses)
     elif (folder / "scans").is_dir():
@@ -38,11 +40,11 @@ def read_observation_set(folder: Path | str) -> Observations:
     return Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
 
 
-def _read_poses(table: CsvTable, cell: Cell) -> dict:
+def _read_poses(table: CsvTable, cell: Cell) -> dict[str, Any]:
     n = cell.robot.n
     joints = numbered("q{}_deg", n)
     table.require(["pose", "station", *joints])
-    out = {"pose_id": table.integer("pose"), "q": table.group(joints, angle=True)}
+    out: dict[str, Any] = {"pose_id": table.integer("pose"), "q": table.group(joints, angle=True)}
     _refuse_repeated(table, "pose", out["pose_id"], "pose {} appears twice (first in line {}); number each pose once")
     stations = {station.id: i for i, station in enumerate(cell.stations)}
     out["station"] = _look_up(table, "station", stations, "station '{}' is not in cell.yaml (there: {})")
@@ -64,7 +66,7 @@ def _read_poses(table: CsvTable, cell: Cell) -> dict:
     return out
 
 
-def _read_centres(table: CsvTable, cell: Cell, poses: dict) -> dict:
+def _read_centres(table: CsvTable, cell: Cell, poses: dict[str, Any]) -> dict[str, Any]:
     table.require(["pose", "ball", *XYZ])
     pose_index = {pose: i for i, pose in enumerate(poses["pose_id"].tolist())}
     table.taken |= {"pose", "ball"}
@@ -82,7 +84,7 @@ def _read_centres(table: CsvTable, cell: Cell, poses: dict) -> dict:
             f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station"
         )
     _refuse_repeated(table, "ball", pose * len(cell.ball_ids) + ball, "this ball was already given for this pose (line {1}); remove one")
-    out = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
+    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
     if table.has(["n_points"]):
         values = table.number("n_points")
         whole = np.array_equal(values, np.rint(values)) and np.abs(values).max(initial=0.0) < 2.0**53

@@ -66,21 +66,22 @@ def _centre_columns(obs: Observations) -> dict[str, Sequence[str]]:
         if (values := getattr(obs, name)) is not None:
             columns[name] = numbers(values)
     if obs.rotation is not None:
-        columns |= _quaternion_columns(obs)
+        columns |= _quaternion_columns(obs, obs.rotation)
     skip = {*columns, *QUATERNION}
     return columns | _extra(obs, "centres.", skip)
 
 
-def _quaternion_columns(obs: Observations) -> dict[str, Sequence[str]]:
-    kept = [obs.extra.get(f"centres.{name}") for name in QUATERNION]
-    if all(cells is not None for cells in kept):
+def _quaternion_columns(obs: Observations, rotation: np.ndarray) -> dict[str, Sequence[str]]:
+    """The text the rotations came from while it still says the same, else their quaternions. rotation: (M, 3, 3)."""
+    kept = {name: obs.extra[f"centres.{name}"] for name in QUATERNION if f"centres.{name}" in obs.extra}
+    if len(kept) == len(QUATERNION):
         try:
-            q = np.stack([cells.astype(float) for cells in kept], axis=1)
+            q = np.stack([cells.astype(float) for cells in kept.values()], axis=1)
         except ValueError:
             q = np.zeros((0, 4))
-        if q.shape == (obs.n_centres, 4) and np.array_equal(quaternions.to_matrix(q), obs.rotation):
-            return {name: cells.tolist() for name, cells in zip(QUATERNION, kept, strict=True)}
-    return dict(zip(QUATERNION, map(numbers, quaternions.from_matrix(obs.rotation).T), strict=True))
+        if q.shape == (obs.n_centres, 4) and np.array_equal(quaternions.to_matrix(q), rotation):
+            return {name: cells.tolist() for name, cells in kept.items()}
+    return dict(zip(QUATERNION, map(numbers, quaternions.from_matrix(rotation).T), strict=True))
 
 
 def _extra(obs: Observations, prefix: str, skip: Container[str]) -> dict[str, Sequence[str]]:

@@ -1,4 +1,4 @@
-"""``scans/POSE.ply`` of an observation set: clouds into ball centres where another lab gives no centres, and clouds out."""
+"""``scans/POSE.ply`` of an observation set: ball centres from clouds where another lab gives no centres, and clouds written."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.recording.datasets import angles
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
-from mbcacq.recording.datasets.csvfile import CsvTable, numbers, read_table, write_table, write_text
+from mbcacq.recording.datasets.csvfile import CsvTable, numbered, numbers, read_table, write_table, write_text
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
 
 FORMAT = "mbcacq-trajectory-set/1"
@@ -42,7 +42,7 @@ class _TrajectorySpec(Strict):
 
 
 def is_trajectory_set(folder: Path | str) -> bool:
-    """Whether a folder says of itself that it is one."""
+    """Whether a folder has the two files of a trajectory set."""
     folder = Path(folder)
     return (folder / "cell.yaml").is_file() and (folder / "trajectory.csv").is_file()
 
@@ -54,14 +54,14 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     data, node = load_yaml(read_yaml_text(path), str(path))
     robot = _robot(validate(_TrajectorySpec, data, node, str(path)).robot, str(path))
     table = read_table(folder / "trajectory.csv")
-    table.require(["time_s", *(f"q{i + 1}_deg" for i in range(robot.n))])
+    table.require(["time_s", *numbered("q{}_deg", robot.n)])
     unit = "percent" if "i1_percent" in table.columns and "i1_A" not in table.columns else "A"
     time_s = table.number("time_s")
     if len(time_s) > 1 and (np.diff(time_s) <= 0).any():
         row = int(np.argmax(np.diff(time_s) <= 0)) + 1
         raise ConfigError(f"{table.where(row, 'time_s')}: the time does not rise; sort the rows and remove doubles")
+    q = table.group(numbered("q{}_deg", robot.n), angle=True)
     signals = {
-        "q": _signal(table, "q{}_deg", robot.n, angle=True),
         "q_set": _signal(table, "q{}_set_deg", robot.n, angle=True),
         "q_joint": _signal(table, "q{}_joint_deg", robot.n, angle=True),
         "torque": _signal(table, "tau{}_Nm", robot.n),
@@ -69,7 +69,7 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
         "current": _signal(table, f"i{{}}_{unit}", robot.n),
     }
     temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C")}
-    return Trajectory(robot, time_s, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder))
+    return Trajectory(robot, time_s, q, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder))
 
 
 def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
@@ -93,32 +93,35 @@ def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
 
 
 def _robot(use: _RobotUse, file: str) -> RobotModel:
-    if (use.model is None) == (use.links is None):
-        raise ConfigError(f"{file}: robot: give either its links or the model: of one of the tool's robots")
-    if use.links is not None:
-        links = use.links
+    if use.links is not None and use.model is None:
         robot = RobotSpec(
             name=use.name,
-            links=links,
+            links=use.links,
             payload=use.payload or PayloadSpec(),
             base_to_gravity=use.base_to_gravity or (0.0, 0.0, -1.0),
             repeatability_mm=use.repeatability_mm,
         ).model()
+    elif use.model is not None and use.links is None:
+        robot = _shipped_robot(use.model, use)
     else:
-        path = robot_file(use.model)
-        data, node = load_yaml(read_yaml_text(path), str(path))
-        changes = {
-            "name": use.name or None,
-            "payload": use.payload,
-            "base_to_gravity": use.base_to_gravity,
-            "repeatability_mm": use.repeatability_mm,
-        }
-        robot = validate(RobotSpec, data, node, str(path)).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
+        raise ConfigError(f"{file}: robot: give either its links or the model: of one of the tool's robots")
     if use.gear_ratio is None:
         return robot
     if len(use.gear_ratio) != robot.n:
         raise ConfigError(f"{file}: robot: gear_ratio has {len(use.gear_ratio)} numbers, the robot {robot.n} axes; give one for each axis")
     return replace(robot, gear_ratio=np.array(use.gear_ratio))
+
+
+def _shipped_robot(model: str, use: _RobotUse) -> RobotModel:
+    path = robot_file(model)
+    data, node = load_yaml(read_yaml_text(path), str(path))
+    changes = {
+        "name": use.name or None,
+        "payload": use.payload,
+        "base_to_gravity": use.base_to_gravity,
+        "repeatability_mm": use.repeatability_mm,
+    }
+    return validate(RobotSpec, data, node, str(path)).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
 
 
 def _signal(table: CsvTable, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:

@@ -41,7 +41,7 @@ def load_yaml(text: str, name: str) -> tuple[dict[str, Any], yaml.Node]:
     finally:
         loader.dispose()
     _refuse_repeated_keys(node, name)
-    if not isinstance(data, dict):
+    if node is None or not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a mapping of keys is expected (format, robot, ...), found {type(data).__name__}; correct the file")
     return data, node
 

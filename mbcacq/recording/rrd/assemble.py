@@ -13,7 +13,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 
 Row = dict[str, Any]
-RESTART_S = 60.0  # clocks that part by more over a pause were restarted
+RESTART_S = 60.0  # clocks that differ by more over a pause were restarted
 
 
 def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:

@@ -1,4 +1,4 @@
-"""How a recording is shown: five tabs, from what happens in the cell to why simulation and reality differ."""
+"""Layout of a recording in the viewer: five tabs, from the motion of the cell to the diagnosis."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 import rerun.blueprint as rrb
 import yaml
+from rerun.blueprint import encodings
 
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
-from mbcacq.recording.rrd.camera import RANGE_MM
+from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
 NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
 LOG_COLUMNS = rrb.TextLogColumns(
-    timeline_columns=[rrb.encodings.TimelineColumn(layout.TIME)],
-    text_log_columns=[rrb.encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")],
+    timeline_columns=[encodings.TimelineColumn(layout.TIME)],
+    text_log_columns=[encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")],
 )
 ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white 0, orange +{1e3 * RANGE_MM:.0f} um"
 
@@ -33,19 +34,21 @@ class Enlarged:
 
 @dataclass(frozen=True)
 class ViewerCamera:
-    """Where it stands and where it looks, mm in the base frame."""
+    """Position of the viewer's camera and the point it looks at, mm in the base frame."""
 
-    eye: Point = (1900.0, -1900.0, 1500.0)
+    position: Point = (1900.0, -1900.0, 1500.0)
     target: Point = (450.0, 0.0, 450.0)
 
 
-def blueprint(at: ViewerCamera = ViewerCamera(), enlarged: Enlarged = Enlarged(), live: bool = False, balls: int = 10) -> rrb.Blueprint:
+def blueprint(
+    viewpoint: ViewerCamera = ViewerCamera(), enlarged: Enlarged = Enlarged(), live: bool = False, balls: int = 10
+) -> rrb.Blueprint:
     """The five tabs; those of calibration and diagnosis without their curves until there are some. live: follow what comes. balls: how many
     the cell has."""
     return rrb.Blueprint(
         rrb.Tabs(
-            _cell(at, enlarged, balls),
-            *(build(at, enlarged) for build in (_motion, _spheres, _calibration, _diagnosis)),
+            _cell(viewpoint, enlarged, balls),
+            *(build(viewpoint, enlarged) for build in (_motion, _spheres, _calibration, _diagnosis)),
             active_tab=0,
             name="mbcacq",
         ),
@@ -55,9 +58,9 @@ def blueprint(at: ViewerCamera = ViewerCamera(), enlarged: Enlarged = Enlarged()
     )
 
 
-def _cell(at: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
+def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
     arrows = "" if enlarged.pose is None else f", arrows: error after calibration, {enlarged.pose:g} times enlarged"
-    cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], at)
+    cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], viewpoint)
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
     texts = rrb.Tabs(
         rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
@@ -73,21 +76,21 @@ def _cell(at: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
     )
 
 
-def _motion(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
+def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Vertical(
         _curves("Axes in deg: set (broad), actual (thin)", [layout.SET, layout.JOINTS]),
         rrb.Horizontal(_curves("Set minus actual, deg", [layout.FOLLOWING]), _curves("Motor current, %", [layout.CURRENT])),
         rrb.Horizontal(
             _curves("Cycle period, ms", [layout.PERIOD]),
             _curves("Answers late, count", [layout.DELAY]),
-            _curves("Temperatures, deg C", [f"{layout.WARMTH}/**"]),
+            _curves("Temperatures, deg C", [f"{layout.TEMPERATURE}/**"]),
         ),
         row_shares=[15, 8, 6],
         name="Motion",
     )
 
 
-def _spheres(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
+def _spheres(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Vertical(_scan(), _curves("Scatter between exposures and fit, um", [layout.SCATTER, layout.FIT_RMS]), row_shares=[3, 1]),
         rrb.Vertical(
@@ -102,9 +105,11 @@ def _spheres(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     )
 
 
-def _calibration(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
-    told = "The cell" if enlarged.all is None else f"Errors before (orange) and after (blue), {enlarged.all:g} times enlarged"
-    errors = _space(told, [f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], at)
+def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
+    title = "The cell" if enlarged.all is None else f"Errors before (orange) and after (blue), {enlarged.all:g} times enlarged"
+    errors = _space(
+        title, [f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], viewpoint
+    )
     result = rrb.TextDocumentView(name="Result", origin=layout.SUMMARY)
     if enlarged.all is None:
         return rrb.Horizontal(errors, result, column_shares=[2, 1], name="Calibration")
@@ -124,35 +129,35 @@ def _calibration(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     )
 
 
-def _diagnosis(at: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
-    told = (
+def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
+    title = (
         "The cell"
         if enlarged.diagnosis is None
-        else (f"Recorded (white); from where it was simulated, before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
+        else (f"Recorded centres (white), differences to the model before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
     )
-    cell = _space(told, [f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], at)
-    words = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
+    cell = _space(title, [f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], viewpoint)
+    text = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
     if enlarged.diagnosis is None:
-        return rrb.Horizontal(cell, words, column_shares=[2, 1], name="Diagnosis")
+        return rrb.Horizontal(cell, text, column_shares=[2, 1], name="Diagnosis")
     return rrb.Horizontal(
-        rrb.Vertical(cell, words, row_shares=[3, 2]),
+        rrb.Vertical(cell, text, row_shares=[3, 2]),
         rrb.Vertical(
-            _curves("Difference of simulation and recording at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
-            _curves("What is held responsible (empty: nothing)", [f"{layout.CAUSE}/**"]),
+            _curves("Difference between model and data at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
+            _curves("Variables that the effects depend on (empty: none)", [f"{layout.CAUSE}/**"]),
         ),
         column_shares=[1, 1],
         name="Diagnosis",
     )
 
 
-def _space(name: str, contents: list[str], at: ViewerCamera) -> rrb.Spatial3DView:
+def _space(name: str, contents: list[str], viewpoint: ViewerCamera) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name,
         origin=layout.WORLD,
         contents=contents,
         background=rrb.Background(color=NIGHT),
         line_grid=rrb.LineGrid3D(visible=True, spacing=100.0, color=GRID),
-        eye_controls=rrb.EyeControls3D(position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)),
+        eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
 
 
@@ -160,7 +165,7 @@ def _scan() -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=ON_SPHERE,
         origin=layout.SCAN,
-        contents=[f"+ /{layout.ON_BALLS}", f"+ /{layout.BESIDE}"],
+        contents=[f"+ /{layout.ON_BALLS}", f"+ /{layout.BACKGROUND}"],
         background=rrb.Background(color=NIGHT),
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(position=(22.0, -85.0, 90.0), look_target=(0.0, 0.0, -5.0), eye_up=(0.0, 0.0, 1.0)),
@@ -177,10 +182,10 @@ def _bars(name: str, entity: str) -> rrb.BarChartView:
     return rrb.BarChartView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
 
 
-def alone(at: ViewerCamera, diagnosis: float) -> rrb.Blueprint:
+def alone(viewpoint: ViewerCamera, diagnosis: float) -> rrb.Blueprint:
     """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
     return rrb.Blueprint(
-        _diagnosis(at, Enlarged(diagnosis=diagnosis)),
+        _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis)),
         rrb.TimePanel(state="collapsed", timeline=layout.POSE),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -189,18 +194,23 @@ def alone(at: ViewerCamera, diagnosis: float) -> rrb.Blueprint:
 
 def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
     """The blueprint with its camera placed so that the arm and the planned stations fill the view."""
-    return blueprint(camera(cell.robot.chain, stations(plan_yaml)), enlarged, live, len(cell.ball_ids))
+    return blueprint(place_camera(cell.robot.chain, stations(plan_yaml)), enlarged, live, len(cell.ball_ids))
 
 
-def camera(chain: Chain, places: np.ndarray) -> ViewerCamera:
-    """Where to stand and where to look to have the arm and some places (S, 3) mm in view."""
+def place_camera(chain: Chain, places: np.ndarray) -> ViewerCamera:
+    """The camera that has the arm and some places (S, 3) mm in view."""
     reach = float(np.sum(np.hypot(chain.a, chain.d)))
     aim = places.mean(axis=0) if len(places) else np.array([0.5 * reach, 0.0, 0.3 * reach])
     target = 0.5 * aim + np.array([0.0, 0.0, 0.22 * reach])
     side = -1.0 if aim[1] <= 0 else 1.0
     size = max(0.66 * reach, float(np.ptp(places, axis=0).max()) if len(places) else 0.0)
-    eye = target + size * np.array([0.95, side * 1.25, 0.7])
-    return ViewerCamera(tuple(eye.tolist()), tuple(target.tolist()))
+    position = target + size * np.array([0.95, side * 1.25, 0.7])
+    return ViewerCamera(_point(position), _point(target))
+
+
+def _point(xyz: np.ndarray) -> Point:
+    x, y, z = xyz.tolist()
+    return x, y, z
 
 
 def stations(plan_yaml: str) -> np.ndarray:

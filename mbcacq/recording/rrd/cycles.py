@@ -12,12 +12,12 @@ from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
 CURVE_EVERY = 5  # cycles to a point of a curve; the extremes of what is left out are kept where they matter
-SHOW_PERIOD_S = 0.5  # between two batches for the eye: each batch costs a chunk per entity
+SHOW_PERIOD_S = 0.5  # between two batches for display: each batch costs a chunk per entity
 OTHER_CLOCK_S = 10.0
 
 
 class CycleWriter:
-    """Writes batches of cycles to a stream. ``show`` sends what was kept back for the eye."""
+    """Writes batches of cycles to a stream. ``show`` sends what was kept back for display."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._rec = stream

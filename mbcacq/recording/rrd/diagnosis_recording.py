@@ -1,4 +1,4 @@
-"""A diagnosis as a recording: what was simulated over what was recorded, before and after; the misfit of each pose beside its cause."""
+"""A diagnosis as a recording: differences between model and data, before and after, and the misfit of each pose above its cause."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from mbcacq.errors import RecordingError
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
-from mbcacq.recording.rrd.blueprint import alone, camera
+from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
 ARROW_SHARE = 0.10  # of the extent of the measured places: how long a large difference (95 %) before is drawn
 RECORDED = (235, 238, 242)
 
 
-def write_diagnosis(path: Path | str, observations: Observations, words: str, pictures: Mapping[str, Any], run: Path | None = None) -> Path:
-    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.figures`` makes them; ``words``: its text).
+def write_diagnosis(path: Path | str, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None) -> Path:
+    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.figures`` makes them; text: the diagnosis in words).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
     and is shown alone. Raises RecordingError if it cannot be written.
@@ -35,21 +35,21 @@ def write_diagnosis(path: Path | str, observations: Observations, words: str, pi
     partial = path.with_name(f".{path.stem}.part.rrd")
     stream = rr.RecordingStream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
     try:
-        at = camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
-        stream.save(partial, default_blueprint=alone(at, scale) if run is None else None)
+        viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
+        stream.save(partial, default_blueprint=alone(viewpoint, scale) if run is None else None)
         if run is None:
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
         stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale), static=True)
-        stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(f"```\n{words}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
+        stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(f"```\n{text}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
         for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
             stream.log(
                 f"{layout.DIAGNOSIS_ARROWS}/{name}",
-                rr.Arrows3D(origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=[rr.Radius.ui_points(0.6)]),
+                rr.Arrows3D(origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=rr.Radius.ui_points(0.6)),
                 static=True,
             )
             stream.log(f"{layout.MISFIT}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
-        stream.log(layout.DIAGNOSIS_BALLS, rr.Points3D(point, colors=[RECORDED], radii=[rr.Radius.ui_points(1.5)]), static=True)
+        stream.log(layout.DIAGNOSIS_BALLS, rr.Points3D(point, colors=[RECORDED], radii=rr.Radius.ui_points(1.5)), static=True)
         for k, cause in enumerate(pictures["causes"]):
             entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
             label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]

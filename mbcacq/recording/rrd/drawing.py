@@ -1,4 +1,4 @@
-"""What the recorder draws beside what it keeps: the way done and to come, the scan coloured on its balls, the quality of each ball."""
+"""What the recorder draws for display: the path done and to come, the scan coloured on its balls, the quality of each ball."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from mbcacq.acquisition import events
 from mbcacq.devices import Scan
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
-from mbcacq.recording.rrd import camera, layout, scene
+from mbcacq.recording.rrd import layout, scan_colouring, scene
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
-LEG_POINTS = 8  # to a leg straight in joint space
+SEGMENT_POINTS = 8  # of a segment straight in joint space
 
 
 class Drawing:
-    """Sees the events that matter for the eye; times are set on the stream by whoever owns it."""
+    """Draws the events that matter for display; the owner of the stream sets the times on it."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._rec = stream
@@ -27,18 +27,18 @@ class Drawing:
         self._artefact: Artefact | None = None
         self._scan: Scan | None = None
         self._form: list[np.ndarray] = []
-        self._warm: set[str] = set()
+        self._drawn_temperatures: set[str] = set()
         self._balls: dict[str, dict[int, np.ndarray]] = {}
 
     def start(self, cell: Cell, event: events.RunStarted) -> None:
         self._cell, self._route = cell, list(event.route)
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
-        self._rec.log(layout.SUMMARY, _words("No calibration yet: `mbcacq run` makes one at its end."), static=True)
-        self._rec.log(layout.DIAGNOSIS_TEXT, _words("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
+        self._rec.log(layout.SUMMARY, _markdown("No calibration yet: `mbcacq run` makes one at its end."), static=True)
+        self._rec.log(layout.DIAGNOSIS_TEXT, _markdown("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
         if event.route:
             strips = flange_strips(cell, scene.home(event.plan_yaml, cell.robot.n), event.route)
-            self._rec.log(layout.PATH, rr.LineStrips3D(strips, radii=[rr.Radius.ui_points(0.6)]), static=True)
+            self._rec.log(layout.PATH, rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.6)), static=True)
             self._rec.log(layout.PATH, rr.LineStrips3D.from_fields(colors=[TO_COME] * len(strips)))
 
     def station(self, event: events.StationReached) -> None:
@@ -61,18 +61,20 @@ class Drawing:
 
     def found(self, event: events.CentresFound) -> None:
         """The scan as soon as its balls are known."""
-        if self._scan is None or self._artefact is None:
+        if self._cell is None or self._scan is None or self._artefact is None:
             return
-        seen = camera.look(self._scan.points, self._artefact, event.ball, event.xyz)
+        coloured = scan_colouring.colour_scan(self._scan.points, self._artefact, event.ball, event.xyz)
         self._scan = None
-        self._form.append(self._by_ball(event.ball, np.stack([seen.form_um, seen.radius_um], axis=1)))
-        self._rec.log(layout.ON_BALLS, rr.Points3D(seen.on_balls.astype(np.float32), colors=seen.colours, radii=rr.Radius.ui_points(1.6)))
-        self._rec.log(layout.BESIDE, rr.Points3D(seen.beside.astype(np.float32), colors=[camera.GREY], radii=rr.Radius.ui_points(0.8)))
+        self._form.append(_by_ball(self._cell, event.ball, np.stack([coloured.form_um, coloured.radius_um], axis=1)))
+        on_balls = rr.Points3D(coloured.on_balls.astype(np.float32), colors=coloured.colours, radii=rr.Radius.ui_points(1.6))
+        self._rec.log(layout.ON_BALLS, on_balls)
+        background = rr.Points3D(coloured.background.astype(np.float32), colors=[scan_colouring.GREY], radii=rr.Radius.ui_points(0.8))
+        self._rec.log(layout.BACKGROUND, background)
 
     def done(self, event: events.PoseDone) -> None:
         if self._cell is None:
             return
-        values = self._by_ball(event.ball, np.stack([event.n_points, 1e3 * np.asarray(event.rms_mm)], axis=1))
+        values = _by_ball(self._cell, event.ball, np.stack([event.n_points, 1e3 * np.asarray(event.rms_mm)], axis=1))
         for entity, column in zip((layout.BALL_POINTS, layout.BALL_RMS), values.T, strict=True):
             self._rec.log(entity, rr.Scalars(column))
         if self._form:
@@ -81,7 +83,7 @@ class Drawing:
             mean = np.where(np.isfinite(form).any(axis=0), np.nansum(form, axis=0) / count, np.nan)
             for entity, column in zip((layout.BALL_FORM, layout.BALL_SIZE), mean.T, strict=True):
                 self._rec.log(entity, rr.Scalars(column))
-        self.warmth(event.sensors)
+        self.temperatures(event.sensors)
         if event.current is not None:
             self._rec.log(layout.CURRENT, rr.Scalars(np.asarray(event.current, dtype=float)))
         if len(event.ball):
@@ -95,38 +97,39 @@ class Drawing:
         balls.update(zip(np.asarray(event.ball).tolist(), se3.apply(T, np.asarray(event.xyz)), strict=True))
         scene.log_balls(self._rec, event.station, cell.artefact(artefact), balls)
 
-    def warmth(self, values: Mapping[str, float]) -> None:
-        """The temperatures among some values, by the ending of their names."""
+    def temperatures(self, values: Mapping[str, float]) -> None:
+        """Log the temperatures among some values, which are known by the ending of their names."""
         for name, value in values.items():
             if not name.endswith("_C"):
                 continue
-            entity = f"{layout.WARMTH}/{rr.escape_entity_path_part(name)}"
-            if name not in self._warm:
-                colour = scene.CURVES[len(self._warm) % len(scene.CURVES)]
-                self._warm.add(name)
+            entity = f"{layout.TEMPERATURE}/{rr.escape_entity_path_part(name)}"
+            if name not in self._drawn_temperatures:
+                colour = scene.CURVES[len(self._drawn_temperatures) % len(scene.CURVES)]
+                self._drawn_temperatures.add(name)
                 self._rec.log(entity, rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
             self._rec.log(entity, rr.Scalars(float(value)))
 
-    def _by_ball(self, ball: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """(k, c) of some balls -> (balls of the cell, c), NaN where there is none."""
-        ids = list(self._cell.ball_ids)
-        out = np.full((len(ids), values.shape[1]), np.nan)
-        out[[ids.index(b) for b in np.asarray(ball).tolist()]] = values
-        return out
+
+def _by_ball(cell: Cell, ball: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(k, c) of some balls -> (balls of the cell, c), NaN where there is none."""
+    ids = list(cell.ball_ids)
+    out = np.full((len(ids), values.shape[1]), np.nan)
+    out[[ids.index(b) for b in np.asarray(ball).tolist()]] = values
+    return out
 
 
-def _words(markdown: str) -> rr.TextDocument:
+def _markdown(markdown: str) -> rr.TextDocument:
     return rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
 
 
-def flange_strips(cell: Cell, home: np.ndarray, route: dict[int, np.ndarray]) -> list[np.ndarray]:
-    """The flange's way (k, 3) mm to each pose of a route, nominal arm; legs are straight in joint space."""
+def flange_strips(cell: Cell, home: np.ndarray, route: Mapping[int, np.ndarray]) -> list[np.ndarray]:
+    """Path of the flange (k, 3) mm to each pose of a route, nominal arm; its segments are straight in joint space."""
     strips, q = [], home
-    share = np.linspace(0.0, 1.0, LEG_POINTS)[:, None]
-    for legs in route.values():
-        legs = np.atleast_2d(legs)
-        starts = np.vstack([q[None], legs[:-1]])
-        joints = np.concatenate([a + share * (b - a) for a, b in zip(starts, legs, strict=True)])
+    share = np.linspace(0.0, 1.0, SEGMENT_POINTS)[:, None]
+    for corners in route.values():
+        ends = np.atleast_2d(corners)
+        starts = np.vstack([q[None], ends[:-1]])
+        joints = np.concatenate([a + share * (b - a) for a, b in zip(starts, ends, strict=True)])
         strips.append(cell.robot.chain.flange(joints)[:, :3, 3].astype(np.float32))
-        q = legs[-1]
+        q = ends[-1]
     return strips

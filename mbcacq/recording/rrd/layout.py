@@ -1,6 +1,6 @@
 """Where everything stands in a recording: files, timelines, entity paths, components. Writer, reader and blueprint share it.
 
-Entities under ``/world`` are for the eye (float32, mm, base frame); what a solver reads stands under ``/observation`` and
+Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands under ``/observation`` and
 ``/cycles`` as float64 in the archetypes ``mbcacq.*``. docs/recording.md holds the table for users.
 """
 
@@ -24,18 +24,18 @@ PLAN, CELL = "plan", "cell"  # TextDocument, the full YAML
 STATE, STEP, STATION = "run/state", "run/step", "run/station"  # StateChange
 LOG = "log"  # TextLog
 HEALTH = "health"  # health/DEVICE/QUANTITY: Scalars
-WARMTH = "motion/temperature_C"  # motion/temperature_C/QUANTITY: of health and sensors, the temperatures once more
+TEMPERATURE = "motion/temperature_C"  # motion/temperature_C/QUANTITY: the temperatures of health and sensors
 
 # Measured.
 CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
 JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count
 SCAN = "world/scan"  # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
-ON_BALLS, BESIDE = "world/scan/on_balls", "world/scan/beside"  # Points3D for the eye: coloured by distance to the ball; the rest, thinned
+ON_BALLS, BACKGROUND = "world/scan/on_balls", "world/scan/beside"  # Points3D for display: by distance to the ball; the rest
 EXPOSURE = "exposure"  # mbcacq.Centres of one exposure
-OBSERVATION = "observation"  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load() reads
+OBSERVATION = "observation"  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load_observations reads
 BALLS_FOUND, FIT_RMS, SCATTER = "quality/balls_found", "quality/fit_rms_um", "quality/exposure_scatter_um"  # Scalars
-BALL_POINTS, BALL_RMS, BALL_FORM, BALL_SIZE = (  # Scalars, one value a ball of the cell (NaN where not seen)
+BALL_POINTS, BALL_RMS, BALL_FORM, BALL_SIZE = (  # Scalars, one value a ball of the cell (NaN where not found)
     "spheres/points",
     "spheres/rms_um",
     "spheres/form_um",
@@ -67,7 +67,7 @@ DIAGNOSIS = "diagnosis"
 DIAGNOSIS_TEXT = "diagnosis/text"  # TextDocument
 DIAGNOSIS_ARROWS = "diagnosis/cell/arrows"  # .../before, .../after
 DIAGNOSIS_BALLS = "diagnosis/cell/balls"  # Points3D, recorded centres
-CAUSE = "diagnosis/cause"  # diagnosis/cause/NAME: Scalars, the variable held responsible
+CAUSE = "diagnosis/cause"  # diagnosis/cause/NAME: Scalars, the variable that an effect depends on
 MISFIT = "diagnosis/residual_um"  # .../before, .../after: Scalars, 3D rms of a pose
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"
@@ -109,7 +109,7 @@ def next_part(folder: Path) -> int:
 
 
 def recovered_of(path: Path) -> Path | None:
-    """The newest recovered copy beside a recording, or None."""
+    """The newest recovered copy next to a recording, or None."""
     pattern = re.compile(re.escape(path.stem + RECOVERED) + r"(?:-(\d+))?\.rrd")
     copies = {int(match[1] or 1): other for other in path.parent.glob("*.rrd") if (match := pattern.fullmatch(other.name))}
     return copies[max(copies)] if copies else None

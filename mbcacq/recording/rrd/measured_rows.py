@@ -11,7 +11,7 @@ from mbcacq.recording.rrd.rows import named, row
 
 
 def scan_row(event: events.ScanTaken) -> rr.DynamicArchetype:
-    """Everything of a scan but its points, which stand beside it as Points3D."""
+    """Everything of a scan except its points, which the same entity has as Points3D."""
     scan = event.scan
     return row(
         layout.SCAN_ARCHETYPE,

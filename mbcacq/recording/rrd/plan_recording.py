@@ -1,4 +1,4 @@
-"""A plan as a rerun recording to look at: the arm on its way through all poses, the stations, and what stands around."""
+"""A plan as a rerun recording to look at: the arm on its path through all poses, the stations and the obstacles."""
 
 from __future__ import annotations
 
@@ -9,28 +9,31 @@ import numpy as np
 
 from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
+from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
 FRAMES_A_MOTION = 16
 OBSTACLE = (120, 96, 80, 90)
 
 
-def draw(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], file: Path) -> None:
+def write_plan_recording(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], file: Path
+) -> None:
     """Write ``file`` (.rrd). starts: (P,) s, when each pose's first motion begins. Raises RecordingError where it cannot be written."""
     import rerun as rr
     import rerun.blueprint as rrb
 
     from mbcacq.recording.rrd import layout, scene
-    from mbcacq.recording.rrd.blueprint import camera
+    from mbcacq.recording.rrd.blueprint import place_camera
 
     cell = loaded.cell
     rec = rr.RecordingStream("mbcacq_plan")
-    at = camera(cell.robot.chain, np.array([s.T_base_station[:3, 3] for s in cell.stations]))
+    viewpoint = place_camera(cell.robot.chain, np.array([_planned_pose(s)[:3, 3] for s in cell.stations]))
     view = rrb.Spatial3DView(
         name="Plan",
         origin=layout.WORLD,
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=at.eye, look_target=at.target, eye_up=(0.0, 0.0, 1.0)),
+        eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
     try:
         rec.save(str(file), default_blueprint=rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1])))
@@ -40,7 +43,7 @@ def draw(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Tr
     rec.set_time(layout.TIME, duration=0.0)
     for station in cell.stations:
         artefact = cell.artefact(station.artefact)
-        centres = se3.apply(station.T_base_station, artefact.centres)
+        centres = se3.apply(_planned_pose(station), artefact.centres)
         scene.log_balls(rec, station.id, artefact, dict(zip(artefact.ball_ids, centres, strict=True)))
     low, high = (np.array([getattr(o, k) for o in loaded.plan.obstacles], dtype=float).reshape(-1, 3) for k in ("min_mm", "max_mm"))
     rec.log(
@@ -59,11 +62,16 @@ def draw(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Tr
         stops = np.array([last, *transit, pose.q])
         # The arm moves in the first half of a pose's time, and stands in the second.
         share = np.linspace(0, len(stops) - 1, FRAMES_A_MOTION * (len(stops) - 1) + 1)
-        way = np.stack([np.interp(share, np.arange(len(stops)), joint) for joint in stops.T], axis=1)
-        for k, q in enumerate(way):
-            rec.set_time(layout.TIME, duration=start + 0.5 * (end - start) * k / (len(way) - 1))
+        path = np.stack([np.interp(share, np.arange(len(stops)), joint) for joint in stops.T], axis=1)
+        for k, q in enumerate(path):
+            rec.set_time(layout.TIME, duration=start + 0.5 * (end - start) * k / (len(path) - 1))
             scene.log_arm(rec, cell, q)
         balls = ", ".join(map(str, pose.balls))
         rec.log(layout.LOG, rr.TextLog(f"pose {pose.number}: {pose.step_name}, station {pose.station}, balls {balls}"))
         last = pose.q
     rec.disconnect()
+
+
+def _planned_pose(station: Station) -> np.ndarray:
+    assert station.T_base_station is not None, "the loader gives every station of a plan its planned pose"
+    return station.T_base_station

@@ -1,4 +1,4 @@
-"""Recordings back: observations bit for bit as the run used them, raw cycles, scans, plan and cell texts. Needs no footer."""
+"""Reader of recordings: observations bit for bit as the run used them, raw cycles, scans, plan and cell texts. A footer is not needed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -175,7 +176,7 @@ class _named_errors:
         self._warnings.__enter__()
         warnings.simplefilter("ignore")  # a file without footer is read as well as one with
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._warnings.__exit__(kind, error, trace)
         if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
             raise RecordingError(

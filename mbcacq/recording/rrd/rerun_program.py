@@ -27,7 +27,7 @@ def program() -> str:
 
 
 def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
-    """Run it to its end; its group is killed when the time is over."""
+    """Run the program to its end; it and its children are killed when the time is over. A group of its own (POSIX) keeps signals apart."""
     child = subprocess.Popen(
         [program(), *arguments],
         stdout=subprocess.PIPE,
@@ -49,19 +49,23 @@ def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.Comple
 
 
 def end(child: subprocess.Popen) -> None:
-    """Kill a child that leads a group of its own, with the group."""
-    if child.poll() is None:
-        try:
-            os.killpg(child.pid, signal.SIGKILL)
-        except (ProcessLookupError, AttributeError):
-            child.kill()
+    """Kill a child. On POSIX it leads a group of its own, which is killed with it; Windows has no such groups."""
+    if child.poll() is not None:
+        return
+    if sys.platform == "win32":
+        child.kill()
+        return
+    try:
+        os.killpg(child.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        child.kill()
 
 
-def complaint(result: subprocess.CompletedProcess[str]) -> str:
-    """The last thing it said, without colours and time stamps."""
+def error_line(result: subprocess.CompletedProcess[str]) -> str:
+    """The line of the output that names the error, without colours and time stamps."""
     import re
 
     lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip() for line in (result.stderr or result.stdout or "").splitlines()]
     lines = [line for line in lines if line]
-    telling = [line for line in lines if "rror" in line or "panicked" in line]
-    return (telling or lines or [f"exit status {result.returncode}"])[0][:200]
+    errors = [line for line in lines if "rror" in line or "panicked" in line]
+    return (errors or lines or [f"exit status {result.returncode}"])[0][:200]

@@ -1,4 +1,4 @@
-"""The calibrated cell beside its recording: residuals per pose and ball, station frames, error arrows. A file of the same recording."""
+"""The calibrated cell next to its recording: residuals per pose and ball, station frames, error arrows. A file of the same recording."""
 
 from __future__ import annotations
 
@@ -100,9 +100,11 @@ def _log_static(stream: rr.RecordingStream, scale: Enlarged) -> None:
     stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, **values), static=True)
 
 
-def _log_pose(stream: rr.RecordingStream, obs: Observations, k: int, after: CellState, errors: dict[str, np.ndarray], scale: float) -> None:
+def _log_pose(
+    stream: rr.RecordingStream, obs: Observations, k: int, after: CellState, errors: dict[str, np.ndarray], scale: float | None
+) -> None:
     mine = obs.pose == k
-    if not mine.any():
+    if scale is None or not mine.any():  # without a scale no measured pose is shown
         return
     for name, error in errors.items():
         stream.log(f"{layout.RESIDUAL}/{name}", rr.Scalars(1e3 * error[mine].mean(axis=0)))
@@ -135,19 +137,19 @@ def _log_all(
     """Every error at once, and the rms of each ball."""
     if scale is None:
         return
-    origins, turn = _in_base(obs, after)
+    origins, rotation = _in_base(obs, after)
     ids = np.array(obs.cell.ball_ids)
-    seen = np.unique(obs.ball[shown])
+    measured = np.unique(obs.ball[shown])
     for name, error in errors.items():
         colour = BEFORE if name == "before" else AFTER
-        vectors = scale * np.einsum("mij,mj->mi", turn[shown], error[shown])
+        vectors = scale * np.einsum("mij,mj->mi", rotation[shown], error[shown])
         stream.log(
             f"{layout.ALL_ARROWS}/{name}",
-            rr.Arrows3D(origins=origins[shown], vectors=vectors, colors=[colour], radii=[rr.Radius.ui_points(0.6)]),
+            rr.Arrows3D(origins=origins[shown], vectors=vectors, colors=[colour], radii=rr.Radius.ui_points(0.6)),
             static=True,
         )
-        rms = [1e3 * _rms(error[shown & (obs.ball == b)]) for b in seen]
-        stream.log(f"{layout.RMS_BALL}/{name}", rr.BarChart(rms, abscissa=ids[seen], color=colour), static=True)
+        rms = [1e3 * _rms(error[shown & (obs.ball == b)]) for b in measured]
+        stream.log(f"{layout.RMS_BALL}/{name}", rr.BarChart(rms, abscissa=ids[measured], color=colour), static=True)
 
 
 def _rms(error: np.ndarray) -> float:
@@ -156,7 +158,7 @@ def _rms(error: np.ndarray) -> float:
 
 
 def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray, scale: Enlarged) -> str:
-    """The result in a few lines of Markdown, beside the picture."""
+    """The result in a few lines of Markdown, next to the picture."""
     if not shown.any():
         return "No pose at a calibrated station."
     lines = ["| residual of the poses shown | " + " | ".join(errors) + " |", "|---|" + "---|" * len(errors)]
@@ -193,6 +195,6 @@ def _log_stations(stream: rr.RecordingStream, obs: Observations, after: CellStat
         half = np.repeat(np.maximum(artefact.diameters / 2, 1.0)[:, None], 3, axis=1)
         stream.log(
             f"{entity}/certified",
-            rr.Ellipsoids3D(centers=after.balls[own], half_sizes=half, colors=[CERTIFIED], line_radii=[rr.Radius.ui_points(0.6)]),
+            rr.Ellipsoids3D(centers=after.balls[own], half_sizes=half, colors=[CERTIFIED], line_radii=rr.Radius.ui_points(0.6)),
             static=True,
         )

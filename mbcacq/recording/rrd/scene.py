@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import rerun as rr
 import yaml
+from rerun.components import MarkerShape
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -17,7 +18,7 @@ from mbcacq.recording.rrd import layout
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
 HOUSING, VIEW, BALL, BAR = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168)
 CURVES = [(86, 180, 233), (230, 159, 0), (0, 190, 140), (213, 94, 0), (204, 121, 167), (240, 228, 66), (150, 160, 255), (180, 180, 180)]
-MARKERS = ["circle", "diamond", "square", "up", "cross", "plus"]
+MARKERS = [MarkerShape.Circle, MarkerShape.Diamond, MarkerShape.Square, MarkerShape.Up, MarkerShape.Cross, MarkerShape.Plus]
 LARGEST_BOX = 2000.0  # mm
 SHAFT = 1e-6  # mm; a shorter offset is no link to draw
 
@@ -46,7 +47,7 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
 
 
 def log_series(rec: rr.RecordingStream, n: int) -> None:
-    """Names and colours of the curves. Set points are broad and pale, what was measured is thin on top of them."""
+    """Names and colours of the curves. Set points are broad and pale, measured values are thin lines on top of them."""
     axes = [f"A{i + 1}" for i in range(n)]
     colours = (CURVES * 2)[:n]
     for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
@@ -93,13 +94,20 @@ def log_obstacles(rec: rr.RecordingStream, plan_yaml: str) -> None:
                 labels=[name for name, _, _ in boxes],
                 show_labels=False,
                 colors=[BASE],
-                radii=[rr.Radius.ui_points(1.0)],
+                radii=rr.Radius.ui_points(1.0),
             ),
             static=True,
         )
 
 
-def transforms(T: np.ndarray) -> dict[str, np.ndarray]:
+class TransformColumns(TypedDict):
+    """Arguments of Transform3D: translation (k, 3) mm, quaternion (k, 4) x, y, z, w."""
+
+    translation: np.ndarray
+    quaternion: np.ndarray
+
+
+def transforms(T: np.ndarray) -> TransformColumns:
     """(k, 4, 4) as the arguments of Transform3D."""
     return {"translation": T[:, :3, 3].astype(np.float32), "quaternion": quaternions.from_matrix(T[:, :3, :3])[:, [1, 2, 3, 0]]}
 
@@ -206,11 +214,11 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
         for half, z in ((view["near_half_mm"], near), (view["far_half_mm"], far))
     ]
     edges = [np.vstack([face, face[:1]]) for face in faces] + [np.stack([faces[0][k], faces[1][k]]) for k in range(4)]
-    rec.log(f"{layout.SCANNER}/view", rr.LineStrips3D(edges, colors=[VIEW], radii=[rr.Radius.ui_points(1.0)]), static=True)
+    rec.log(f"{layout.SCANNER}/view", rr.LineStrips3D(edges, colors=[VIEW], radii=rr.Radius.ui_points(1.0)), static=True)
     if body := view.get("body_mm"):
         window = np.append(np.mean(np.array(body, dtype=float), axis=0)[:2], np.min(np.array(body, dtype=float)[:, 2]))
         rays = [np.stack([window, corner]) for corner in faces[0]]
-        rec.log(f"{layout.SCANNER}/rays", rr.LineStrips3D(rays, colors=[(*VIEW, 90)], radii=[rr.Radius.ui_points(0.5)]), static=True)
+        rec.log(f"{layout.SCANNER}/rays", rr.LineStrips3D(rays, colors=[(*VIEW, 90)], radii=rr.Radius.ui_points(0.5)), static=True)
     if body := view.get("body_mm"):
         low, high = np.array(body, dtype=float)
         rec.log(

@@ -1,4 +1,4 @@
-"""The stream into a .rrd file (and a live viewer), with a watch over the disk: a full disk ends the run by name, it never hangs it."""
+"""The stream into a .rrd file (and a live viewer). It watches the disk: a full disk ends the run with an error and never blocks it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 
 import rerun as rr
+import rerun.blueprint as rrb
 
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd import layout
@@ -22,7 +23,7 @@ TICK_S = 0.04
 class Sink:
     """One recording file. ``stream`` is the rerun stream; it must not be used after ``close`` or a RecordingError."""
 
-    def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: object) -> None:
+    def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: rrb.BlueprintLike) -> None:
         self.path = path
         self._alive = True
         self._sync = _Syncer(path)
@@ -40,7 +41,7 @@ class Sink:
         except (RuntimeError, ValueError, OSError) as error:
             raise RecordingError(f"the recording {path} cannot be opened: {error}; choose another folder (or live port)") from error
 
-    def need(self, size: int) -> None:
+    def check_space(self, size: int) -> None:
         """Raise RecordingError before ``size`` bytes would fill the disk."""
         free = shutil.disk_usage(self.path.parent).free
         if free < size + MARGIN_BYTES:
@@ -50,7 +51,7 @@ class Sink:
                 "free some space and resume the run"
             )
 
-    def foresee(self, done: int, poses: int) -> None:
+    def check_predicted_size(self, done: int, poses: int) -> None:
         """Raise RecordingError if the poses to come will not fit, judged by the size of those done: early, when little is lost."""
         need = self.path.stat().st_size * max(poses - done, 0) // done
         free = shutil.disk_usage(self.path.parent).free
@@ -62,7 +63,7 @@ class Sink:
             )
 
     def push(self) -> None:
-        """Set everything logged on its way to the file, without waiting."""
+        """Start writing everything logged to the file, without waiting."""
         if self._alive:
             try:
                 self.stream.flush(timeout_sec=0)
@@ -137,7 +138,10 @@ def _free_port(preferred: int) -> int:
 
 
 class _Syncer:
-    """Brings the file to the disk now and then, in a thread of its own, so that a power cut costs little and a scan never waits."""
+    """Brings the file to the disk after every flush, in a thread of its own, so that a power cut loses little and a scan never waits.
+
+    ``os.fsync`` works on a handle that may be written, on POSIX and on Windows.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._wake, self._quit = path, threading.Event(), False

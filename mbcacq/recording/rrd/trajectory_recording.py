@@ -18,7 +18,7 @@ TORQUE, JOINT_SIDE = "GearTorque", "AJPos"  # elements a controller may send: to
 
 
 def trajectory_of_run(path: Path | str) -> Trajectory:
-    """The controller cycles of a run folder or .rrd as a trajectory, on the controller's clock; cycles told twice count once."""
+    """The controller cycles of a run folder or .rrd as a trajectory, on the controller's clock; cycles reported twice count once."""
     recordings = open_recordings(path)
     columns = [recording.cycles().columns for recording in recordings]
     columns = [c for c in columns if c]

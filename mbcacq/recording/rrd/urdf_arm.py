@@ -51,12 +51,12 @@ class UrdfArm:
         low, high = np.clip(cell.robot.limits, -1.5, 1.5).T
         q = rng.uniform(low, high, size=(12, cell.robot.n))
         ours, theirs = cell.robot.chain.flange(q), self._forward(q)
-        steps = [se3.inverse(T[0]) @ T[1:] for T in (ours, theirs)]  # motions seen from the first posture, each in its flange's axes
-        turn = [np.arccos(np.clip((np.trace(s[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1)) for s in steps]
-        if np.abs(turn[0] - turn[1]).max() > 5e-3 or self._apart(ours, theirs) > SAME_MM:
+        steps = [se3.inverse(T[0]) @ T[1:] for T in (ours, theirs)]  # motions relative to the first posture, each in its flange's axes
+        angle = [np.arccos(np.clip((np.trace(s[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1)) for s in steps]
+        if np.abs(angle[0] - angle[1]).max() > 5e-3 or self._apart(ours, theirs) > SAME_MM:
             raise ConfigError(
                 f"{path}: its joints do not move as those of {cell.robot.name or 'the arm'}: another robot, or other "
-                f"senses or zeros of the joints; {INSTEAD}"
+                f"directions of rotation or zeros of the joints; {INSTEAD}"
             )
 
     @staticmethod
@@ -68,7 +68,7 @@ class UrdfArm:
         return float(np.abs(left).max())
 
     def _forward(self, q: np.ndarray) -> np.ndarray:
-        """(k, 4, 4) mm: T_root_last, fixed joints on the way included."""
+        """(k, 4, 4) mm: T_root_last, fixed joints in between included."""
         up = {joint.child_link: joint for joint in self._tree.joints()}
         number = {joint.name: i for i, joint in enumerate(self._joints)}
         chain, link = [], self._joints[-1].child_link

@@ -27,7 +27,7 @@ from mbcacq.recording.rrd.sink import Sink
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 START_FREE_BYTES = 256 << 20
-FORECAST_AFTER = 3  # poses whose size says how large the run will become
+FORECAST_AFTER = 3  # poses from whose size the size of the run is predicted
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
@@ -85,7 +85,7 @@ class Recorder:
             try:
                 self._set_times(event.time_s)
                 self._write(event)
-            except Aborted:  # a signal came just here: the run ends, and the recording is to say so
+            except Aborted:  # a signal came here: the run ends, and its end must be recorded
                 raise
             except MbcacqError:
                 self._failed = True
@@ -148,23 +148,23 @@ class Recorder:
         rec.log(layout.RUN, about, static=True)
         shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
         rec.send_blueprint(shown, make_active=False, make_default=True)
-        self._draw_from_urdf(event.urdf)
+        self._draw_from_urdf(event.urdf, self._cell)
         scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
-        self._log_arm(scene.home(event.plan_yaml, self._cell.robot.n))
+        self._log_arm(self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
         self._drawing.start(self._cell, event)
         self._sink.flush()
 
-    def _draw_from_urdf(self, path: str) -> None:
-        """A URDF that does not fit is no reason not to measure: it is said, and the arm is drawn from its links."""
+    def _draw_from_urdf(self, path: str, cell: Cell) -> None:
+        """A URDF that does not fit is no reason not to measure: a warning is logged, and the arm is drawn from its links."""
         if path:
             try:
-                self._cycles.urdf = UrdfArm(path, self._cell)
+                self._cycles.urdf = UrdfArm(path, cell)
                 self._cycles.urdf.start(self._rec)
             except ConfigError as error:
                 self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: {error}", level="WARN"))
 
-    def _log_arm(self, q: np.ndarray) -> None:
-        scene.log_arm(self._rec, self._cell, q)
+    def _log_arm(self, cell: Cell, q: np.ndarray) -> None:
+        scene.log_arm(self._rec, cell, q)
         if self._cycles.urdf is not None:
             self._cycles.urdf.pose(self._rec, q[None])
 
@@ -193,7 +193,7 @@ class Recorder:
         for name, value in event.values.items():
             entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
             self._rec.log(entity, rr.Scalars(float(value)))
-        self._drawing.warmth(event.values)
+        self._drawing.temperatures(event.values)
 
     @_write.register
     def _(self, event: events.CyclesReceived) -> None:
@@ -208,12 +208,12 @@ class Recorder:
         self._cycles.show(self._cell)
         if self._cell is not None:
             self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
-            self._log_arm(event.q)
+            self._log_arm(self._cell, event.q)
             self._drawing.reached(event)
 
     @_write.register
     def _(self, event: events.ScanTaken) -> None:
-        self._sink.need(event.scan.points.nbytes + 9 * len(event.scan.points))
+        self._sink.check_space(event.scan.points.nbytes + 9 * len(event.scan.points))
         move = scene.transforms(self._T_base_scanner[None])
         self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
         points = rr.Points3D(event.scan.points)
@@ -236,7 +236,7 @@ class Recorder:
         self._sink.flush()
         self._done += 1
         if self._done == FORECAST_AFTER:
-            self._sink.foresee(self._done, self._n_poses)
+            self._sink.check_predicted_size(self._done, self._n_poses)
 
     @_write.register
     def _(self, event: events.RunStopped) -> None:

@@ -1,4 +1,4 @@
-"""What is missing in a run's recording, said in words: a gap is never silent."""
+"""Gaps of a run's recording as sentences, so that no gap is silent."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ NAMED = 12  # pose numbers written out
 
 
 def find_gaps(folder: Path | str) -> list[str]:
-    """One sentence a gap of a run folder: poses left out or never reached, values missing, interruptions. Empty for an undisturbed run,
-    and for data that no journal belongs to."""
+    """One sentence for each gap of a run folder: poses left out or never reached, values missing, interruptions.
+
+    Empty for an undisturbed run and for data without a journal.
+    """
     folder = Path(folder)
     if not (folder / layout.JOURNAL_FILE).exists():
         return []
     entries = read_journal(folder)
     measured = {int(e["pose"]) for e in entries if e.get("event") == "pose_done"}
     planned = max((int(e["n_poses"]) for e in entries if e.get("event") == "run_started"), default=0)
-    out = [e["text"] for e in entries if e.get("event") == "gap" and not _healed(e, measured)]
+    out = [e["text"] for e in entries if e.get("event") == "gap" and not _measured_later(e, measured)]
     left_out = {int(e["pose"]) for e in entries if e.get("event") == "gap" and e.get("kind") == "pose"}
     if missing := sorted(set(range(planned)) - measured - left_out):
         out.append(f"{len(missing)} of {planned} planned poses were not measured: {_numbers(missing)}")
     return out + _interruptions(entries)
 
 
-def _healed(entry: dict[str, Any], measured: set[int]) -> bool:
-    """A pose left out, and measured when the run was resumed."""
+def _measured_later(entry: dict[str, Any], measured: set[int]) -> bool:
+    """Whether the entry is a pose that was left out and then measured when the run was resumed."""
     return entry.get("kind") == "pose" and entry.get("pose") in measured
 
 

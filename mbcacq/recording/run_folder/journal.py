@@ -9,7 +9,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import singledispatchmethod
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
@@ -35,7 +35,7 @@ class Journal:
     def close(self) -> None:
         with self._lock:
             for file in (self._journal, self._log):
-                with suppress(OSError):  # what a full disk did not take was said when it was written
+                with suppress(OSError):  # what a full disk did not take was reported when it was written
                     file.close()
 
     def __enter__(self) -> Journal:
@@ -50,13 +50,13 @@ class Journal:
 
     @_write.register
     def _(self, event: events.RunStarted) -> None:
-        self._note(
+        self._write_journal(
             event.time_s, event="run_started", name=event.name, started=event.started, n_poses=event.n_poses, versions=dict(event.versions)
         )
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:
-        self._note(
+        self._write_journal(
             event.time_s,
             event="pose_done",
             pose=event.pose,
@@ -69,34 +69,36 @@ class Journal:
 
     @_write.register
     def _(self, event: events.Gap) -> None:
-        self._note(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
+        self._write_journal(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
 
     @_write.register
     def _(self, event: events.RunStopped) -> None:
-        self._note(event.time_s, event="run_stopped", exit_status=event.exit_status, reason=event.reason)
-        self._say(event, "info" if event.exit_status == "success" else "error", "mbcacq", f"run ended: {event.exit_status}: {event.reason}")
+        self._write_journal(event.time_s, event="run_stopped", exit_status=event.exit_status, reason=event.reason)
+        self._write_log(
+            event, "info" if event.exit_status == "success" else "error", "mbcacq", f"run ended: {event.exit_status}: {event.reason}"
+        )
 
     @_write.register
     def _(self, event: events.Message) -> None:
-        self._say(event, event.level, event.source, event.text)
+        self._write_log(event, event.level, event.source, event.text)
 
     @_write.register
     def _(self, event: events.StepStarted) -> None:
-        self._say(event, "info", "mbcacq", f"step {event.name} ({event.n_poses} poses)")
+        self._write_log(event, "info", "mbcacq", f"step {event.name} ({event.n_poses} poses)")
 
     @_write.register
     def _(self, event: events.StationReached) -> None:
-        self._say(event, "info", "mbcacq", f"artefact {event.artefact} at station {event.station}")
+        self._write_log(event, "info", "mbcacq", f"artefact {event.artefact} at station {event.station}")
 
-    def _note(self, time_s: float, **entry: Any) -> None:
-        self._put(self._journal, layout.JOURNAL_FILE, {"time_s": round(time_s, 4), **entry}, sync=True)
+    def _write_journal(self, time_s: float, **entry: Any) -> None:
+        self._append(self._journal, layout.JOURNAL_FILE, {"time_s": round(time_s, 4), **entry}, sync=True)
 
-    def _say(self, event: events.Event, level: str, source: str, text: str) -> None:
+    def _write_log(self, event: events.Event, level: str, source: str, text: str) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         entry = {"time": now, "time_s": round(event.time_s, 4), "level": level, "source": source, "text": text}
-        self._put(self._log, layout.LOG_FILE, entry)
+        self._append(self._log, layout.LOG_FILE, entry)
 
-    def _put(self, file, name: str, entry: dict[str, Any], sync: bool = False) -> None:
+    def _append(self, file: TextIO, name: str, entry: dict[str, Any], sync: bool = False) -> None:
         try:
             file.write(json.dumps(entry, ensure_ascii=False) + "\n")
             file.flush()
@@ -135,7 +137,7 @@ def _entries(path: Path) -> list[dict[str, Any]]:
     return entries
 
 
-def _open(path: Path):
+def _open(path: Path) -> TextIO:
     """Open for appending; a torn last line left by a crash is ended first, so that it spoils no other."""
     torn = path.exists() and path.stat().st_size > 0 and path.read_bytes()[-1:] != b"\n"
     file = path.open("a", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What of an interrupted run is measured, readable and still missing: resuming goes on from here."""
+"""Progress of an interrupted run: which poses are measured and readable. Resuming goes on from here."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ EMPTY = ".empty"  # added to the name of a recording that was torn before anythi
 class Progress:
     """done: numbers of the poses that need not be measured again. part: number of the recording to write next.
 
-    stations: station -> numbers of its measured poses. told: what had to be repaired, one sentence each.
+    stations: station -> numbers of its measured poses. repairs: one sentence for each recording that had to be repaired.
     """
 
     done: frozenset[int]
     part: int
     stations: dict[str, tuple[int, ...]]
-    told: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()
 
 
 def poses_done(folder: Path | str) -> frozenset[int]:
@@ -35,17 +35,17 @@ def poses_done(folder: Path | str) -> frozenset[int]:
     return frozenset(_measured(Path(folder)))
 
 
-def take_stock(folder: Path | str) -> Progress:
-    """Make every recording of an interrupted run readable, and say what it holds. Nothing is deleted: a torn recording stays beside its
-    recovered copy, one without content gets another name. Raises RecordingError where the disk does not take the copy."""
+def repair_and_read_progress(folder: Path | str) -> Progress:
+    """Make every recording of an interrupted run readable and return what they hold. Nothing is deleted: a torn recording stays next to
+    its recovered copy, one without content gets another name. Raises RecordingError where the disk does not take the copy."""
     folder = Path(folder)
-    told = tuple(_repair(folder))
+    repairs = tuple(_repair(folder))
     _keep_identity(folder)
     measured = _measured(folder) if (folder / layout.JOURNAL_FILE).exists() else {}
     stations: dict[str, tuple[int, ...]] = {}
     for number, station in sorted(measured.items()):
         stations[station] = (*stations.get(station, ()), number)
-    return Progress(frozenset(measured), layout.next_part(folder), stations, told)
+    return Progress(frozenset(measured), layout.next_part(folder), stations, repairs)
 
 
 def _measured(folder: Path) -> dict[int, str]:
@@ -84,7 +84,7 @@ def _repair(folder: Path) -> Iterator[str]:
 
 
 def _keep_identity(folder: Path) -> None:
-    """All parts carry one recording id; where the note of it was lost, the first part tells it."""
+    """All parts carry one recording id; where the note of it was lost, it is taken from the first part."""
     from mbcacq.recording.rrd.reader import Recording
     from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 

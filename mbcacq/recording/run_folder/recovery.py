@@ -34,7 +34,7 @@ class Recovered:
 def recover(path: Path | str) -> list[Recovered]:
     """Make a .rrd, or every recording of a run folder, readable. Raises RecordingError where nothing is left to read.
 
-    A damaged NAME.rrd is copied to NAME.recovered.rrd (never overwriting one), which :func:`load` then prefers. A run of several
+    A damaged NAME.rrd is copied to NAME.recovered.rrd (never overwriting one), which ``load_observations`` then prefers. A run of several
     parts is also merged into whole.rrd.
     """
     path = Path(path)
@@ -76,7 +76,7 @@ def _merge(sources: list[Path], output: Path) -> None:
     try:
         result = rerun_program.run(["rrd", "merge", "--continue-on-error", *map(str, sources), "-o", str(partial)])
         if result.returncode or not partial.exists():
-            raise RecordingError(f"rerun could not read it ({rerun_program.complaint(result)})")
+            raise RecordingError(f"rerun could not read it ({rerun_program.error_line(result)})")
         if not _verified(partial):
             raise RecordingError("no complete message is left in it")
         partial.replace(output)
@@ -101,7 +101,7 @@ def _verified(path: Path) -> bool:
 
 def _summary(source: Path, output: Path) -> Recovered:
     recording = Recording(output)
-    recording.text(layout.CELL)  # without its cell a recording explains nothing
+    recording.text(layout.CELL)  # without its cell a recording cannot be calibrated
     about = recording.about()
     poses = {int(row["pose"][0]) for row in recording.observed()}
     return Recovered(source, output, len(poses), len(recording.cycles()), "exit_status" in about)

@@ -1,4 +1,4 @@
-"""What a run folder keeps of its plan, so that a resumed run can tell whether it is still the same one."""
+"""The copy of the plan in a run folder, with which a resumed run checks that the plan is still the same."""
 
 from __future__ import annotations
 

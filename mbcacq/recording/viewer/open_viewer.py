@@ -1,4 +1,4 @@
-"""The rerun viewer on a recording, in a process group of its own; and pictures of it without a screen."""
+"""The rerun viewer on a recording, and pictures of it without a screen. On POSIX it runs in a process group of its own."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def view(sources: Sequence[Path | str]) -> None:
             child.communicate()
             raise
     if child.returncode:
-        reason = rerun_program.complaint(subprocess.CompletedProcess(child.args, child.returncode, "", err))
+        reason = rerun_program.error_line(subprocess.CompletedProcess(child.args, child.returncode, "", err))
         raise RecordingError(f"the viewer could not be opened ({reason}); without a screen, use --screenshot DIR")
 
 
@@ -126,7 +126,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
 
 
 def _tabs(client: Any) -> list[str]:
-    """Names of the tabs on show; a foreign recording has one picture."""
+    """Names of the tabs shown; a recording of another program has one picture."""
     contents, blueprint = _root(client)
     names = [blueprint[entity]["ContainerBlueprint"].get("display_name", "") for entity in contents if entity in blueprint]
     return names if contents and all(names) and len(names) == len(contents) else ["view"]

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: the map, the shape of each effect with its band, the misfit along what is held responsible."""
+"""Figures of a diagnosis: the evidence map, the response curve of each effect with its band, the misfit along its covariate."""
 
 from __future__ import annotations
 
@@ -8,24 +8,26 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from mbcacq.report.charts.calibration_charts import AFTER, BEFORE, ESCAPES, look, thinned
-from mbcacq.report.sources.diagnosis_content import DiagnosisContent
+from mbcacq.report.charts.style import AFTER, BEFORE, ESCAPES, styled, thinned
 
-ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a shape is no line
+ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a response is not drawn as a line
 
 
-def heat_map(told: DiagnosisContent) -> go.Figure:
-    """Place by covariate: how improbable it is that chance alone explains as much, beyond what free geometry absorbs."""
-    at, on, z = told.map
+def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarray) -> go.Figure:
+    """Location by covariate: -log10 of the p-value of a motion of the location with the covariate, beyond what free geometry absorbs.
+
+    strength: (locations, covariates), NaN where nothing was tested.
+    """
+    z = strength
     top = max(float(np.nanmax(z)), 3.0)
     ticks = [v for v in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if v <= top]
-    labels = [o.translate(ESCAPES) for o in on]
+    labels = [o.translate(ESCAPES) for o in covariates]
     figure = go.Figure(
         go.Heatmap(
             z=np.log10(1 + z),
             customdata=z,
             x=labels,
-            y=[spaced(a).translate(ESCAPES) for a in at],
+            y=[spaced(a).translate(ESCAPES) for a in locations],
             colorscale="Viridis",
             zmin=0,
             zmax=float(np.log10(1 + top)),
@@ -42,20 +44,20 @@ def heat_map(told: DiagnosisContent) -> go.Figure:
         )
     )
     figure.update_xaxes(tickangle=-55, dtick=1, showgrid=False, title="depends on")
-    figure.update_yaxes(dtick=1, autorange="reversed", showgrid=False, title="place that moves")
-    figure = look(figure, 190 + 19 * len(at))
-    figure.update_layout(meta={"narrow": {"height": 230 + 13 * len(at), "tick": 7, "angle": -90}})
+    figure.update_yaxes(dtick=1, autorange="reversed", showgrid=False, title="location")
+    figure = styled(figure, 190 + 19 * len(locations))
+    figure.update_layout(meta={"narrow": {"height": 230 + 13 * len(locations), "tick": 7, "angle": -90}})
     return figure
 
 
-def shape(curve: Mapping[str, Any]) -> go.Figure:
-    """What moves over what it depends on: the model with its band (k = 2), and what each pose says by itself."""
-    x, y, std, seen = (np.array(curve[name], dtype=float) for name in ("x", "y", "std", "seen"))
+def response_curve(curve: Mapping[str, Any]) -> go.Figure:
+    """Motion of an effect over its covariate: the model with its band (k = 2), and the estimate from each pose alone."""
+    x, y, std, of_pose = (np.array(curve[name], dtype=float) for name in ("x", "y", "std", "seen"))
     figure = go.Figure()
-    keep = thinned(np.abs(seen))
+    keep = thinned(np.abs(of_pose))
     figure.add_scatter(
         x=x[keep],
-        y=seen[keep],
+        y=of_pose[keep],
         mode="markers",
         name="poses",
         marker={"color": "#9aa0a6", "size": 4, "opacity": 0.7},
@@ -83,19 +85,17 @@ def shape(curve: Mapping[str, Any]) -> go.Figure:
             marker={"color": AFTER, "size": 4.5, "symbol": "diamond"},
             error_y={"array": 2 * std, "color": "rgba(0,114,178,0.45)", "thickness": 1, "width": 0},
         )
-    low, high = np.percentile(np.concatenate([y - 2 * std, y + 2 * std, np.percentile(seen, [2, 98])]), [0, 100])
+    low, high = np.percentile(np.concatenate([y - 2 * std, y + 2 * std, np.percentile(of_pose, [2, 98])]), [0, 100])
     pad = 0.12 * max(high - low, 1e-9)
     figure.update_xaxes(title=axis(curve["x_label"], curve["x_unit"]))
     figure.update_yaxes(title=axis(curve["what"], curve["unit"]), range=[low - pad, high + pad], zeroline=True, zerolinecolor="#bbbbbb")
-    return look(figure, 300)
+    return styled(figure, 300)
 
 
-def along(told: DiagnosisContent, cause: Mapping[str, Any]) -> go.Figure:
-    """Size of the difference between simulation and recording along a variable held responsible, before and after."""
+def difference_along(centres: Mapping[str, Any], cause: Mapping[str, Any]) -> go.Figure:
+    """Size of the difference between model and data along a variable that an effect depends on, before and after."""
     x = np.array(cause["values"], dtype=float)
-    before, after = (
-        1e3 * np.linalg.norm(np.array(told.centres[f"{w}_mm"], dtype=float).reshape(-1, 3), axis=1) for w in ("before", "after")
-    )
+    before, after = (1e3 * np.linalg.norm(np.array(centres[f"{w}_mm"], dtype=float).reshape(-1, 3), axis=1) for w in ("before", "after"))
     figure = go.Figure()
     for name, values, colour, symbol in (("before", before, BEFORE, "circle"), ("after", after, AFTER, "diamond")):
         keep = thinned(before)
@@ -109,16 +109,16 @@ def along(told: DiagnosisContent, cause: Mapping[str, Any]) -> go.Figure:
         )
     figure.update_xaxes(title=axis(cause["label"], cause["unit"]))
     figure.update_yaxes(title="3D difference / µm", rangemode="tozero")
-    return look(figure, 290)
+    return styled(figure, 290)
 
 
-def spaced(place: str) -> str:
-    """'station12' -> 'station 12'; joints and links stay as they are called."""
+def spaced(location: str) -> str:
+    """'station12' -> 'station 12'; the names of joints and links stay."""
     for stem in ("station", "ball"):
-        if place.startswith(stem) and len(place) > len(stem):
-            return f"{stem} {place.removeprefix(stem)}"
-    return place
+        if location.startswith(stem) and len(location) > len(stem):
+            return f"{stem} {location.removeprefix(stem)}"
+    return location
 
 
-def axis(words: str, unit: str) -> str:
-    return f"{words} / {unit}".translate(ESCAPES) if unit else words.translate(ESCAPES)
+def axis(label: str, unit: str) -> str:
+    return f"{label} / {unit}".translate(ESCAPES) if unit else label.translate(ESCAPES)

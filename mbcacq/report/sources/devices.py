@@ -1,7 +1,8 @@
-"""How the devices did, read from the recording of a run: late answers, periods, times of exposures and states, what is missing."""
+"""Timing and health of the devices, read from the recording of a run: late answers, periods, exposures, states, and what is missing."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.journal import read_log
 from mbcacq.report.content import Devices
 
-MAX_LOST = 40
+MAX_GAPS = 40
 
 
 def devices_of(run: str | Path) -> Devices | None:
@@ -36,7 +37,13 @@ def devices_of(run: str | Path) -> Devices | None:
     except MbcacqError:
         return None
     return Devices(
-        late, period, nominal, exposures if len(exposures) else None, sorted(states.items(), key=lambda item: -item[1]), lost(run), health
+        late,
+        period,
+        nominal,
+        exposure_s=exposures if len(exposures) else None,
+        state_s=sorted(states.items(), key=lambda item: -item[1]),
+        gaps=gaps_and_warnings(run),
+        health=health,
     )
 
 
@@ -51,14 +58,14 @@ def _cycles(columns: list[dict[str, np.ndarray]]) -> tuple[np.ndarray | None, np
 
 def _exposures(rows: Any) -> np.ndarray:
     """(e,) s between successive exposures of one pose, finding the balls included."""
-    seen = [(int(row["pose"][0]), int(row["exposure"][0]), _seconds(row[layout.TIME])) for row in rows if "exposure" in row]
-    return np.array([t - s for (p, i, s), (q, j, t) in zip(seen[:-1], seen[1:], strict=True) if p == q and j == i + 1])
+    exposures = [(int(row["pose"][0]), int(row["exposure"][0]), _seconds(row[layout.TIME])) for row in rows if "exposure" in row]
+    return np.array([t - s for (p, i, s), (q, j, t) in pairwise(exposures) if p == q and j == i + 1])
 
 
 def _states(rows: Any) -> dict[str, float]:
-    seen = [(row["state"][0], _seconds(row[layout.TIME])) for row in rows if "state" in row]
+    changes = [(row["state"][0], _seconds(row[layout.TIME])) for row in rows if "state" in row]
     out: dict[str, float] = {}
-    for (state, start), (_, end) in zip(seen[:-1], seen[1:], strict=True):
+    for (state, start), (_, end) in pairwise(changes):
         out[state] = out.get(state, 0.0) + end - start
     return out
 
@@ -70,17 +77,17 @@ def _health(recordings: list) -> list[tuple[str, str, str, str]]:
         for entity, values in recording.scalars(f"{layout.HEALTH}/**").items():
             found.setdefault(entity.removeprefix(f"/{layout.HEALTH}/").replace("/", ": ").replace("\\", ""), []).extend(values)
     return [
-        (name, *(f"{v:.6g}" for v in (min(values), max(values), values[-1])))
+        (name, f"{min(values):.6g}", f"{max(values):.6g}", f"{values[-1]:.6g}")
         for name, values in sorted(found.items())
         if values and (min(values) != max(values) or name.endswith("_C"))
     ]
 
 
-def lost(run: Path) -> list[str]:
+def gaps_and_warnings(run: Path) -> list[str]:
     """What the recording lacks, and the warnings and errors of the log."""
     out = [*find_gaps(run), *(str(e["text"]) for e in read_log(run) if e.get("level") in ("warning", "error") and e.get("text"))]
     out = list(dict.fromkeys(out))
-    return out if len(out) <= MAX_LOST else [*out[:MAX_LOST], f"and {len(out) - MAX_LOST} more: see {layout.LOG_FILE}"]
+    return out if len(out) <= MAX_GAPS else [*out[:MAX_GAPS], f"and {len(out) - MAX_GAPS} more: see {layout.LOG_FILE}"]
 
 
 def _seconds(value: Any) -> float:

@@ -13,7 +13,7 @@ from mbcacq import __version__
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
-from mbcacq.report.sources.diagnosis_content import told
+from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
 
 FORMAT = "mbcacq-result/1"
@@ -62,7 +62,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         parameters=_parameters(result),
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
-        diagnosis=None if diagnosis is None else told(diagnosis, run_info.get("pictures")),
+        diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         noise=_noise(result),
         observability=_observability(result),
@@ -77,8 +77,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
 
 
 def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacing | None:
-    places = (verification or {}).get("places")
-    if not places:
+    if verification is None or not (places := verification.get("places")):
         return None
     several = len({p["station"] for p in places}) < len(places)
     expected = [p.get("expected_mm") for p in places]
@@ -125,7 +124,7 @@ def _accuracy(data: Mapping[str, Any] | None) -> AccuracyGrid | None:
 
 
 def _when(text: str) -> str:
-    """A time of ISO 8601 as people read it; any other text as it is."""
+    """A time of ISO 8601 as date, time and zone; any other text as it is."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
@@ -171,15 +170,15 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
     for p in result["parameters"]:
         name = str(p["name"])
         unit, factor = ("deg", 180 / np.pi) if p["unit"] == "rad" else (str(p["unit"]), 1.0)
-        turn = re.fullmatch(r"hand_eye\.r[xyz]", name) is not None
+        rotation = re.fullmatch(r"hand_eye\.r[xyz]", name) is not None
         error, value = factor * float(p["error"]), factor * float(p["value"])
         group = next((title for prefix, title in GROUPS if name.startswith(prefix)), None)
         if group is None:
             group = "Kinematics, MD-H" if re.fullmatch(r"(theta|d|a|alpha|beta)_\d+", name) else "Effects"
         std = None if p.get("std") is None else factor * float(p["std"])
-        bare = turn or group == "Effects"
+        correction_only = rotation or group == "Effects"
         held = str(p.get("reason") or "held") if p["status"] == "held" else None
-        nominal, value = (None, None) if bare else (value - error, value)
+        nominal, value = (None, None) if correction_only else (value - error, value)
         out.append(ParameterRow(group, name.removeprefix("hand_eye."), unit, nominal, error, value, std, held))
     return out
 

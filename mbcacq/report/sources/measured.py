@@ -1,8 +1,12 @@
-"""What a report needs of the observations themselves: residuals of the calibrated cell, where the arm stood, how well the spheres fit."""
+"""Residuals of the calibrated cell, coverage of the workspace and quality of the sphere fits, computed from the observations."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Set
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mbcacq.estimation.forward_model import CellState, arm_jacobian, predict, residual
 from mbcacq.geometry import se3
@@ -14,9 +18,9 @@ from mbcacq.report.content import Coverage, Residuals, Spheres
 def residuals(
     observations: Observations,
     state: CellState,
-    point_mm: np.ndarray | None,
-    joint_rad: np.ndarray | None,
-    rejected: set[tuple[int, int | None]] = frozenset(),
+    point_mm: ArrayLike | None,
+    joint_rad: ArrayLike | None,
+    rejected: Set[tuple[int, int | None]] = frozenset(),
 ) -> Residuals:
     """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
 
@@ -24,16 +28,16 @@ def residuals(
     """
     obs = observations
     prediction = predict(obs, state)
-    left = residual(obs, prediction)[:, :3]
+    deviation = residual(obs, prediction)[:, :3]
     weighted = None
     if point_mm is not None and joint_rad is not None:
         J = arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))[:, :3]
         sigma = np.sqrt(np.asarray(point_mm) ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
-        weighted = left / sigma
+        weighted = deviation / sigma
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
     station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
-    return Residuals(pose, ball, _phase(obs)[obs.pose], left, weighted, out, station, np.degrees(obs.q)[obs.pose])
+    return Residuals(pose, ball, _phase(obs)[obs.pose], deviation, weighted, out, station, np.degrees(obs.q)[obs.pose])
 
 
 def coverage(observations: Observations, state: CellState) -> Coverage:
@@ -54,8 +58,8 @@ def spheres(observations: Observations) -> Spheres | None:
     return Spheres(obs.pose_id[obs.pose], ball, np.asarray(obs.n_points, dtype=float), 1e3 * np.asarray(obs.rms_mm, dtype=float))
 
 
-def calibrated_poses(observations: Observations, result: dict) -> Observations:
-    """The poses at stations that the result knows; others (the verification bar) have no place in its forward model."""
+def calibrated_poses(observations: Observations, result: Mapping[str, Any]) -> Observations:
+    """The poses at stations that the result knows; its forward model does not hold the others (the verification bar)."""
     known = {s["id"] for s in result["stations"]}
     station = np.array([s.id in known for s in observations.cell.stations])
     keep = station[observations.station]

@@ -1,4 +1,4 @@
-"""What a run folder says about itself, for the report's head and provenance."""
+"""Name, start, versions, plan and hashes of a run folder, for the head and the provenance of a report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAX_BYTES = 1 << 20
 KEPT = ("plan.yaml", "result.json", "diagnosis.json")
 
 
-def about_run(folder: str | Path) -> dict[str, Any]:
+def read_run_identity(folder: str | Path) -> dict[str, Any]:
     """name, started, versions and plan_yaml of a run folder, as far as it has them; nothing for an observation set or a .rrd."""
     folder = Path(folder)
     info: dict[str, Any] = {}
@@ -34,12 +34,12 @@ def about_run(folder: str | Path) -> dict[str, Any]:
     return info
 
 
-def everything_about(folder: str | Path) -> dict[str, Any]:
-    """``about_run`` with devices, diagnosis (where one was made) and hashes: all that the whole report wants beside the result."""
+def read_run_info(folder: str | Path) -> dict[str, Any]:
+    """``read_run_identity`` with devices, diagnosis (where one was made) and hashes: all that a whole report needs besides the result."""
     from mbcacq.report.sources.devices import devices_of
 
     folder = Path(folder)
-    info = about_run(folder) | {"folder": str(folder), "hashes": hashes(folder)}
+    info = read_run_identity(folder) | {"folder": str(folder), "hashes": hashes(folder)}
     if (devices := devices_of(folder)) is not None:
         info["devices"] = devices
     diagnosis, pictures = _json(folder / "diagnosis.json"), _json(folder / "diagnosis-pictures.json")

@@ -1,4 +1,4 @@
-"""The first picture: the error of the bar before and after, drawn as SVG so that it is there at once, scales, and prints."""
+"""Picture of the first screen: the error of the bar before and after, as SVG, which needs no script, scales, and prints."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from mbcacq.report.charts.calibration_charts import AFTER, BEFORE, LIMIT
+from mbcacq.report.charts.style import AFTER, BEFORE, LIMIT
 from mbcacq.report.content import Spacing
 
 WIDTH, LEFT, RIGHT = 460.0, 64.0, 14.0
@@ -14,7 +14,7 @@ MOST_ROWS = 14
 
 
 def spacing_picture(data: Spacing) -> str:
-    """SVG of the magnitudes of the errors, a pair of bars a place; of many places those with the largest errors after."""
+    """SVG of the magnitudes of the errors, two bars for each place; of many places those with the largest errors after."""
     before, after = np.abs(data.before), np.abs(data.after)
     rows = np.arange(len(after))
     if len(rows) > MOST_ROWS:

@@ -1,21 +1,21 @@
-"""A diagnosis as the report tells it: its JSON and what its pictures need, as plain values in words and units."""
+"""The JSON of a diagnosis and of its pictures to the content of a report: plain values in words and units."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
 VERDICTS = {
-    "none": ("pass", "No effect found", "The simulation explains the recording down to the measured noise."),
-    "explained": ("found", "Explained", "The effects below bring the simulation down to the measured noise."),
-    "partly_explained": ("found", "Partly explained", "The effects below help, but structure remains."),
+    "none": ("pass", "No effect found", "The model explains the data down to the measured noise."),
+    "explained": ("found", "Explained", "With the effects below the model explains the data down to the measured noise."),
+    "partly_explained": ("found", "Partly explained", "The effects below help, but residual structure remains."),
     "unexplained": ("fail", "Unexplained", "There is a mismatch that no effect of the catalogue describes."),
-    "cannot_tell": ("none", "Cannot tell", "These poses do not let the candidates be told apart, or be seen."),
+    "cannot_tell": ("none", "Cannot tell", "From these poses the candidates cannot be separated or detected."),
 }
 UNITS = {
     "rad_per_Nm": "µrad/(N m)",
@@ -33,68 +33,51 @@ UNITS = {
 }
 
 
-@dataclass(frozen=True)
-class EffectContent:
-    """parameters: (name, value, standard deviation, unit) as texts; alternatives: sentences."""
-
-    title: str
-    depends_on: str
-    p_value: str
-    gain: str
-    parameters: list[tuple[str, str, str, str]]
-    alternatives: list[str]
-
-
-@dataclass(frozen=True)
-class DiagnosisContent:
-    """map: (places, covariates, (a, c) strengths, NaN where nothing was tested); curves, causes, centres as in the pictures' file."""
-
-    level: str
-    headline: str
-    reason: str
-    effects: list[EffectContent] = field(default_factory=list)
-    mismatch: list[tuple[str, str, str]] = field(default_factory=list)
-    proof: list[tuple[str, str, str, str]] = field(default_factory=list)
-    floor: str = ""
-    sentences: list[str] = field(default_factory=list)
-    map: tuple[list[str], list[str], np.ndarray] | None = None
-    curves: list[Mapping[str, Any]] = field(default_factory=list)
-    causes: list[Mapping[str, Any]] = field(default_factory=list)
-    centres: Mapping[str, Any] | None = None
-
-
-def told(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
-    """Raises KeyError or TypeError where the diagnosis is damaged. Pictures that are damaged are left out."""
-    if pictures is not None and not _whole(pictures):
+def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
+    """Content of a diagnosis; damaged pictures are left out. Raises KeyError or TypeError where the diagnosis itself is damaged."""
+    if pictures is not None and not _complete(pictures):
         pictures = None
     from mbcacq.diagnosis.output.figures import axis_of
 
     level, headline, reason = VERDICTS.get(diagnosis["verdict"], ("none", readable(diagnosis["verdict"]), ""))
     fit = diagnosis["fit"]
-    proof = [
-        (label, *(f"{1e3 * fit[key][f'{when}_rms_mm']:.1f} µm (χ²/dof {fit[key][f'{when}_chi2_dof']:.2f})" for when in ("before", "after")))
-        for key, label in (("train", "data fitted"), ("held_out", f"data that took no part (by {fit['held_out']['split']})"))
+    validation = [
+        (label, _misfit(fit[key], "before"), _misfit(fit[key], "after"))
+        for key, label in (("train", "data fitted"), ("held_out", f"held-out data (by {fit['held_out']['split']})"))
     ]
-    sentences = [
-        f"Cannot be told apart: {' and '.join(p['effects'])} (correlation {p['correlation']:.2f})."
-        for p in diagnosis.get("not_separable", ())
+    remarks = [
+        f"Not separable: {' and '.join(p['effects'])} (correlation {p['correlation']:.2f})." for p in diagnosis.get("not_separable", ())
     ]
-    sentences += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
-    sentences += [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.get("notes", ())]
+    remarks += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
+    remarks += [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.get("notes", ())]
     return DiagnosisContent(
         level,
         headline,
         reason,
         [_effect(e, axis_of) for e in diagnosis["effects"]],
         [(m["at"], axis_of(m["depends_on"])[0], _share(m["share"])) for m in diagnosis["mismatch"]],
-        proof,
+        validation,
         f"{1e3 * fit['repeatability_floor_mm']:.1f} µm",
-        sentences,
-        *((_map(pictures["map"], axis_of), pictures["curves"], pictures["causes"], pictures["centres"]) if pictures else ()),
+        remarks,
+        **({} if pictures is None else _drawn(pictures, axis_of)),
     )
 
 
-def _whole(pictures: Mapping[str, Any]) -> bool:
+def _misfit(fit: Mapping[str, float], when: str) -> str:
+    return f"{1e3 * fit[f'{when}_rms_mm']:.1f} µm (χ²/dof {fit[f'{when}_chi2_dof']:.2f})"
+
+
+def _drawn(pictures: Mapping[str, Any], axis_of: Any) -> dict[str, Any]:
+    """Fields of DiagnosisContent that its figures are drawn from."""
+    return {
+        "evidence_map": _map(pictures["map"], axis_of),
+        "curves": pictures["curves"],
+        "covariates": pictures["causes"],
+        "centres": pictures["centres"],
+    }
+
+
+def _complete(pictures: Mapping[str, Any]) -> bool:
     """Whether everything is there that is drawn, in equal numbers."""
     try:
         rows = len(pictures["centres"]["pose"])
@@ -103,14 +86,14 @@ def _whole(pictures: Mapping[str, Any]) -> bool:
         for curve in pictures["curves"]:
             even += [len(curve[name]) == len(curve["x"]) for name in ("y", "std", "seen")]
             even.append(all(isinstance(curve[name], str) for name in ("effect", "at", "what", "unit", "x_label", "x_unit")))
-        even += [isinstance(spot["at"] + spot["depends_on"], str) and float(spot["strength"]) >= 0 for spot in pictures["map"]]
+        even += [isinstance(f["at"] + f["depends_on"], str) and float(f["strength"]) >= 0 for f in pictures["map"]]
     except (KeyError, TypeError, ValueError, AttributeError):
         return False
     return all(even)
 
 
 def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
-    name = "an effect without a name" if effect["name"] == "unknown" else readable(effect["name"])
+    name = "an unmodelled effect" if effect["name"] == "unknown" else readable(effect["name"])
     alternatives = [
         f"{readable(a['name'])} at {', '.join(a['where'])} (would remove {a['held_out_gain']:.0%})" for a in effect["alternatives"]
     ]
@@ -157,21 +140,21 @@ def _number(value: float | None, std: float | None) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
-def _map(spots: list[Mapping[str, Any]], axis_of: Any) -> tuple[list[str], list[str], np.ndarray] | None:
-    """The strongest of each place and covariate; covariates that nothing depends on at all stay, so that the map shows what was tried."""
-    if not spots:
+def _map(fields: list[Mapping[str, Any]], axis_of: Any) -> tuple[list[str], list[str], np.ndarray] | None:
+    """The largest strength of each location and covariate. Covariates without any evidence stay, so that the map shows what was tested."""
+    if not fields:
         return None
-    at = sorted({s["at"] for s in spots}, key=_natural)
-    on = sorted({s["depends_on"] for s in spots}, key=_natural)
-    z = np.full((len(at), len(on)), np.nan)
-    for s in spots:
-        i, j = at.index(s["at"]), on.index(s["depends_on"])
-        z[i, j] = np.nanmax([z[i, j], s["strength"]])
-    return at, [axis_of(o)[0] for o in on], z
+    locations = sorted({f["at"] for f in fields}, key=_natural)
+    covariates = sorted({f["depends_on"] for f in fields}, key=_natural)
+    z = np.full((len(locations), len(covariates)), np.nan)
+    for f in fields:
+        i, j = locations.index(f["at"]), covariates.index(f["depends_on"])
+        z[i, j] = np.nanmax([z[i, j], f["strength"]])
+    return locations, [axis_of(c)[0] for c in covariates], z
 
 
 def _natural(name: str) -> tuple[int, str, int]:
-    """Joints, links, base, mount, scanner, balls, stations; each by number."""
+    """Sort key: joints, links, base, mount, scanner, balls, stations, each by number."""
     stem = name.rstrip("0123456789")
     order = ["q", "gravity_torque_", "direction_", "time", "pose", "A", "link", "base", "mount", "scanner", "ball", "station"]
     number = name[len(stem) :]

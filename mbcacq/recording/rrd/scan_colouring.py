@@ -1,4 +1,4 @@
-"""A scan for the eye: points on the balls coloured by their distance to the ball, the rest thinned and grey; and how good each ball is."""
+"""Colouring of a scan for display: points on the balls by their distance to the ball, the rest thinned and grey; form of each ball."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from mbcacq.model.cell import Artefact
 
 RANGE_MM = 0.03  # distance to the sphere at which the colours end
 SHELL_MM = 0.5  # a point this near to the certified sphere belongs to the ball
-MOST_ON_BALL, MOST_BESIDE, MOST_LOOKED_AT = 700, 1500, 400_000
+MOST_ON_BALL, MOST_BACKGROUND, MOST_EXAMINED = 700, 1500, 400_000
 INSIDE, ZERO, OUTSIDE = np.array([33.0, 102, 172]), np.array([240.0, 240, 235]), np.array([214.0, 96, 0])  # blue, white, vermilion
 GREY = (96, 102, 112)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """on_balls (k, 3) mm with colours (k, 3) uint8; beside (b, 3) mm; form_um, radius_um (balls,): range that holds 95 % of the distances
+class ColouredScan:
+    """on_balls (k, 3) mm with colours (k, 3) uint8; background (b, 3) mm. form_um, radius_um (balls,): range of 95 % of the distances
     to the sphere, and their mean; NaN where a ball has no points."""
 
     on_balls: np.ndarray
     colours: np.ndarray
-    beside: np.ndarray
+    background: np.ndarray
     form_um: np.ndarray
     radius_um: np.ndarray
 
 
-def look(points: np.ndarray, artefact: Artefact, ball: np.ndarray, centre: np.ndarray) -> Seen:
+def colour_scan(points: np.ndarray, artefact: Artefact, ball: np.ndarray, centre: np.ndarray) -> ColouredScan:
     """points (N, 3) mm and the centres (k, 3) mm found of some balls (k,) ids, all in the scanner frame."""
-    thinned = points[:: len(points) // MOST_LOOKED_AT + 1].astype(np.float64)
+    thinned = points[:: len(points) // MOST_EXAMINED + 1].astype(np.float64)
     radius = dict(zip(artefact.ball_ids, artefact.diameters / 2, strict=True))
     free = np.ones(len(thinned), bool)
     kept, colours = [], []
@@ -48,14 +48,14 @@ def look(points: np.ndarray, artefact: Artefact, ball: np.ndarray, centre: np.nd
         kept.append(thinned[near[::every]])
         colours.append(diverging(distance[::every] / RANGE_MM))
     rest = thinned[free]
-    rest = rest[:: len(rest) // MOST_BESIDE + 1]
+    rest = rest[:: len(rest) // MOST_BACKGROUND + 1]
     if not kept:
-        return Seen(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), rest, form, size)
-    return Seen(np.concatenate(kept), np.concatenate(colours), rest, form, size)
+        return ColouredScan(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), rest, form, size)
+    return ColouredScan(np.concatenate(kept), np.concatenate(colours), rest, form, size)
 
 
 def diverging(share: np.ndarray) -> np.ndarray:
-    """(k,) from -1 to 1 -> (k, 3) uint8: blue, white, vermilion, told apart by all eyes and by their lightness."""
+    """(k,) from -1 to 1 -> (k, 3) uint8: blue, white, vermilion, which the colour-blind can distinguish too."""
     share = np.clip(np.nan_to_num(share), -1.0, 1.0)[:, None]
     away = np.where(share < 0, INSIDE, OUTSIDE)
     return np.rint(ZERO + np.abs(share) * (away - ZERO)).astype(np.uint8)

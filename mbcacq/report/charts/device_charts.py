@@ -1,0 +1,82 @@
+"""Figures of the devices: late answers, periods, times of exposures and states."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, PHASES, styled
+
+STATES = {
+    "moving": PHASES[0],
+    "settling": "#F0E442",
+    "scanning": PHASES[2],
+    "waiting": PHASES[3],
+    "connecting": "#999999",
+    "paused": PHASES[1],
+    "stopped": "#555555",
+}
+
+
+def late_answers(late: np.ndarray) -> go.Figure:
+    """Number of cycles over the number of late answers that the controller counted, late (k,)."""
+    value, count = np.unique(np.rint(late).astype(int), return_counts=True)
+    figure = go.Figure(
+        go.Bar(x=[str(v) for v in value], y=count, marker_color=AFTER, hovertemplate="%{x} late: %{y} cycles<extra></extra>")
+    )
+    figure.update_xaxes(title="late answers, as the controller counts", type="category")
+    figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
+    return styled(figure, 270)
+
+
+def periods(period_ms: np.ndarray, nominal_ms: float | None) -> go.Figure:
+    """Time from cycle to cycle on this computer, (k,) ms, against the controller's period."""
+    values = period_ms[np.isfinite(period_ms)]
+    high = max(float(np.percentile(values, 99.95)), 2.0 * (nominal_ms or 0.0))
+    count, edges = np.histogram(np.clip(values, 0, high), bins=60, range=(0, high))
+    figure = go.Figure(
+        go.Bar(
+            x=(edges[1:] + edges[:-1]) / 2,
+            y=count,
+            width=np.diff(edges),
+            marker_color=AFTER,
+            marker_line_width=0,
+            hovertemplate="%{x:.2f} ms: %{y} cycles<extra></extra>",
+        )
+    )
+    if nominal_ms:
+        figure.add_vline(
+            nominal_ms,
+            line={"color": LIMIT, "width": 1.5, "dash": "dash"},
+            annotation={"text": f"controller {nominal_ms:.3g} ms", "font": {"size": 11}},
+        )
+    figure.update_xaxes(title="period on this computer / ms")
+    figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
+    return styled(figure, 270)
+
+
+def exposure_times(exposure_s: np.ndarray) -> go.Figure:
+    """Histogram of the times (e,) s from one exposure to the next at a pose."""
+    figure = go.Figure(go.Histogram(x=exposure_s, nbinsx=40, marker_color=AFTER, hovertemplate="%{x} s: %{y}<extra></extra>"))
+    figure.update_xaxes(title="from one exposure to the next / s", rangemode="tozero")
+    figure.update_yaxes(title="exposures")
+    return styled(figure, 270)
+
+
+def time_spent(state_s: list[tuple[str, float]]) -> go.Figure:
+    """Time of the run by state, (state, s)."""
+    figure = go.Figure()
+    for name, seconds in state_s:
+        figure.add_bar(
+            x=[seconds / 60],
+            y=["run"],
+            orientation="h",
+            name=f"{name} {seconds / 60:.1f} min".translate(ESCAPES),
+            marker_color=STATES.get(name, LINE),
+            hovertemplate=f"{name.translate(ESCAPES)}: %{{x:.1f}} min<extra></extra>",
+        )
+    figure.update_xaxes(title="time / min")
+    figure.update_yaxes(visible=False)
+    figure = styled(figure, 170)
+    figure.update_layout(barmode="stack")
+    return figure

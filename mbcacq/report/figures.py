@@ -1,0 +1,88 @@
+"""Which figures a page shows, by name: each is drawn only where the content has its data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, Residuals
+
+
+def report_figures(content: Content) -> dict[str, Any]:
+    """Plotly figures of a report without its diagnosis."""
+    from mbcacq.report.charts import parameter_charts, sphere_charts, verification_charts, workspace_charts
+
+    figures: dict[str, Any] = {}
+    if content.spacing is not None:
+        figures["spacing"] = verification_charts.spacing(content.spacing)
+    if content.residuals is not None and len(content.residuals.xyz):
+        figures |= _residual_figures(content.residuals)
+    if (spheres := content.spheres) is not None:
+        figures |= {"sphere_rms": sphere_charts.sphere_quality(spheres), "sphere_points": sphere_charts.sphere_points(spheres)}
+    if content.correlation is not None and len(content.correlation[0]) > 1:
+        figures["correlation"] = parameter_charts.correlation(*content.correlation)
+    if (accuracy := content.accuracy) is not None:
+        figures |= {"accuracy_top": workspace_charts.accuracy(accuracy, 1), "accuracy_side": workspace_charts.accuracy(accuracy, 2)}
+    if content.coverage is not None and len(content.coverage.q_deg):
+        figures |= _coverage_figures(content.coverage)
+    if content.devices is not None:
+        figures |= _device_figures(content.devices)
+    return figures
+
+
+def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Any]:
+    """Plotly figures of a diagnosis: evidence map, response curves, differences along covariates."""
+    from mbcacq.report.charts import diagnosis_charts
+
+    figures: dict[str, Any] = {}
+    if diagnosis.evidence_map is not None:
+        figures["evidence_map"] = diagnosis_charts.evidence_map(*diagnosis.evidence_map)
+    figures |= {f"response_{k}": diagnosis_charts.response_curve(curve) for k, curve in enumerate(diagnosis.curves)}
+    if centres := diagnosis.centres:
+        figures |= {f"along_{k}": diagnosis_charts.difference_along(centres, c) for k, c in enumerate(diagnosis.covariates)}
+    return figures
+
+
+def _residual_figures(residuals: Residuals) -> dict[str, Any]:
+    from mbcacq.report.charts import residual_charts
+
+    used = residuals.used()
+    figures: dict[str, Any] = {
+        "pose": residual_charts.residual_per_pose(residuals),
+        "ball": residual_charts.residual_per_ball(used),
+        "ball_mean": residual_charts.residual_mean_per_ball(used),
+    }
+    if used.station is not None:
+        figures["station"] = residual_charts.residual_per_station(used, used.station)
+    if used.q_deg is not None:
+        figures |= {f"axis_{i}": residual_charts.residual_over_axis(used, used.q_deg, i) for i in range(used.q_deg.shape[1])}
+    if used.weighted is not None:
+        figures["histogram"] = residual_charts.histogram(used.weighted)
+    return figures
+
+
+def _coverage_figures(coverage: Coverage) -> dict[str, Any]:
+    from mbcacq.report.charts import workspace_charts
+
+    figures: dict[str, Any] = {"joints": workspace_charts.joint_coverage(coverage)}
+    if coverage.flange is None:
+        return figures
+    xyz, phase = coverage.flange, coverage.phase
+    if coverage.balls is not None and coverage.ball_phase is not None:
+        xyz, phase = coverage.balls, coverage.ball_phase
+    views = {"places_top": 1, "places_side": 2}
+    return figures | {name: workspace_charts.position_coverage(xyz, phase, axis) for name, axis in views.items()}
+
+
+def _device_figures(devices: Devices) -> dict[str, Any]:
+    from mbcacq.report.charts import device_charts
+
+    figures: dict[str, Any] = {}
+    if devices.state_s:
+        figures["states"] = device_charts.time_spent(devices.state_s)
+    if devices.late is not None and devices.late.any():
+        figures["late"] = device_charts.late_answers(devices.late)
+    if devices.period_ms is not None and len(devices.period_ms):
+        figures["period"] = device_charts.periods(devices.period_ms, devices.nominal_ms)
+    if devices.exposure_s is not None and len(devices.exposure_s):
+        figures["exposure"] = device_charts.exposure_times(devices.exposure_s)
+    return figures
