@@ -12,7 +12,7 @@ import pytest
 import yaml
 from conftest import PACKAGE, install
 
-from mbcacq.conformance import CHECKS, Channel, Stand, TcpProxy, DriverBench, check, ended
+from mbcacq.conformance import CHECKS, Channel, DriverBench, Stand, TcpProxy, check, ended
 from mbcacq.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
