@@ -121,16 +121,11 @@ def test_unknown_names_are_refused(cell):
         CalibrationOptions(method="magic")
 
 
-def test_an_absurd_coordinate_is_refused_in_one_sentence(tmp_path):
+def test_an_absurd_coordinate_is_refused_in_one_sentence(shared_data):
     """One coordinate of 1e30: too far from everything even for the outlier screen's arithmetic."""
-    from pathlib import Path
-
     from mbcacq.recording import load_observations
 
-    folder = Path(__file__).parents[3] / "shared" / "data" / "example-none"
-    if not folder.exists():
-        pytest.skip("../shared/data is not here")
-    observations = load_observations(folder)
+    observations = load_observations(shared_data / "example-none")
     xyz = observations.xyz.copy()
     xyz[3, 0] = 1e30
     with pytest.raises(CalibrationError):

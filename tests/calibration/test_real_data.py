@@ -17,7 +17,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.recording import load_observations
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data folder is not there")
+pytestmark = [pytest.mark.shared_data, pytest.mark.skipif(not DATA.is_dir(), reason="the shared data folder is not there")]
 
 
 def test_independent_simulation_is_explained_down_to_its_noise():

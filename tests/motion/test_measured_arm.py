@@ -3,22 +3,17 @@
 The recordings do not describe the payload and the gas balancer of A2, and the masses are those of the published model.
 """
 
-from pathlib import Path
-
 import pytest
 
 from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.recording import read_trajectory_set
 
 pytestmark = pytest.mark.timeout(300)
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 @pytest.fixture(scope="module")
-def kr300():
-    if not SHARED.is_dir():
-        pytest.skip(f"the measured data are not in {SHARED}")
-    return diagnose_trajectories([read_trajectory_set(SHARED / f"kr300-trajectory-{k}") for k in "ab"])
+def kr300(shared_data):
+    return diagnose_trajectories([read_trajectory_set(shared_data / f"kr300-trajectory-{k}") for k in "ab"])
 
 
 def remaining(diagnosis, channel):

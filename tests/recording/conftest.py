@@ -7,15 +7,6 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
-
-
-@pytest.fixture
-def shared_data() -> Path:
-    if not SHARED.is_dir():
-        pytest.skip(f"the measured data are not in {SHARED}")
-    return SHARED
-
 
 @pytest.fixture
 def a_set(tmp_path: Path) -> Path:
