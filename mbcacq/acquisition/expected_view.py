@@ -23,7 +23,7 @@ class MeanCentres:
 
 
 def mean_centres(found: list) -> MeanCentres:
-    """Average the exposures of one pose (``FoundBalls`` each). A ball counts only if at least half of the exposures saw it."""
+    """Average the exposures of one pose (``FoundSpheres`` each). A ball counts only if at least half of the exposures saw it."""
     ids = np.concatenate([f.ball for f in found]) if found else np.zeros(0, int)
     xyz = np.concatenate([f.xyz for f in found]) if found else np.zeros((0, 3))
     n_points = np.concatenate([f.n_points for f in found]) if found else np.zeros(0)
