@@ -71,7 +71,8 @@ class ArrayLayout:
 
 
 def _fields(text: str) -> tuple[tuple[str, str], ...]:
-    return tuple(tuple(item.split(":")) for item in text.split())  # type: ignore[misc]
+    pairs = (item.split(":") for item in text.split())
+    return tuple((first, second) for first, second in pairs)
 
 
 _STEPS = " stream_step:i stream_step_id:i arrayed_count:i arrayed_index:i"

@@ -78,7 +78,7 @@ class Proxy:
                         return
                     if isinstance(piece, bytes):
                         send(piece)
-                    elif self._closing.wait(float(piece)):  # type: ignore[arg-type]
+                    elif isinstance(piece, int | float) and self._closing.wait(piece):
                         return
 
 

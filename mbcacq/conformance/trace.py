@@ -70,7 +70,9 @@ class Replay:
             else:
                 self._listeners[link] = socket.create_server(("127.0.0.1", 0))
         self.ports = {link: listener.getsockname()[1] for link, listener in self._listeners.items()}
-        self._datagrams, self._last = set(datagrams or ()), dict[str, bytes]()
+        self._datagrams = set(datagrams or ())
+        self._unanswered: dict[str, list[bytes]] = {link: [] for link in self._datagrams}  # sent by the device, oldest first
+        self._taken: dict[str, set[bytes]] = {link: set() for link in self._datagrams}  # answers that were played already
         self._thread = threading.Thread(target=self._play, name="replay", daemon=True)
         self._thread.start()
 
@@ -108,9 +110,8 @@ class Replay:
             pass
 
     def _send(self, link: socket.socket, line: TraceLine) -> None:
-        self._last[line.link] = line.data
         if line.link in self._datagrams:
-            _drain(link)
+            self._unanswered[line.link].append(line.data)
         try:
             link.sendall(line.data)
         except ConnectionRefusedError:  # a datagram before the driver listens; it is sent again while its answer is waited for
@@ -130,19 +131,25 @@ class Replay:
         return data
 
     def _datagram(self, link: socket.socket, line: TraceLine) -> bytes:
-        """One that is not answered is sent again: nobody may have listened yet, or it was one of several in a queue."""
+        """What is not answered is sent again: nobody may have listened yet. A second answer to what was sent twice is passed over."""
+        unanswered, taken = self._unanswered[line.link], self._taken[line.link]
         deadline, wait_s = time.monotonic() + self._timeout_s, _AGAIN_S
         while not self._closing.is_set() and time.monotonic() < deadline:
             link.settimeout(wait_s)
             try:
-                return link.recv(1 << 16)
+                data = link.recv(1 << 16)
+                if data != line.data and data in taken:
+                    continue
+                del unanswered[:1]
+                taken.add(data)
+                return data
             except ConnectionRefusedError:
                 self._closing.wait(_AGAIN_S)
             except TimeoutError:
                 wait_s = min(2 * wait_s, 1.0)
-            if line.link in self._last:
-                with suppress(ConnectionRefusedError):
-                    link.send(self._last[line.link])
+            with suppress(ConnectionRefusedError):  # all of them later, so that none overtakes another
+                for telegram in unanswered:
+                    link.send(telegram)
         raise TimeoutError
 
     def _link(self, name: str) -> socket.socket:
@@ -152,12 +159,3 @@ class Replay:
             self._links[name], _ = listener.accept()
             self._links[name].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return self._links[name]
-
-
-def _drain(link: socket.socket) -> None:
-    """Second answers to a datagram that was sent twice."""
-    link.setblocking(False)
-    with suppress(BlockingIOError, ConnectionRefusedError):
-        while link.recv(1 << 16):
-            pass
-    link.setblocking(True)

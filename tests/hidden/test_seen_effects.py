@@ -178,7 +178,7 @@ def test_only_the_balls_in_view_are_recorded(looking_q):
 
 def test_whoever_conceals_shares_nothing_with_whoever_finds():
     code = (
-        "import sys, mbcacq_fakes.cell.computed_run, mbcacq_fakes.effects as h; [h.make(n) for n in h.CATALOGUED + h.OUTSIDE];"
+        "import sys, mbcacq_fakes.cell.computed_run, mbcacq_fakes.effects as h; [h.make(n) for n in h.CATALOGUED + h.UNCATALOGUED];"
         "bad = [m for m in sys.modules if m.startswith(('mbcacq.geometry', 'mbcacq.effects', 'mbcacq.calibration', 'mbcacq.diagnosis'))];"
         "sys.exit(' '.join(bad) or 0)"
     )
