@@ -1,8 +1,8 @@
-"""Each effect of the catalogue, put into a made cell, is found, named and measured."""
+"""Each effect of the catalogue, simulated in a cell, is found, named and measured."""
 
-import made
 import numpy as np
 import pytest
+import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.verdict import verdict_of
@@ -30,7 +30,7 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "where", "values", "hyper"), CASES, ids=[f"{c[0]}-{'-'.join(c[1])}" for c in CASES])
 def test_found_named_and_measured(plan, name, where, values, hyper):
-    observed = made.observe(plan, 11, [(name, where, values, hyper)])
+    observed = simulated.observe(plan, 11, [(name, where, values, hyper)])
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
@@ -41,7 +41,7 @@ def test_found_named_and_measured(plan, name, where, values, hyper):
 
 
 def test_two_effects_at_once(plan):
-    observed = made.observe(plan, 12, [("joint_compliance", ("A2",), [2.5e-6], None), ("backlash", ("A1",), [5e-5], None)])
+    observed = simulated.observe(plan, 12, [("joint_compliance", ("A2",), [2.5e-6], None), ("backlash", ("A1",), [5e-5], None)])
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
@@ -49,7 +49,7 @@ def test_two_effects_at_once(plan):
 
 
 def test_found_among_one_percent_of_gross_outliers(plan):
-    observed = made.observe(plan, 13, [("joint_compliance", ("A2",), [2.5e-6], None)], outliers=0.01)
+    observed = simulated.observe(plan, 13, [("joint_compliance", ("A2",), [2.5e-6], None)], outliers=0.01)
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 

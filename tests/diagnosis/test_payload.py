@@ -1,4 +1,4 @@
-"""A tool heavier than declared, concealed by the fake cell's own physics, is told from elastic joints that carry what is declared."""
+"""A tool heavier than declared, concealed by the fake cell's own physics, is reported from elastic joints that carry what is declared."""
 
 from pathlib import Path
 
@@ -41,15 +41,15 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
         ("joint_compliance", ("A3",)),
     }
     for (candidate, hyper), p in zip(found.model.effects, found.model.slices(), strict=True):
-        told = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
-        for name, entry in told.items():
+        reported = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
+        for name, entry in reported.items():
             true = {"mass_kg": mass, "com_mm": np.array(com)}.get(name, softness)
             assert np.all(np.abs(np.array(entry["value"]) - true) < 3 * np.array(entry["std"])), name
     mass_told = found.model.coefficients[found.model.slices()[-1].start]
     assert mass_told > 3 * np.sqrt(found.model.covariance[found.model.slices()[-1].start, found.model.slices()[-1].start])
 
 
-def test_a_tool_far_too_heavy_on_soft_joints_is_measured_too(seeing):
+def test_a_far_too_heavy_tool_on_soft_joints_is_measured(seeing):
     """Far from where both were begun: what is left of compliance times weight is no further effect."""
     hidden = {"name": "payload", "mass_kg": 12.0, "com_mm": [20.0, 0.0, 130.0], "compliance_rad_per_Nm": 2.5e-5}
 
@@ -63,7 +63,7 @@ def test_a_tool_far_too_heavy_on_soft_joints_is_measured_too(seeing):
     assert mass["std"] < 1.5
 
 
-def test_elastic_joints_under_the_declared_tool_are_not_told_as_a_wrong_tool(seeing):
+def test_elastic_joints_are_not_reported_as_a_wrong_payload(seeing):
     hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
 
     found = model_fit.fit_model(model_fit.prepare(observed(seeing, 103, hidden)))

@@ -121,9 +121,14 @@ def single_block_more_probable(projected: CandidateScoring, design_blocks: Desig
     """
     best = EvidenceMap(projected, design_blocks).evaluate(projected).best()
     same = [e for e in model.effects if best.location in e[0].where and best.depends_on == e[0].depends_on]
-    if any(projected.test(*e).gain > DISTORTED * best.gain for e in same):
+    return leads_plainly(best, model, max((projected.test(*e).gain for e in same), default=-np.inf))
+
+
+def leads_plainly(block: MapCell, model: EffectSet, gain_there: float) -> bool:
+    """gain_there: of the effect at the block's location that follows the same covariate, fitted alone."""
+    if gain_there > DISTORTED * block.gain:
         return False
-    return best.log_posterior - UNMODELLED - DECISIVE > 0.5 * RELATIVE_LEAD * model.log_posterior_odds
+    return block.log_posterior - UNMODELLED - DECISIVE > 0.5 * RELATIVE_LEAD * model.log_posterior_odds
 
 
 def nearly_equal(a: NoiseEstimate, b: NoiseEstimate) -> bool:

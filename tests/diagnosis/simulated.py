@@ -1,4 +1,4 @@
-"""Cells made for tests: the poses of a plan, true geometry, noise and an effect that are known, seen through the forward model."""
+"""Cells simulated for tests: the poses of a plan, known geometry, noise and effects, observed through the forward model."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate, scalar_report
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Displacements
-from mbcacq.estimation.terms import accumulate, term
+from mbcacq.estimation.terms import Part, accumulate, term
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
@@ -35,7 +36,7 @@ def robot() -> RobotModel:
     limits = np.array([[-170, 170], [-185, 65], [-137, 163], [-185, 185], [-120, 120], [-350, 350]]) * deg
     com = np.array([[0.0, 0, 0], [-240, 0, 0], [0, 0, 120], [0, 200, 0], [0, 0, 0], [0, 0, -20]])
     return RobotModel(
-        "made arm",
+        "simulated arm",
         chain,
         limits,
         np.array([0, 38, 24, 9, 5, 0.5]),
@@ -53,7 +54,7 @@ def cell(stations: int, bars: int, rng: np.random.Generator) -> Cell:
     bar = Artefact("bar", "scale bar", (9, 10), np.array([[-400.0, 0, 0], [400.0, 0, 0]]), np.full(2, 25.0))
     hand_eye = se3.transform(se3.rotation_exp(np.array([np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 260.0]))
     places = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(Station(str(stations + i + 1), "bar") for i in range(bars))
-    return Cell(robot(), hand_eye, (mbc, bar), places, "made scanner", POINT_NOISE)
+    return Cell(robot(), hand_eye, (mbc, bar), places, "simulated scanner", POINT_NOISE)
 
 
 def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,7 +74,7 @@ def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, n
 
 @lru_cache(maxsize=4)
 def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Observations:
-    """A plan that can see: stations over a wide range of postures, several tilts and rolls each, and a long bar seen end by end.
+    """A plan that makes every effect observable: stations over a wide range of postures, several tilts and rolls each, and a long bar seen end by end.
 
     The measured centres are those of the nominal cell; ``observe`` replaces them.
     """
@@ -177,6 +178,15 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
     wrong = rng.random(len(xyz)) < outliers
     xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
     return replace(obs, xyz=xyz)
+
+
+def candidate(name: str, where: str, typical: list[float], depends_on: str = "pose", **options) -> Candidate:
+    """A candidate without parts, for rules that ask only what it is."""
+    return Candidate(name, (where,), depends_on, no_parts, scalar_report("size"), np.array(typical), **options)
+
+
+def no_parts(_: float | None) -> list[Part]:
+    return []
 
 
 def add(a: Displacements, b: Displacements) -> Displacements:

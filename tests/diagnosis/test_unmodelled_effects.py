@@ -1,22 +1,22 @@
-"""What has no name is located where it is, without wrong names beside it, and predicts poses that took no part."""
+"""An unmodelled effect is located where it acts, without wrong parametric effects, and predicts poses left out."""
 
-import made
 import numpy as np
+import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_ratio
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, verdict_of
 from mbcacq.estimation.forward_model import Displacements
 
 
-def test_chance_gives_evidence_of_a_hundred_at_most_once_in_a_hundred():
+def test_a_bayes_factor_of_a_hundred_is_rare_without_an_effect():
     rng = np.random.default_rng(5)
     columns = rng.normal(size=(200, 4))
     S = columns.T @ columns
     b = rng.normal(size=(20000, 200)) @ columns
 
-    log, _, _ = log_ratio(np.tile(S, (20000, 1, 1)), b, np.tile(np.diag(S), (20000, 1)), np.ones((1, 4)))
+    log, _, _ = log_bayes_factor(np.tile(S, (20000, 1, 1)), b, np.tile(np.diag(S), (20000, 1)), np.ones((1, 4)))
 
     assert np.mean(log > np.log(100)) <= 0.01
     assert np.mean(log > np.log(10)) <= 0.1
@@ -44,45 +44,47 @@ def hose_that_pulls_joint_five(s):
 
 
 def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
-    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 120, [wobble_across_joint_two])))
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 120, [wobble_across_joint_two])))
 
     assert verdict_of(found) == "unexplained"
-    assert (found.cells[0].at, found.cells[0].depends_on) == ("link2", "q2")
+    assert (found.cells[0].location, found.cells[0].depends_on) == ("link2", "q2")
     assert found.model.effects == ()
 
 
 def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
-    setup = model_fit.prepare(made.observe(plan, 121, [twist_of_link_two_that_saturates]))
+    setup = model_fit.prepare(simulated.observe(plan, 121, [twist_of_link_two_that_saturates]))
     full = model_fit.fit_model(setup)
-    told = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
+    reported = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
 
-    assert told.verdict == "unexplained"
-    assert told.mismatch[0]["at"] == "link2"
-    assert told.mismatch[0]["depends_on"].startswith("gravity_torque")
-    assert [e.name for e in told.effects] == ["unknown"]
-    assert told.effects[0].held_out_gain > 0.9
+    assert reported.verdict == "unexplained"
+    assert reported.mismatch[0]["at"] == "link2"
+    assert reported.mismatch[0]["depends_on"].startswith("gravity_torque")
+    assert [e.name for e in reported.effects] == ["unknown"]
+    assert reported.effects[0].held_out_gain > 0.9
 
 
-def test_a_pulling_hose_is_not_told_as_a_coupling_of_the_wrist(plan):
-    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 122, [hose_that_pulls_joint_five])))
+def test_a_pulling_hose_is_not_reported_as_a_wrist_coupling(plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 122, [hose_that_pulls_joint_five])))
 
     assert "wrist_coupling" not in found.model.names
-    assert (found.cells[0].at, found.cells[0].depends_on) == ("A5", "q6")
+    assert (found.cells[0].location, found.cells[0].depends_on) == ("A5", "q6")
 
 
-def test_two_names_that_cancel_each_other_are_not_told_together():
-    """With one artefact alone a scanner's scale and the artefact's can hardly be told apart: never both, thousands of ppm against each other."""
-    found = model_fit.fit_model(model_fit.prepare(made.observe(made.plan(bars=0), 123, [("scanner_scale", ("scanner",), [540.0], None)])))
+def test_two_effects_that_cancel_each_other_are_not_reported_together():
+    """With one artefact alone a scanner's scale and the artefact's can hardly be reported apart: never both, thousands of ppm against each other."""
+    found = model_fit.fit_model(
+        model_fit.prepare(simulated.observe(simulated.plan(bars=0), 123, [("scanner_scale", ("scanner",), [540.0], None)]))
+    )
 
     assert len(set(found.model.names) & {"scanner_scale", "artefact_expansion"}) == 1
     assert abs(abs(found.model.coefficients[0]) - 540.0) < 100.0
 
 
-def test_no_instrument_passes_for_much_worse_than_stated(plan):
+def test_instrument_noise_stays_near_its_stated_value(plan):
     """A ball off by half a millimetre is no noise of an instrument of ten micrometres."""
-    observed = made.observe(plan, 124, [("ball_shift", ("ball3",), [0.3, 0.2, -0.3], None)])
+    observed = simulated.observe(plan, 124, [("ball_shift", ("ball3",), [0.3, 0.2, -0.3], None)])
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert np.all(found.noise.point < 1.3 * made.POINT_NOISE)
+    assert np.all(found.noise.point < 1.3 * simulated.POINT_NOISE)
     assert [c.name for c, _ in found.model.effects] == ["ball_shift"]
