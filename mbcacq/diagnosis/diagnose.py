@@ -20,9 +20,9 @@ Progress = Callable[[str], None]
 
 
 def diagnose(obs: Observations, folds: int | None = None, progress: Progress = lambda text: None, workers: int = 1) -> Diagnosis:
-    """Locate the mismatch, explain it by effects, and prove them on data left out.
+    """Locate the mismatch, explain it by effects, and validate these on data left out.
 
-    folds: of the proof; by default as many as the recording allows. workers: processes for the proof, of a recording that is not long.
+    folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
     Raises CalibrationError where the data do not even determine the geometry.
     """
     if obs.n_poses < OPTIONS.fewest_poses:
@@ -45,14 +45,14 @@ def _diagnose(obs: Observations, folds: int | None, progress: Progress, workers:
     progress("proving on data left out")
     if obs.n_poses >= OPTIONS.many_poses:
         workers = 1  # each would need as much memory as all of them in turn
-    proof = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
-    result = conclude(problem, full, proof)
+    validation = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
+    result = conclude(problem, full, validation)
     result.notes += notes
     return result
 
 
 def usual_folds(obs: Observations, full: ModelFit) -> int:
-    """Number of folds of the proof, by the length of the recording and how weak its effects are."""
+    """Number of folds, by the length of the recording and how weak its effects are."""
     if obs.n_poses >= OPTIONS.many_poses:
         return OPTIONS.long_folds if obs.n_poses < OPTIONS.longest_from else OPTIONS.longest_folds
     if full.smooth is None and 0 < full.model.penalised_gain < WEAK:

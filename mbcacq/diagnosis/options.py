@@ -47,7 +47,7 @@ class DiagnosisOptions:
     refinement_gain: float = 1.3  # a scanned candidate gains at most this many times its best grid value between the values
     preferred_share: float = 0.8  # prior probability of the preferred values of a hyper-parameter (orders of a gear)
     detectable_chi2: float = 4.0  # chi2 of an effect that can just be detected: two standard deviations
-    least_detectability: float = 0.1  # of a location where nothing is seen: sizes may be far from typical (challenge.md, code 316787e)
+    least_detectability: float = 0.1  # of a location where nothing shows: sizes may be far from typical (challenge.md, code 316787e)
 
     # Basis functions of unmodelled effects
     harmonics: int = 4  # periods a turn, of any joint's angle at any location
@@ -56,7 +56,7 @@ class DiagnosisOptions:
     narrow_cosines: int = 16  # of a joint's own angle: narrow enough for a local bump
     fading_reaches: tuple[float, ...] = (0.1, 0.3, 1.0)  # rad of travel over which lost motion fades: grease, wind-up, pre-sliding
     standing_rad: float = 1e-4  # less travel is no motion; what was before it lasts
-    parallel_cosine: float = 0.99  # from which two axes count as one, so that a link's turn is left to the next joint
+    parallel_cosine: float = 0.99  # from which two axes count as one, so that a link's rotation is left to the next joint
     shortest_period_mm: float = 8.0  # of periodic errors in the field of view; balls are about that large
     most_harmonics: int = 16  # of periodic errors over the width of the field
     harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
@@ -67,7 +67,7 @@ class DiagnosisOptions:
     initial_size_mm: float = 0.02  # size of a group of coefficients at the start of the fixed-point iteration
     smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
 
-    # Search and proof
+    # Search and validation
     most_passes: int = 4  # turns of search and noise; the set of effects stands still after two or three
     known_effect_reduction: float = 10.0  # chi2 by which a first effect may miss its threshold in a fold, where one is known to exist
     few_stations: int = 6  # up to which each is left out alone

@@ -76,7 +76,7 @@ def transferred(source: DiagnosisProblem, target: DiagnosisProblem, model: Effec
 
 
 def same_moment(source: DiagnosisProblem, target: DiagnosisProblem, moment: float) -> float:
-    """The place in the order of the target's poses of the pose at a place in the source's order."""
+    """Rank, in the order of the target's poses, of the pose at a rank in the source's order."""
     pose = source.linear.obs.pose_id[np.flatnonzero(source.context.order == int(moment))[0]]
     listed = target.linear.obs.pose_id[np.argsort(target.context.order)]
     if np.any(listed == pose):

@@ -53,8 +53,10 @@ def cell(stations: int, bars: int, rng: np.random.Generator) -> Cell:
     mbc = Artefact("mbc", "MBC-8", tuple(range(1, 9)), balls, np.full(8, 12.0))
     bar = Artefact("bar", "scale bar", (9, 10), np.array([[-400.0, 0, 0], [400.0, 0, 0]]), np.full(2, 25.0))
     hand_eye = se3.transform(se3.rotation_exp(np.array([np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 260.0]))
-    places = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(Station(str(stations + i + 1), "bar") for i in range(bars))
-    return Cell(robot(), hand_eye, (mbc, bar), places, "simulated scanner", POINT_NOISE)
+    all_stations = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(
+        Station(str(stations + i + 1), "bar") for i in range(bars)
+    )
+    return Cell(robot(), hand_eye, (mbc, bar), all_stations, "simulated scanner", POINT_NOISE)
 
 
 def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,8 +83,8 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
     rng = np.random.default_rng(seed)
     here = cell(stations, bars, rng)
     arm, q, station, pose, ball, xyz = here.robot, [], [], [], [], []
-    for s, place in enumerate(here.stations):
-        targets = [np.arange(8)] if place.artefact == "mbc" else [np.array([8]), np.array([9])]
+    for s, target_station in enumerate(here.stations):
+        targets = [np.arange(8)] if target_station.artefact == "mbc" else [np.array([8]), np.array([9])]
         while True:
             start = rng.uniform(0.6 * arm.limits[:, 0], 0.6 * arm.limits[:, 1])
             T_base_scanner = arm.chain.frames(start[None])[0, -1] @ here.T_flange_scanner
@@ -116,7 +118,7 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
                 station.append(s)
     count = len(q)
     time = np.cumsum(rng.uniform(12, 28, count))
-    sense = np.sign(np.diff(np.array(q), axis=0, prepend=np.array(q)[:1] - 1))
+    direction = np.sign(np.diff(np.array(q), axis=0, prepend=np.array(q)[:1] - 1))
     warm = 24 + 6 * (1 - np.exp(-time / 1200)) + rng.normal(0, 0.02, count)
     return Observations(
         here,
@@ -127,7 +129,7 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
         np.array(ball),
         np.concatenate(xyz),
         time_s=time,
-        direction=sense,
+        direction=direction,
         temperatures={"robot_C": warm},
     )
 
@@ -142,7 +144,7 @@ def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:
 def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE) -> Observations:
     """The poses of a recording measured again in another cell.
 
-    effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the situation that
+    effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the context that
     return displacements. outliers: share of centres that are off by millimetres.
     """
     from mbcacq.diagnosis.linearized import geometry_fit
@@ -158,15 +160,15 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
     )
     if obs.cell.measurement == "artefact_in_scanner":
         state = replace(state, T_base_station=start.T_base_station)
-    situation = Context(obs, state, forward_model.predict(obs, state))
+    context = Context(obs, state, forward_model.predict(obs, state))
     terms, values, moved = [], [], Displacements()
     for effect in effects:
         if callable(effect):
-            moved = add(moved, effect(situation))
+            moved = add(moved, effect(context))
             continue
         name, where, coefficients, hyper = effect
         candidate = next(
-            c for c in catalogue.candidates(situation)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients)
+            c for c in catalogue.candidates(context)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients)
         )
         terms.append(term(name, candidate.build(hyper)))
         values.append(np.asarray(coefficients, dtype=float))

@@ -37,8 +37,8 @@ def test_every_effect_of_the_contract_has_a_file():
 def test_scans_multiply_the_same_functions_as_built_columns(plan):
     obs = simulated.observe(plan, 31)
     state = geometry_fit.initial_state(obs)
-    situation = Context(obs, state, forward_model.predict(obs, state))
-    scanned = [c for c in catalogue.candidates(situation)[0] if c.separable]
+    context = Context(obs, state, forward_model.predict(obs, state))
+    scanned = [c for c in catalogue.candidates(context)[0] if c.separable]
     assert scanned
     for candidate in scanned:
         value = float(candidate.hyper.values[len(candidate.hyper.values) // 2])

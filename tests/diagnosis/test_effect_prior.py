@@ -25,7 +25,7 @@ def test_detection_statistic_of_noise_is_chi2_of_its_dof(seen, level):
 
 
 def test_poorly_determined_directions_have_no_occam_penalty():
-    """A shift of a scanner is seen by three coefficients, its turn about the middle of the view by none: six cost little more than three."""
+    """A shift of a scanner is determined by three coefficients, its rotation by none: six have little more penalty than three."""
     three = EffectPrior(np.array([20.0, 10.0, 15.0]), np.ones(3))
     six = EffectPrior(np.array([20.0, 10.0, 15.0, 0.8, 1.2, 0.5]), np.array([1, 1, 1, 1e-3, 1e-3, 1e-3]))
 

@@ -82,7 +82,7 @@ def test_an_effect_that_predicts_nothing_is_removed(plan):
 
 
 def test_a_location_of_an_effect_that_predicts_nothing_is_removed(plan):
-    """One joint of a name may be true while a second, found beside it, is chance."""
+    """One joint of an effect may be true while a second, found with it, is noise."""
     observed = simulated.observe(plan, 165, [("gear_transmission_error", ("A2",), [3e-5, 2e-5], 1.0)])
     setup = model_fit.prepare(observed)
     full = model_fit.fit_model(setup)
@@ -115,7 +115,7 @@ def test_strong_structure_that_predicts_nothing_is_reported_unknown(plan):
 
 
 def test_a_fold_may_use_a_lower_threshold_where_an_effect_is_known(plan):
-    """What the whole recording shows weakly, half of it does not show by itself; which it is, it tells."""
+    """What the whole recording shows weakly, half of it does not show by itself; which effect it is, it shows."""
     setup = model_fit.prepare(simulated.observe(plan, 178, [("joint_scale", ("A5",), [3e-5], None)]))
     full = model_fit.fit_model(setup)
     half = setup.linear.keep & (setup.linear.obs.pose % 2 == 1)
@@ -135,13 +135,13 @@ def test_one_unmodelled_effect_is_not_split_into_many_parametric_ones(plan):
         return Displacements(frame=frame)
 
     two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
-    for effects, strung in (([twist], True), (two, False)):
+    for effects, one_block in (([twist], True), (two, False)):
         setup = model_fit.prepare(simulated.observe(plan, 168, effects))
         projected = CandidateScoring.of(setup.linear, noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise))
-        names = BeamSearch(setup.candidates, context=setup.context).beam_search(projected)
+        found = BeamSearch(setup.candidates, context=setup.context).beam_search(projected)
 
-        assert len(names.effects) > 1
-        assert model_comparison.single_block_more_probable(projected, setup.design_blocks, names) == strung
+        assert len(found.effects) > 1
+        assert model_comparison.single_block_more_probable(projected, setup.design_blocks, found) == one_block
 
 
 def test_a_station_drift_is_validated_on_the_other_stations(plan):
@@ -181,7 +181,7 @@ def test_rejected_centres_that_an_effect_explains_are_readmitted(plan):
 
 
 def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
-    """However far: a name is not given up for its size while nothing else fits better."""
+    """However far: an effect is not given up for its size while nothing else fits better."""
     observed = simulated.observe(plan, 135, [("ball_shift", ("ball5",), [1.5, -1.0, 1.0], None)])
 
     reported = diagnose.diagnose(observed)

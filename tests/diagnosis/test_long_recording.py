@@ -31,7 +31,7 @@ def test_orders_of_two_gears_explain_nearly_all(reported):
 
 
 def test_several_orders_of_a_joint_are_one_location(reported):
-    places = [(m["at"], m["depends_on"]) for m in reported.mismatch]
-    assert places[0] == ("A1", "q1")
-    assert len(places) == len(set(places))
+    locations = [(m["at"], m["depends_on"]) for m in reported.mismatch]
+    assert locations[0] == ("A1", "q1")
+    assert len(locations) == len(set(locations))
     assert reported.mismatch[0]["share"] > 0.5

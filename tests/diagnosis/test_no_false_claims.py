@@ -46,10 +46,10 @@ def test_effects_without_their_columns_are_reported_as_dropped(plan):
     assert "temperatures" in dropped["thermal_growth"]
 
 
-def bending_of_link_two(situation):
+def bending_of_link_two(context):
     """Rotation behind link 2 about its own x, by the product of two joint angles: in no catalogue."""
-    frame = np.zeros((situation.obs.n_poses, situation.n + 1, 6))
-    frame[:, 2, 3] = 3e-4 * np.sin(2 * situation.obs.q[:, 2])
+    frame = np.zeros((context.obs.n_poses, context.n + 1, 6))
+    frame[:, 2, 3] = 3e-4 * np.sin(2 * context.obs.q[:, 2])
     return Displacements(frame=frame)
 
 
@@ -60,9 +60,9 @@ def test_an_unmodelled_effect_is_not_explained_by_a_parametric_one(plan):
     assert found.smooth is not None
 
 
-def cubic_lens(situation):
-    point = np.zeros((situation.obs.n_centres, 3))
-    point[:, 2] = 0.03 * (situation.obs.xyz[:, 0] / 30) ** 3
+def cubic_lens(context):
+    point = np.zeros((context.obs.n_centres, 3))
+    point[:, 2] = 0.03 * (context.obs.xyz[:, 0] / 30) ** 3
     return Displacements(point=point)
 
 

@@ -22,12 +22,12 @@ def test_predictive_density_is_that_of_the_multivariate_normal():
         return lambda a: a[which].reshape(which.sum(), *a.shape[2:])
 
     known = Posterior.of(of(train), X, sigma, r)
-    surprise = known.negative_log_predictive_density(of(test), X, r)
+    density = known.negative_log_predictive_density(of(test), X, r)
 
     A, B = X[train, 0], X[test, 0]
     covariance = np.linalg.inv(A.T @ A + np.diag(1 / sigma**2))
     predicted = multivariate_normal(B @ covariance @ A.T @ r[train, 0], np.eye(10) + B @ covariance @ B.T)
-    assert surprise == pytest.approx(-2 * predicted.logpdf(r[test, 0]) - 10 * np.log(2 * np.pi))
+    assert density == pytest.approx(-2 * predicted.logpdf(r[test, 0]) - 10 * np.log(2 * np.pi))
     assert known.solution == pytest.approx(covariance @ A.T @ r[train, 0])
 
 

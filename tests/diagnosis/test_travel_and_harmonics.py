@@ -14,7 +14,7 @@ from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import Displacements
 
 
-def situation(obs):
+def context_of(obs):
     state = geometry_fit.initial_state(obs)
     return Context(obs, state, forward_model.predict(obs, state))
 
@@ -22,10 +22,10 @@ def situation(obs):
 def test_travel_follows_time_and_persists_while_a_joint_stands(plan):
     q = np.zeros((4, 6))
     q[:, 0] = [0.5, 0.1, 0.5, 0.8]
-    sense = np.ones((4, 6))
-    sense[:, 0] = [1, 1, -1, 1]
+    direction = np.ones((4, 6))
+    direction[:, 0] = [1, 1, -1, 1]
     four = plan.select(np.arange(plan.n_poses) < 4)
-    s = situation(replace(four, q=q, direction=sense, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
+    s = context_of(replace(four, q=q, direction=direction, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
 
     travelled, reported = joint_travel.travelled(s)
 
@@ -35,9 +35,9 @@ def test_travel_follows_time_and_persists_while_a_joint_stands(plan):
 
 
 def short_memory_of_joint_four(s):
-    travelled, sense = joint_travel.travelled(s)
+    travelled, direction = joint_travel.travelled(s)
     joint = np.zeros(s.obs.q.shape)
-    joint[:, 3] = -8e-4 * sense[:, 3] * np.exp(-travelled[:, 3] / 0.2)
+    joint[:, 3] = -8e-4 * direction[:, 3] * np.exp(-travelled[:, 3] / 0.2)
     return Displacements(joint=joint)
 
 

@@ -53,7 +53,7 @@ def stated_noise(obs: Observations) -> NoiseEstimate:
 def gauss_newton_fit(
     obs: Observations, noise: NoiseEstimate, state: CellState | None = None, rounds: int = 20
 ) -> tuple[CellState, np.ndarray]:
-    """Fitted state and (M,) bool of the centres kept; gross outliers are judged anew in every round.
+    """Fitted state and (M,) bool of the centres kept; gross outliers are rejected anew in every round.
 
     Raises CalibrationError where the recording does not belong to this robot.
     """

@@ -1,8 +1,8 @@
 """Bayes factor of a group of coefficients of unknown size: the ratio of marginal likelihoods with the group and without it.
 
 The coefficients are a random effect u ~ N(0, s^2 diag(w^2)); the ratio is averaged over a grid of sizes s. Without an effect its
-expectation is one, whatever the group, so averages over groups (with prior shares) may be compared, and an average of R or more is seen
-with a probability of at most 1/R where there is nothing.
+expectation is one, whatever the group, so averages over groups (with prior shares) may be compared, and an average of R or more has a
+probability of at most 1/R where there is nothing.
 """
 
 from __future__ import annotations

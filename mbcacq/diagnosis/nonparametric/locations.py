@@ -1,7 +1,7 @@
 """Locations of the cell at which an unmodelled effect may act: their components, in axes in which neighbours can be told apart.
 
 A link's components stand in the frame of its own joint, so that turning about that joint (which is the joint's) is left out, and a
-single component that is a turn about the next joint as well is left to that joint.
+single component that is a rotation about the next joint as well is left to that joint.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ def frame(index: int) -> tuple[tuple[str, int, int], ...]:
 
 def stations(s: Context) -> list[tuple[int, Location]]:
     """(index of the station, its location) where enough was measured to see it move."""
-    seen = np.unique(s.obs.station)
+    measured = np.unique(s.obs.station)
     keys = tuple(("station", 0, c) for c in range(6))
     variants = ((0, 1, 2), tuple(range(6)))
-    if len(seen) < 2:
+    if len(measured) < 2:
         return []
-    enough = [int(k) for k in seen if np.sum(s.obs.station == k) > 6]
+    enough = [int(k) for k in measured if np.sum(s.obs.station == k) > 6]
     return [(k, Location(f"station{s.obs.cell.stations[k].id}", keys, np.eye(6), variants)) for k in enough]

@@ -59,8 +59,8 @@ def neighbour_dependence(projected: CandidateScoring, s: Context) -> float:
     z = (z - z.mean(axis=0)) / np.maximum(z.std(axis=0), 1e-12)
     position = linear.obs.q[used]
     position = position / np.maximum(position.std(axis=0), 1e-9)
-    _, index = KDTree(position).query(position, k=2)
-    pairs = {(min(i, j), max(i, j)) for i, j in enumerate(index[:, 1])}
+    nearest = np.asarray(KDTree(position).query(position, k=2)[1])[:, 1]
+    pairs = {(min(i, j), max(i, j)) for i, j in enumerate(nearest)}
     i, j = np.array(sorted(pairs)).T
     apart = s.obs.station[used][i] != s.obs.station[used][j] if len(np.unique(s.obs.station)) > 4 else np.ones(len(i), bool)
     if apart.sum() < 20:

@@ -72,7 +72,8 @@ class SelectionCriteria:
     def detection_threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
         """What the test takes off the gain: the threshold, and what was gained where the coefficients are hardly determined.
 
-        An effect may be strong just there (a pure turn of the scanner): a second test, at a tenth of the rate, counts all directions alike.
+        An effect may be strong just there (a pure rotation of the scanner): a second test, at a tenth of the rate, counts all directions
+        alike.
         """
         if candidate.k == 1:
             return self.threshold(candidate, hyper, present)

@@ -61,7 +61,7 @@ def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, wo
     left_out = [fold == k for k in range(int(fold.max()) + 1)]
     everywhere = full.smooth is not None and not full.cells
     keys = effect_keys(full)
-    if not keys and not everywhere:  # nothing is claimed, there is nothing to prove
+    if not keys and not everywhere:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)
         return CrossValidation(plain, plain, how, {}, (), (), (plain, plain))
     with WorkerPool(lambda k: Fold(problem, full, left_out[k], full.smooth is not None), len(left_out), workers) as pool:
@@ -78,7 +78,7 @@ def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, wo
 
 
 def effect_keys(full: ModelFit) -> tuple[str, ...]:
-    """Of all that is left out of the model in turn."""
+    """Keys of what is left out of the model in turn."""
     if full.cells and full.smooth is not None:
         locations = dict.fromkeys(g.location for g in full.smooth.groups)
         return (*full.model.names, *full.model.located_names, *(f"unknown:{location}" for location in locations))

@@ -95,13 +95,13 @@ def score_with_new_stations(
     """Residual (M, R) on test after the poses of stations that are not in train are fitted to it."""
     obs = linear.obs
     whiten = linear.restricted(test).whitener(noise)
-    unseen = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
+    new_stations = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
     dof = float(test.sum() * linear.width)
-    if unseen:
+    if new_stations:
         columns, sigma, layout = linear.nuisance()
         position = {k: j for j, k in enumerate(np.unique(obs.station))}
         free = np.concatenate(
-            [np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in unseen]
+            [np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in new_stations]
         )
         station, width = columns[:, :, free], sigma[free]
         Z = whiten(station) * width
