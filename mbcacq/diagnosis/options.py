@@ -16,7 +16,7 @@ class DiagnosisOptions:
     fewest_poses: int = 12  # fewer determine geometry and stations but no effect
     many_poses: int = 350  # a longer recording is searched with a narrower beam, and is modelled at all locations (time: diagnosis.md)
     most_poses: int = 4000  # a longer recording is thinned, so that memory stays below 2 GiB (ur10-tracker-a, benchmarks/diagnosis.md)
-    searched_poses: int = 800  # poses of a long recording in which parametric effects are searched; periodic errors need no more
+    searched_poses: int = 800  # poses of a long recording in which parametric effects are searched: bounds time and memory (diagnosis.md)
 
     # Geometry: prior sigma, wider than the error of any real arm, mount or station
     geometry_prior: tuple[float, ...] = (0.02, 3.0, 3.0, 0.02, 0.02)  # theta rad, d mm, a mm, alpha rad, beta rad
@@ -24,7 +24,7 @@ class DiagnosisOptions:
     station_prior: tuple[float, ...] = (1e4, 1e4, 1e4, 3.0, 3.0, 3.0)  # mm, rad
     wrong_robot_mm: float = 5.0  # median residual that no arm has once its geometry is free: the recording is another robot's
     structural_share: float = 0.4  # share of a station's centres that are off from which the station is wrong as a whole
-    structural_centres: int = 8  # and their number: of fewer centres no majority can be trusted
+    structural_centres: int = 8  # and the number of centres that it must have for that
     station_step: tuple[float, ...] = (1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2)  # mm, rad: typical size of a station's displacement
 
     # Noise: log-normal priors of the standard deviations, as standard deviations of their logarithms
@@ -34,7 +34,7 @@ class DiagnosisOptions:
     log_sd_common: float = 1.0  # the level that all joints of one arm share
     log_sd_joint: float = 0.35  # deviation of a joint from that level
     worst_point: float = 3.0  # no instrument is taken to be worse than this many times its stated noise
-    worst_stated: float = 8.0  # nor a joint than this many times a stated repeatability, or it would absorb a strong effect
+    worst_stated: float = 8.0  # nor a joint than this many times its stated repeatability, or it would pass a strong effect for noise
     worst_joint: float = 10.0  # the same in a long recording, where unmodelled structure must not pass for the noise of a joint
     initial_point_mm: float = 0.02  # instrument noise of a scanner of which nothing is stated
     initial_repeatability_mm: float = 0.06  # repeatability of an arm of which nothing is stated
@@ -57,7 +57,7 @@ class DiagnosisOptions:
     fading_reaches: tuple[float, ...] = (0.1, 0.3, 1.0)  # rad of travel over which lost motion fades: grease, wind-up, pre-sliding
     standing_rad: float = 1e-4  # less travel is no motion; what was before it lasts
     parallel_cosine: float = 0.99  # from which two axes count as one, so that a link's rotation is left to the next joint
-    shortest_period_mm: float = 8.0  # of periodic errors in the field of view; balls are about that large
+    shortest_period_mm: float = 8.0  # of periodic errors in the field of view
     most_harmonics: int = 16  # of periodic errors over the width of the field
     harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
 
@@ -68,17 +68,17 @@ class DiagnosisOptions:
     smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
 
     # Search and validation
-    most_passes: int = 4  # turns of search and noise; the set of effects stands still after two or three
+    most_passes: int = 4  # turns of search and noise at most; they end where the set of effects stands still
     known_effect_reduction: float = 10.0  # chi2 by which a first effect may miss its threshold in a fold, where one is known to exist
     few_stations: int = 6  # up to which each is left out alone
     usual_folds: int = 4  # of a recording of more stations
     weak_folds: int = 8  # for an effect that three quarters of the data might not show
-    long_folds: int = 3  # of a recording of many poses
-    longest_folds: int = 2  # and of one of more than ``longest_from`` poses: a third fit would take too long
+    long_folds: int = 3  # of a recording of many poses: each fold costs a whole fit
+    longest_folds: int = 2  # and of one of at least ``longest_from`` poses (two minutes are allowed, diagnosis.md)
     longest_from: int = 2000
     deciding_share: float = 0.8  # share of the centres that must be at other stations for these alone to decide about a model
     noise_like_chi2: float = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
-    most_workers: int = 8  # processes beyond which memory, not time, is the limit
+    most_workers: int = 8  # processes at most: each holds a problem of its own in memory
 
 
 OPTIONS = DiagnosisOptions()

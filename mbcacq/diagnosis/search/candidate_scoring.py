@@ -18,7 +18,7 @@ from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, s
 from mbcacq.effects.effect import Candidate
 
 UnitKey = tuple[str, int, int]  # location, index, component
-PER_CHUNK = 2e6  # numbers of one product of a scan: larger ones do not fit the cache
+PER_CHUNK = 2e6  # numbers of functions of one product of a scan: bounds its memory
 MOST_KEPT = 3000  # candidates whose products are kept
 LARGEST_KEPT = 1e6  # functions of a scan that are kept
 
