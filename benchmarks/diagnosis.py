@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))  # its made cells
+sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))  # its simulated cells
 MBCACQ = Path(sys.executable).parent / "mbcacq"
 CASES = (
     ("nothing concealed", "none", 41),
@@ -65,7 +65,7 @@ ALL_SEEN = (("nothing", []), ("an elastic joint", [ELASTIC]), ("two effects", [E
 
 def all_seen(effects: list, folder: Path) -> Path:
     """An observation set of 128 poses that see eight balls each."""
-    import made as cells
+    import simulated as cells
 
     from mbcacq.recording import write_observation_set
 

@@ -41,10 +41,10 @@ class Data:
             chosen = np.zeros(obs.n_poses, bool)
             chosen[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True
             obs = obs.select(chosen)
-        state, keep = geometry_fit.fit(obs, geometry_fit.first_noise(obs))
-        self.obs, self.linear = obs, LinearProblem(obs, state, keep)
-        self.situation = Context(obs, state, self.linear.prediction)
-        self.n = self.situation.n
+        state, keep = geometry_fit.gauss_newton_fit(obs, geometry_fit.stated_noise(obs))
+        self.obs, self.linear = obs, LinearProblem.of(obs, state, keep)
+        self.context = Context(obs, state, self.linear.prediction)
+        self.n = self.context.n
         self.places = len(np.unique(obs.station)) > 1
 
     @property
@@ -60,14 +60,14 @@ class Data:
     # Effects; ``who`` (P,) says from which pose a covariate is taken: each its own, or shuffled for a control ---------------
 
     def compliance(self, who):
-        torque = self.situation.gravity_torque[who]
+        torque = self.context.gravity_torque[who]
         scale = np.abs(torque).max()
         return [self.block([("joint", i, 0)], torque[:, i : i + 1] / scale, WIND_UP) for i in range(1, self.n)]
 
     def bending(self, who):
         out = []
         for i in range(self.n):
-            moment = self.situation.gravity_moment(i)[who]
+            moment = self.context.gravity_moment(i)[who]
             out.append(self.block([("frame", i, 3 + c) for c in range(3)], moment / max(np.abs(moment).max(), 1e-9), BENDING))
         return out
 

@@ -10,15 +10,14 @@ whole model of one campaign tried on the other.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from real_data import Data, rms
 from real_data_campaigns import whole
 
-from mbcacq.diagnosis.model_fit import find, prepare
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.model_fit import fit_model, prepare
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.recording import load_observations
 
@@ -27,15 +26,15 @@ def diagnosed(folder: Path) -> None:
     """Noise and the point of linearisation are those of all poses; effects, orders and coefficients are found in training."""
     obs = load_observations(folder)
     setup = prepare(obs)
-    full = find(setup)
-    linear = full.before.linear
-    chance = np.random.default_rng(0).permutation(obs.n_poses) < int(0.3 * obs.n_poses)
+    full = fit_model(setup)
+    linear = full.geometry_only.linear
+    third = np.random.default_rng(0).permutation(obs.n_poses) < int(0.3 * obs.n_poses)
     stations = np.unique(obs.station)
-    for test in [obs.station == k for k in stations] if len(stations) > 1 else [chance]:
+    for test in [obs.station == k for k in stations] if len(stations) > 1 else [third]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
-        part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
-        before = predictive_score.judge(linear, train, judged, NOTHING, None, full.noise)
-        after = predictive_score.judge(linear, train, judged, part.model, part.smooth, full.noise)
+        part = fit_model(setup.with_linearization(linear), train, structure_expected=full.smooth is not None)
+        before = predictive_score.held_out_score(linear, train, judged, NO_EFFECTS, None, full.noise)
+        after = predictive_score.held_out_score(linear, train, judged, part.model, part.smooth, full.noise)
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
 
 
@@ -74,9 +73,9 @@ def ur10(folder: Path) -> None:
     for name, data, X, other, start in (("A on C", c, X_c[:, :, k_c:], own_a, k_a), ("C on A", a, X_a[:, :, k_a:], own_c, k_c)):
         measured, tests = data.linear.residual, data.splits()["random"]
         before = rms(data.distance(data.held_out([], tests)))
-        data.linear.residual = measured - X @ other[start:]
+        data.linear = data.linear.with_residual(measured - X @ other[start:])
         print(f"UR10, model of {name}: {before:.4f} -> {rms(data.distance(data.held_out([], tests))):.4f} mm")
-        data.linear.residual = measured
+        data.linear = data.linear.with_residual(measured)
 
 
 if __name__ == "__main__":

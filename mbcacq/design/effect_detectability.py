@@ -70,9 +70,9 @@ def detectability(
     """Detectability by all poses, those of the verification too: a diagnosis uses them all. starts: (P,) s, for effects of time."""
     options = options or DesignOptions()
     observations = planned_observations(loaded, poses, transits, starts)
-    linear = LinearProblem(observations, planned_state(loaded))
+    linear = LinearProblem.of(observations, planned_state(loaded))
     noise = planned_noise(loaded, poses)
-    problem = CandidateScoring(linear, NoiseEstimate(noise.point, noise.joint, noise.turn))
+    problem = CandidateScoring.of(linear, NoiseEstimate(noise.point, noise.joint, noise.turn))
     found, missing = candidates(Context(observations, planned_state(loaded), linear.prediction))
     effects, remaining = [], {}
     for candidate in found:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import next_measurements
 from mbcacq.diagnosis.output.alternatives import rivals, unseen
 from mbcacq.diagnosis.output.contributions import Contributions
@@ -15,9 +16,9 @@ from mbcacq.diagnosis.output.plot_data import evidence_of
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
 from mbcacq.diagnosis.search.beam_search import BeamSearch
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
-from mbcacq.diagnosis.validation.predictive_score import NOISE_LIKE, PredictiveScore, better, on_train
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
 
 # Share of the held-out excess that a name must remove to be told beside a mismatch without one: a larger, and a smaller one.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
@@ -25,21 +26,21 @@ WEAK = 20.0  # score up to which a name may be chance, and is proven with more o
 
 
 def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
-    if proof.empty:
-        kept = full.model.without(proof.empty)
-        full = replace(full, model=BeamSearch(setup.candidates).solve(full.before, kept.members, permit=True))
-    before, left_before = on_train(full.before, NOTHING, None)
-    after, left_after = on_train(full.before, full.model, full.smooth)
+    if proof.not_predictive:
+        kept = full.model.without(proof.not_predictive)
+        full = replace(full, model=BeamSearch(setup.candidates).solved(full.geometry_only, kept.effects))
+    before, left_before = training_score(full.geometry_only, NO_EFFECTS, None)
+    after, left_after = training_score(full.geometry_only, full.model, full.smooth)
     worth = Contributions(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
     effects = named_effects(full, worth, proof)
     verdict, places = verdict_of(full), mismatch_list(full, worth, before)
-    first, last = proof.decides
-    useless = not better(last, first)
+    first, last = proof.decisive
+    useless = not predicts_better(last, first)
     if useless:  # what predicts nothing better on data that took no part is not told; that there is something may be, where it was plain
         effects, after, proof = [], before, replace(proof, after=proof.before)
-        weak = verdict == "explained" and full.model.score < WEAK
+        weak = verdict == "explained" and full.model.penalised_gain < WEAK
         verdict, places = ("none", []) if weak else ("none" if verdict == "none" else "unexplained", places)
-    if (first if useless else last).chi2_dof > NOISE_LIKE:
+    if (first if useless else last).chi2_dof > OPTIONS.noise_like_chi2:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not places:
         places = mismatch_list(full, worth, before, anything=True)
@@ -50,12 +51,12 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     alternatives, inseparable, pairs = rivals(setup, full) if effects else ({}, [], [])
     for effect in effects:
         effect.alternatives = alternatives.get(effect.name, [])
-    hints = next_measurements.separate(setup.situation, pairs)
+    hints = next_measurements.separate(setup.context, pairs)
     if verdict == "explained" and inseparable:
         verdict = "cannot_tell"
     if verdict == "none":
         for candidate, seen, hopeless in unseen(setup, full):
-            hints.append(next_measurements.show(setup.situation, candidate))
+            hints.append(next_measurements.show(setup.context, candidate))
             if hopeless:
                 verdict = "cannot_tell"
                 inseparable.append(
@@ -84,23 +85,23 @@ def in_words(before: PredictiveScore, after: PredictiveScore) -> dict[str, float
 
 def expected_rms(full: ModelFit, fallback: float) -> float:
     """3D rms (mm) that the estimated noise alone makes at one centre."""
-    linear, noise = full.before.linear, full.noise
+    linear, noise = full.geometry_only.linear, full.noise
     joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
 def verdict_of(full: ModelFit) -> str:
     """Names that survive beside what has no name explain in part, if they explain most of it."""
-    structure = full.smooth is not None or (full.leftover is not None and full.leftover.structure and not full.cells)
-    if not full.model.members:
+    structure = full.smooth is not None or (full.residual_tests is not None and full.residual_tests.structure and not full.cells)
+    if not full.model.effects:
         return "unexplained" if structure else "none"
     if not structure:
         return "explained"
     worth = Contributions(full)
     if full.smooth is None:
-        rest = full.leftover.judged.best()
+        rest = full.residual_tests.evidence.best()
         return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"
-    names, groups = list(range(worth.members)), list(range(worth.members, len(worth.parts)))
+    names, groups = list(range(worth.effects)), list(range(worth.effects, len(worth.parts)))
     if not full.cells:  # a long recording: groups stand everywhere and could do what names do, which were there first
         return "partly_explained" if full.model.gain > 0.5 * worth.total else "unexplained"
     return "partly_explained" if worth.of(names) > worth.of(groups) else "unexplained"
@@ -108,11 +109,11 @@ def verdict_of(full: ModelFit) -> str:
 
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
-    keep = full.before.linear.keep
+    keep = full.geometry_only.linear.keep
     dropped = int(np.sum(~keep))
     if dropped:
         out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
-    if not setup.situation.masses_known:
+    if not setup.context.masses_known:
         out.append(
             "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
             "its size in rad/Nm is not meaningful"

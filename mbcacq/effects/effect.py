@@ -44,7 +44,8 @@ class Candidate:
     (H, P, f); coefficients are ordered component-major. positive: physics demands a positive first coefficient.
     typical: size of the coefficients in a real cell (k,): whether the poses could see it, and how probable one size of them is beside the
     others. variant: tells candidates of one effect at one place apart; only one of them is ever chosen. several: the same place may have it
-    several times (several orders). sight: how well these poses see a typical size of it, beside the same effect at other places; 1: fully.
+    several times (several orders). detectability: how well these poses show a typical size of it, relative to the same effect at other
+    locations; 1: fully.
     """
 
     name: str
@@ -59,7 +60,7 @@ class Candidate:
     positive: bool = False
     several: bool = False
     variant: str = ""
-    sight: float = 1.0
+    detectability: float = 1.0
 
     @property
     def k(self) -> int:

@@ -1,4 +1,4 @@
-"""A made plan that can see, shared by the tests of this folder."""
+"""A simulated plan that makes every effect observable, shared by the tests of this folder."""
 
 import sys
 from pathlib import Path
@@ -10,6 +10,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def plan():
-    import made
+    import simulated
 
-    return made.plan()
+    return simulated.plan()

@@ -1,7 +1,7 @@
 """The catalogue is the contract's, found as files, each candidate consistent with its own description."""
 
-import made
 import numpy as np
+import simulated
 
 from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.effects import catalogue
@@ -35,10 +35,10 @@ def test_every_effect_of_the_contract_has_a_file():
 
 
 def test_scans_multiply_the_same_functions_as_built_columns(plan):
-    obs = made.observe(plan, 31)
-    state = geometry_fit.start(obs)
-    situation = Context(obs, state, forward_model.predict(obs, state))
-    scanned = [c for c in catalogue.candidates(situation)[0] if c.separable]
+    obs = simulated.observe(plan, 31)
+    state = geometry_fit.initial_state(obs)
+    context = Context(obs, state, forward_model.predict(obs, state))
+    scanned = [c for c in catalogue.candidates(context)[0] if c.separable]
     assert scanned
     for candidate in scanned:
         value = float(candidate.hyper.values[len(candidate.hyper.values) // 2])
@@ -50,8 +50,8 @@ def test_scans_multiply_the_same_functions_as_built_columns(plan):
             assert np.isclose(total, expected)
 
 
-def test_what_the_gravity_moment_says_about_a_joint_is_its_torque(plan):
-    state = geometry_fit.start(plan)
+def test_gravity_moment_about_a_joint_axis_is_its_torque(plan):
+    state = geometry_fit.initial_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     for i in range(s.n):
         about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]

@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 
-import made
 import pytest
+import simulated
 from click.testing import CliRunner
 
 from mbcacq.cli.diagnose import command
@@ -47,8 +47,8 @@ def check_contract(d: dict) -> None:
         assert all(len(q) > 0 for q in advice["poses_deg"])
 
 
-def test_a_made_cell_with_an_effect(plan):
-    result = diagnose(made.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
+def test_json_of_a_simulated_cell_with_an_effect(plan):
+    result = diagnose(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
 
     d = json.loads(json.dumps(result.as_json(), allow_nan=False))
     check_contract(d)

@@ -1,9 +1,9 @@
-"""The test that knows which effect it is, against which the diagnosis is measured: it keeps its level."""
+"""The likelihood-ratio test that knows the effect, against which the diagnosis is measured, keeps its level."""
 
 from dataclasses import replace
 
-import made
 import numpy as np
+import simulated
 from scipy.stats import chi2, kstest
 
 from mbcacq.challenge.power import estimated, likelihood_ratio
@@ -20,11 +20,11 @@ SOUGHT = (
 )
 
 
-def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):
+def test_likelihood_ratio_without_an_effect_is_chi_square(plan):
     tail = []
     for seed in range(16):
-        setup = prepare(made.observe(plan, 900 + seed))
-        setup = replace(setup, first=NoiseEstimate(setup.first.point * 1.2, setup.first.joint * 1.5))
+        setup = prepare(simulated.observe(plan, 900 + seed))
+        setup = replace(setup, first=NoiseEstimate(setup.prior_noise.point * 1.2, setup.prior_noise.joint * 1.5))
         sought = [c for c in setup.candidates if c.key in SOUGHT]
         tail += [chi2.sf(max(likelihood_ratio(setup, EffectSet(((c, None),))), 0.0), c.k) for c in sought]
 
@@ -33,22 +33,22 @@ def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):
     assert np.mean(np.array(tail) < 0.01) < 0.04
 
 
-def test_one_that_estimates_order_or_moment_counts_how_many_it_could_have_chosen(plan):
+def test_likelihood_ratio_of_unknown_order_counts_the_choices(plan):
     tail = []
     for seed in range(12):
-        setup = prepare(made.observe(plan, 920 + seed))
+        setup = prepare(simulated.observe(plan, 920 + seed))
         for key in ("gear_transmission_error:A3:q3:", "mount_shift:mount:pose:"):
             candidate = next(c for c in setup.candidates if c.key == key)
             best, choices = estimated(setup, EffectSet(((candidate, 60.0),)))
             tail.append(choices * chi2.sf(max(likelihood_ratio(setup, best), 0.0), candidate.k))
 
-    assert best.members[0][1] != 60.0
+    assert best.effects[0][1] != 60.0
     assert 0 < np.sum(np.array(tail) < 0.3) <= 14
     assert np.sum(np.array(tail) < 0.05) <= 4
 
 
-def test_it_finds_a_plain_effect(plan):
-    setup = prepare(made.observe(plan, 950, [("joint_scale", ("A5",), [1.5e-4], None)]))
+def test_likelihood_ratio_finds_a_strong_effect(plan):
+    setup = prepare(simulated.observe(plan, 950, [("joint_scale", ("A5",), [1.5e-4], None)]))
     candidate = next(c for c in setup.candidates if c.key == SOUGHT[1])
 
     assert likelihood_ratio(setup, EffectSet(((candidate, None),))) > 100

@@ -16,21 +16,21 @@ ONE_ENTRY = ("A", "link", "station")  # places at which one effect may be severa
 
 
 def named_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) -> list[EffectFound]:
-    """Members gathered by name (several joints of one effect make one entry), most important first; a wrong tool before the elasticity
-    that every arm has and that shows it.
+    """Selected effects gathered by name (several joints of one effect make one entry), most important first; a wrong payload before the
+    elasticity that every arm has and that shows it.
     """
     model = full.model
     grouped: dict[str, list[int]] = {}
-    for j, (candidate, _) in enumerate(model.members):
+    for j, (candidate, _) in enumerate(model.effects):
         name = candidate.name
         several = candidate.where[0].startswith(ONE_ENTRY) and name != "wrist_coupling"
         grouped.setdefault(name if several else f"{name}:{'+'.join(candidate.where)}", []).append(j)
     out = []
     for members in grouped.values():
-        first = model.members[members[0]][0]
+        first = model.effects[members[0]][0]
         gain = worth.of(members)
-        where = list(dict.fromkeys(w for j in members for w in model.members[j][0].where))
-        p_value = 10 ** max(log10_tail(gain, sum(model.members[j][0].k for j in members)), -300.0)
+        where = list(dict.fromkeys(w for j in members for w in model.effects[j][0].where))
+        p_value = 10 ** max(log10_tail(gain, sum(model.effects[j][0].k for j in members)), -300.0)
         effect = EffectFound(first.name, where, first.depends_on, merge_parameters(full, members), p_value, proof.gain(first.name))
         out.append((first.name == payload.NAME, gain, effect))
     return [effect for *_, effect in sorted(out, key=lambda item: (-item[0], -item[1]))]
@@ -39,9 +39,9 @@ def named_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) 
 def merge_parameters(full: ModelFit, members: list[int]) -> dict:
     """Parameters of all members; the same name twice (several orders at one joint) makes lists."""
     out: dict[str, dict] = {}
-    parts = full.model.parts()
+    parts = full.model.slices()
     for j in members:
-        candidate, hyper = full.model.members[j]
+        candidate, hyper = full.model.effects[j]
         p = parts[j]
         for name, entry in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
             if name not in out:
@@ -63,14 +63,14 @@ def unknown_effects(full: ModelFit, worth: Contributions, proof: CrossValidation
     ranked = sorted(size, key=lambda key: -size[key][0])
     if not full.cells:
         modelled = {at for at, _ in size}
-        first = next((c for c in full.leftover.places if c.at in modelled), None) if full.leftover else None
-        at, on = (first.at, first.depends_on) if first else ranked[0]
-        p_value = float(np.exp(-first.log_ratio)) if first and first.log_ratio < 690 else 0.0
-        return [EffectFound("unknown", [at], on, in_words(size, ranked[:12]), min(p_value, 1.0), proof.nameless)]
+        first = next((c for c in full.residual_tests.significant_cells if c.location in modelled), None) if full.residual_tests else None
+        at, on = (first.location, first.depends_on) if first else ranked[0]
+        p_value = float(np.exp(-first.log_bayes_factor)) if first and first.log_bayes_factor < 690 else 0.0
+        return [EffectFound("unknown", [at], on, in_words(size, ranked[:12]), min(p_value, 1.0), proof.unmodelled_gain)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
-        evidence = max((c.log_ratio for c in full.cells if c.at == at), default=0.0)
+        evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
         p_value = float(np.exp(-np.clip(evidence, 0, 690)))
         effect = EffectFound("unknown", [at], mine[0][1], in_words(size, mine), p_value, proof.gain(f"unknown:{at}"))
         out.append((worth.of(worth.groups_at(full, at)), effect))
@@ -84,14 +84,14 @@ def where_it_is(places: list[dict]) -> list[EffectFound]:
 
 def sizes(full: ModelFit) -> dict[tuple[str, str], tuple[float, float]]:
     """(place, covariate) -> by how many mm rms its groups move the centres, and the standard deviation of that."""
-    smooth, keep = full.smooth, full.before.linear.keep
-    X = full.named.whiten(smooth.columns) * smooth.sigma
-    taken = full.named.all_projected.T @ X
+    smooth, keep = full.smooth, full.geometry_only.linear.keep
+    X = full.conditioned.whiten(smooth.columns) * smooth.sigma
+    taken = full.conditioned.all_projected.T @ X
     covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
     square: dict[tuple[str, str], float] = {}
     slope: dict[tuple[str, str], np.ndarray] = {}
-    for g, p in zip(smooth.groups, smooth.parts(), strict=True):
-        moved, key = (g.columns[keep] @ smooth.coefficients[p])[:, :3], (g.at, g.depends_on)
+    for g, p in zip(smooth.groups, smooth.slices(), strict=True):
+        moved, key = (g.columns[keep] @ smooth.coefficients[p])[:, :3], (g.location, g.depends_on)
         square[key] = square.get(key, 0.0) + float(np.mean(np.sum(moved**2, axis=1)))
         mine = slope.setdefault(key, np.zeros(X.shape[1]))
         mine[p] = np.einsum("mrk,mr->k", g.columns[keep][:, :3], moved) / len(moved)
@@ -120,19 +120,19 @@ def mismatch_list(full: ModelFit, worth: Contributions, before: PredictiveScore,
             found[at, on] = entry
 
     together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one place
-    for j, (candidate, _) in enumerate(full.model.members):
+    for j, (candidate, _) in enumerate(full.model.effects):
         together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
     for (at, on), members in together.items():
         gain = worth.of(members)
-        add(at, on, gain, 10 ** max(log10_tail(gain, sum(full.model.members[j][0].k for j in members)), -300.0))
+        add(at, on, gain, 10 ** max(log10_tail(gain, sum(full.model.effects[j][0].k for j in members)), -300.0))
     for cell in full.cells:
-        gain = worth.of(worth.groups_at(full, cell.at, cell.depends_on))
-        add(cell.at, cell.depends_on, gain, float(np.exp(-np.clip(cell.log_ratio, 0, 690))))
-    if not full.cells and full.leftover is not None and (full.leftover.structure or anything):
+        gain = worth.of(worth.groups_at(full, cell.location, cell.depends_on))
+        add(cell.location, cell.depends_on, gain, float(np.exp(-np.clip(cell.log_bayes_factor, 0, 690))))
+    if not full.cells and full.residual_tests is not None and (full.residual_tests.structure or anything):
         # Neighbouring places explain each other's mismatch: the most significant one carries the largest share.
-        spots = full.leftover.places[:6]
-        scale = full.before.linear.keep.sum() / max(full.leftover.centres, 1)
+        spots = full.residual_tests.significant_cells[:6]
+        scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
         gains = sorted((scale * (c.gain - c.used) for c in spots), reverse=True)
         for c, gain in zip(spots, gains, strict=True):
-            add(c.at, c.depends_on, gain, float(np.exp(-np.clip(c.log_ratio, 0, 690))))
+            add(c.location, c.depends_on, gain, float(np.exp(-np.clip(c.log_bayes_factor, 0, 690))))
     return sorted(found.values(), key=lambda e: -e["share"])

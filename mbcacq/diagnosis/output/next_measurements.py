@@ -60,7 +60,7 @@ def separate(
     if not pairs:
         return []
     there = elsewhere(situation)
-    linear = LinearProblem(there.obs, there.state)
+    linear = LinearProblem.of(there.obs, there.state)
     out = []
     for (a, ha, ca), (b, hb, cb) in pairs:
         if a.name in IN_TIME or b.name in IN_TIME:
@@ -89,7 +89,7 @@ def separate(
 def show(situation: Context, candidate: Candidate) -> dict[str, Any]:
     """Poses at which an effect of typical size, invisible in the recording, would show."""
     there = elsewhere(situation)
-    moved = displacement(there, LinearProblem(there.obs, there.state), candidate.key, None, candidate.typical)
+    moved = displacement(there, LinearProblem.of(there.obs, there.state), candidate.key, None, candidate.typical)
     chosen = spread(moved) if moved is not None else np.arange(0)
     return {
         "reason": f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "

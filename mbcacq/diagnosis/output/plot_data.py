@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric import covariates
-from mbcacq.diagnosis.nonparametric.evidence_map import mismatch
+from mbcacq.diagnosis.nonparametric.evidence_map import map_entries
 from mbcacq.diagnosis.output.figures import PlotData
 from mbcacq.diagnosis.output.response_curves import curves
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -14,7 +14,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem
 
 def evidence_of(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after: np.ndarray) -> PlotData:
     """What pictures are drawn from; the map itself is made only when it is drawn."""
-    s, linear = setup.situation, full.before.linear
+    s, linear = setup.context, full.geometry_only.linear
     obs, keep = linear.obs, linear.keep
     if s.scanner_on_flange:
         T = linear.prediction.T_base_scanner[obs.pose]
@@ -28,10 +28,10 @@ def evidence_of(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, aft
     named = [obs.pose_id[obs.pose][keep], np.array(obs.cell.ball_ids)[obs.ball[keep]]]
     kept = {name: v[keep] for name, v in values.items()}
     return PlotData(
-        lambda: mismatch(full.before, setup.chart),
+        lambda: map_entries(full.geometry_only, setup.design_blocks),
         points[keep],
         *turned,
         kept,
         *named,
-        lambda: curves(linear, values, full.model, full.smooth, full.named, after),
+        lambda: curves(linear, values, full.model, full.smooth, full.conditioned, after),
     )

@@ -38,7 +38,7 @@ def curves(
     """linear: of the fit; values: covariate -> (M,) at each centre; model: named effects (``explain.Model``); rest: smooth model with the
     ``screen`` it was fitted beyond; left: (M, R) mm what all of them leave. The largest first."""
     out: list[tuple[float, ResponseCurve]] = []
-    for (candidate, hyper), p in zip(model.members, model.parts(), strict=True):
+    for (candidate, hyper), p in zip(model.effects, model.slices(), strict=True):
         coefficients, covariance = model.coefficients[p], model.covariance[p, p]
         sized = []
         for part in candidate.build(hyper):
@@ -103,7 +103,7 @@ def _of_groups(
     covariance = np.linalg.pinv(precision, hermitian=True)
     out, keep, pose, P = [], linear.keep, linear.obs.pose, linear.obs.n_poses
     count = np.bincount(pose, keep, P)
-    for group, p in zip(rest.groups, rest.parts(), strict=True):
+    for group, p in zip(rest.groups, rest.slices(), strict=True):
         x = values.get(group.depends_on)
         if x is None:
             continue
@@ -121,7 +121,7 @@ def _of_groups(
                 size,
                 ResponseCurve(
                     "unknown",
-                    group.at,
+                    group.location,
                     f"balls seen along {AXES[axis]}",
                     "µm",
                     group.depends_on,

@@ -1,26 +1,28 @@
-"""Candidates weighed many at a time gain what each gains by itself."""
+"""Candidates scored many at a time gain what each gains by itself."""
 
-import made
 import numpy as np
 import pytest
+import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING
-from mbcacq.diagnosis.search.projected_solve import solve_blocks, two
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.search.projected_solve import eigen_two_by_two, solve_blocks
 
 
 @pytest.fixture(scope="module")
 def setup(plan):
-    return model_fit.prepare(made.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)]))
+    return model_fit.prepare(
+        simulated.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)])
+    )
 
 
-@pytest.mark.parametrize("members", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
-def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
-    screen = CandidateScoring(setup.linear, setup.first)
-    chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in members]
-    here = screen.adopted([(screen.block(c, None), np.zeros(c.k)) for c in chosen])
+@pytest.mark.parametrize("effects", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
+def test_batch_gains_equal_those_of_each_candidate_alone(setup, effects):
+    projected = CandidateScoring.of(setup.linear, setup.prior_noise)
+    chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in effects]
+    here = projected.conditioned_on([(projected.block(c, None), np.zeros(c.k)) for c in chosen])
 
     together = here.best_fixed(setup.candidates)
 
@@ -32,13 +34,13 @@ def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
     np.testing.assert_allclose([together[key][1] for key in apart], list(apart.values()), rtol=1e-7, atol=1e-7)
 
 
-def test_a_candidate_is_looked_at_only_where_it_could_pay(setup):
+def test_expand_leaves_out_only_candidates_below_their_threshold(setup):
     """The filter leaves out what cannot pay, and nothing else: without it the best are the same."""
-    screen = CandidateScoring(setup.linear, setup.first)
+    projected = CandidateScoring.of(setup.linear, setup.prior_noise)
     search = BeamSearch(setup.candidates)
 
-    kept = search.expand(screen, NOTHING)
-    all_of_them = search.expand(screen, NOTHING, short=1e9)
+    kept = search.expand(projected, NO_EFFECTS)
+    all_of_them = search.expand(projected, NO_EFFECTS, deficit=1e9)
 
     assert 0 < len(kept) < len(all_of_them) == len(setup.candidates)
     assert [s.candidate.key for s in kept[:5]] == [s.candidate.key for s in all_of_them[:5]]
@@ -50,7 +52,7 @@ def test_two_by_two_in_closed_form():
     X[:5, :, 1] = 0.0
     S, b = np.swapaxes(X, 1, 2) @ X, rng.normal(size=(500, 2))
 
-    values, along = two(S, b)
+    values, along = eigen_two_by_two(S, b)
 
     np.testing.assert_allclose(values, np.linalg.eigvalsh(S), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(

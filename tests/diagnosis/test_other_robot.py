@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-import made
 import numpy as np
 import pytest
+import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.errors import CalibrationError
@@ -12,6 +12,6 @@ from mbcacq.errors import CalibrationError
 
 @pytest.mark.parametrize("spoil", [np.radians, lambda q: q[:, [0, 1, 2, 4, 3, 5]]], ids=["angles in rad", "joints exchanged"])
 def test_angles_of_another_robot_are_refused(plan, spoil):
-    obs = made.observe(plan, 7)
+    obs = simulated.observe(plan, 7)
     with pytest.raises(CalibrationError, match="does not belong to this robot"):
         diagnose(replace(obs, q=spoil(obs.q)))

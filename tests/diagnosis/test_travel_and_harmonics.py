@@ -1,9 +1,9 @@
-"""Lost motion that fades with travel, and waves over the field of view: no catalogue names them, both are located."""
+"""Lost motion that fades with travel, and periodic errors over the field of view, are in no catalogue; both are located."""
 
 from dataclasses import replace
 
-import made
 import numpy as np
+import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.linearized import geometry_fit
@@ -14,48 +14,48 @@ from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import Displacements
 
 
-def situation(obs):
-    state = geometry_fit.start(obs)
+def context_of(obs):
+    state = geometry_fit.initial_state(obs)
     return Context(obs, state, forward_model.predict(obs, state))
 
 
-def test_travel_is_counted_in_the_order_of_time_and_a_standing_joint_remembers(plan):
+def test_travel_follows_time_and_persists_while_a_joint_stands(plan):
     q = np.zeros((4, 6))
     q[:, 0] = [0.5, 0.1, 0.5, 0.8]
-    sense = np.ones((4, 6))
-    sense[:, 0] = [1, 1, -1, 1]
+    direction = np.ones((4, 6))
+    direction[:, 0] = [1, 1, -1, 1]
     four = plan.select(np.arange(plan.n_poses) < 4)
-    s = situation(replace(four, q=q, direction=sense, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
+    s = context_of(replace(four, q=q, direction=direction, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
 
-    travelled, told = joint_travel.travelled(s)
+    travelled, reported = joint_travel.travelled(s)
 
     np.testing.assert_allclose(travelled[:, 0], [0.4, np.inf, 0.4, 0.3])
-    np.testing.assert_array_equal(told[:, 0], [1, 1, 1, 1])
+    np.testing.assert_array_equal(reported[:, 0], [1, 1, 1, 1])
     assert np.all(np.isinf(travelled[:, 1]))
 
 
 def short_memory_of_joint_four(s):
-    travelled, sense = joint_travel.travelled(s)
+    travelled, direction = joint_travel.travelled(s)
     joint = np.zeros(s.obs.q.shape)
-    joint[:, 3] = -8e-4 * sense[:, 3] * np.exp(-travelled[:, 3] / 0.2)
+    joint[:, 3] = -8e-4 * direction[:, 3] * np.exp(-travelled[:, 3] / 0.2)
     return Displacements(joint=joint)
 
 
 def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 110, [short_memory_of_joint_four])))
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 110, [short_memory_of_joint_four])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
-    assert (found.cells[0].at, found.cells[0].depends_on) == ("A4", "direction_4")
+    assert (found.cells[0].location, found.cells[0].depends_on) == ("A4", "direction_4")
 
 
 def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(plan):
-    observed = made.observe(plan, 111)
+    observed = simulated.observe(plan, 111)
     true = 0.03 * np.sin(2 * np.pi * observed.xyz[:, 1] / 14.0 + 0.4)
 
-    found = model_fit.find(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
+    found = model_fit.fit_model(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
 
     first = found.cells[0]
     assert verdict_of(found) == "unexplained"
-    assert (first.at, first.depends_on) == ("scanner", "y")
+    assert (first.location, first.depends_on) == ("scanner", "y")
     modelled = (found.smooth.columns @ found.smooth.coefficients)[:, 2]
     assert np.corrcoef(modelled, true)[0, 1] > 0.95

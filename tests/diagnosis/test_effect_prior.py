@@ -1,46 +1,45 @@
-"""Effects of several coefficients: what chance gives them, and what they cost for what they could have fitted."""
-
-from types import SimpleNamespace
+"""Effects of several coefficients: their detection statistic under noise, and their Occam penalty."""
 
 import numpy as np
 import pytest
+import simulated
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.search.effect_prior import EffectPrior
 
 
 def candidate(*typical):
-    return SimpleNamespace(k=len(typical), typical=np.array(typical))
+    return simulated.candidate("mount_shift", "mount", list(typical))
 
 
 @pytest.mark.parametrize("seen", [(1, 1, 1), (1, 1, 1, 0.02, 0.02, 0.02), (1, 0.3, 0.1, 0.03), (1, 0.01)])
 @pytest.mark.parametrize("level", [0.05, 0.001])
-def test_by_chance_the_statistic_is_chi2_of_its_degrees_of_freedom(seen, level):
+def test_detection_statistic_of_noise_is_chi2_of_its_dof(seen, level):
     rng = np.random.default_rng(3)
     drawn = rng.normal(size=(40000, len(seen))) ** 2
 
-    tests = [EffectPrior(gains, np.array(seen, float)).test for gains in drawn]
+    tests = [EffectPrior(gains, np.array(seen, float)).detection_statistic for gains in drawn]
 
     rate = np.mean([chi2.sf(statistic, dof) < level for statistic, dof in tests])
     assert 0.7 * level < rate < 1.4 * level
 
 
-def test_directions_hardly_seen_need_no_evidence():
-    """A shift of a scanner is seen by three coefficients, its turn about the middle of the view by none: six cost little more than three."""
+def test_poorly_determined_directions_have_no_occam_penalty():
+    """A shift of a scanner is determined by three coefficients, its rotation by none: six have little more penalty than three."""
     three = EffectPrior(np.array([20.0, 10.0, 15.0]), np.ones(3))
     six = EffectPrior(np.array([20.0, 10.0, 15.0, 0.8, 1.2, 0.5]), np.array([1, 1, 1, 1e-3, 1e-3, 1e-3]))
 
-    assert six.test[1] == pytest.approx(3, abs=0.1)
-    assert six.price - three.price == pytest.approx(2.5, abs=0.5)  # only what was gained there
-    assert EffectPrior(six.gains, np.ones(6)).price > six.price + 4
+    assert six.detection_statistic[1] == pytest.approx(3, abs=0.1)
+    assert six.occam_penalty - three.occam_penalty == pytest.approx(2.5, abs=0.5)  # only what was gained there
+    assert EffectPrior(six.gains, np.ones(6)).occam_penalty > six.occam_penalty + 4
 
 
-def test_evidence_is_that_of_coefficients_of_the_most_probable_size():
+def test_occam_penalty_is_that_of_the_most_probable_size():
     """Equally seen: gain g of k coefficients costs k (1 + log(g / k)); far beyond the noise too."""
     for gains in ([9.0, 6.0, 12.0], [2e6, 5e6, 1e6]):
         each = sum(gains) / 3
-        assert EffectPrior(np.array(gains), np.ones(3)).price == pytest.approx(3 * (1 + np.log(each)), rel=0.01)
-    assert EffectPrior(np.array([9.0]), np.ones(1)).price == pytest.approx(1 + np.log(9.0))
+        assert EffectPrior(np.array(gains), np.ones(3)).occam_penalty == pytest.approx(3 * (1 + np.log(each)), rel=0.01)
+    assert EffectPrior(np.array([9.0]), np.ones(1)).occam_penalty == pytest.approx(1 + np.log(9.0))
 
 
 def test_neither_units_nor_axes_matter():
@@ -58,13 +57,13 @@ def test_neither_units_nor_axes_matter():
     )
 
     assert one.gain == pytest.approx(c @ np.linalg.solve(covariance, c))
-    assert other.price == pytest.approx(one.price)
-    assert other.test == pytest.approx(one.test)
+    assert other.occam_penalty == pytest.approx(one.occam_penalty)
+    assert other.detection_statistic == pytest.approx(one.detection_statistic)
 
 
-def test_what_is_seen_alike_is_tested_as_it_is():
+def test_equally_determined_directions_are_tested_by_their_chi2():
     gains = np.array([4.0, 7.0, 1.0])
 
-    statistic, dof = EffectPrior(gains, np.ones(3)).test
+    statistic, dof = EffectPrior(gains, np.ones(3)).detection_statistic
 
     assert (statistic, dof) == pytest.approx((12.0, 3.0))

@@ -1,4 +1,4 @@
-"""Cells made for tests: the poses of a plan, true geometry, noise and an effect that are known, seen through the forward model."""
+"""Cells simulated for tests: the poses of a plan, known geometry, noise and effects, observed through the forward model."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate, scalar_report
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Displacements
-from mbcacq.estimation.terms import accumulate, term
+from mbcacq.estimation.terms import Part, accumulate, term
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
@@ -35,7 +36,7 @@ def robot() -> RobotModel:
     limits = np.array([[-170, 170], [-185, 65], [-137, 163], [-185, 185], [-120, 120], [-350, 350]]) * deg
     com = np.array([[0.0, 0, 0], [-240, 0, 0], [0, 0, 120], [0, 200, 0], [0, 0, 0], [0, 0, -20]])
     return RobotModel(
-        "made arm",
+        "simulated arm",
         chain,
         limits,
         np.array([0, 38, 24, 9, 5, 0.5]),
@@ -52,8 +53,10 @@ def cell(stations: int, bars: int, rng: np.random.Generator) -> Cell:
     mbc = Artefact("mbc", "MBC-8", tuple(range(1, 9)), balls, np.full(8, 12.0))
     bar = Artefact("bar", "scale bar", (9, 10), np.array([[-400.0, 0, 0], [400.0, 0, 0]]), np.full(2, 25.0))
     hand_eye = se3.transform(se3.rotation_exp(np.array([np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 260.0]))
-    places = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(Station(str(stations + i + 1), "bar") for i in range(bars))
-    return Cell(robot(), hand_eye, (mbc, bar), places, "made scanner", POINT_NOISE)
+    all_stations = tuple(Station(str(i + 1), "mbc") for i in range(stations)) + tuple(
+        Station(str(stations + i + 1), "bar") for i in range(bars)
+    )
+    return Cell(robot(), hand_eye, (mbc, bar), all_stations, "simulated scanner", POINT_NOISE)
 
 
 def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,15 +76,15 @@ def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, n
 
 @lru_cache(maxsize=4)
 def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Observations:
-    """A plan that can see: stations over a wide range of postures, several tilts and rolls each, and a long bar seen end by end.
+    """A plan that makes every effect observable: stations over a wide range of postures, several tilts and rolls each, and a long bar seen end by end.
 
     The measured centres are those of the nominal cell; ``observe`` replaces them.
     """
     rng = np.random.default_rng(seed)
     here = cell(stations, bars, rng)
     arm, q, station, pose, ball, xyz = here.robot, [], [], [], [], []
-    for s, place in enumerate(here.stations):
-        targets = [np.arange(8)] if place.artefact == "mbc" else [np.array([8]), np.array([9])]
+    for s, target_station in enumerate(here.stations):
+        targets = [np.arange(8)] if target_station.artefact == "mbc" else [np.array([8]), np.array([9])]
         while True:
             start = rng.uniform(0.6 * arm.limits[:, 0], 0.6 * arm.limits[:, 1])
             T_base_scanner = arm.chain.frames(start[None])[0, -1] @ here.T_flange_scanner
@@ -115,7 +118,7 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
                 station.append(s)
     count = len(q)
     time = np.cumsum(rng.uniform(12, 28, count))
-    sense = np.sign(np.diff(np.array(q), axis=0, prepend=np.array(q)[:1] - 1))
+    direction = np.sign(np.diff(np.array(q), axis=0, prepend=np.array(q)[:1] - 1))
     warm = 24 + 6 * (1 - np.exp(-time / 1200)) + rng.normal(0, 0.02, count)
     return Observations(
         here,
@@ -126,7 +129,7 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
         np.array(ball),
         np.concatenate(xyz),
         time_s=time,
-        direction=sense,
+        direction=direction,
         temperatures={"robot_C": warm},
     )
 
@@ -141,14 +144,14 @@ def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:
 def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE) -> Observations:
     """The poses of a recording measured again in another cell.
 
-    effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the situation that
+    effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the context that
     return displacements. outliers: share of centres that are off by millimetres.
     """
     from mbcacq.diagnosis.linearized import geometry_fit
 
     rng = np.random.default_rng(seed)
     obs = template
-    start = geometry_fit.start(obs)
+    start = geometry_fit.initial_state(obs)
     state = CellState(
         obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)),
         obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),
@@ -157,15 +160,15 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
     )
     if obs.cell.measurement == "artefact_in_scanner":
         state = replace(state, T_base_station=start.T_base_station)
-    situation = Context(obs, state, forward_model.predict(obs, state))
+    context = Context(obs, state, forward_model.predict(obs, state))
     terms, values, moved = [], [], Displacements()
     for effect in effects:
         if callable(effect):
-            moved = add(moved, effect(situation))
+            moved = add(moved, effect(context))
             continue
         name, where, coefficients, hyper = effect
         candidate = next(
-            c for c in catalogue.candidates(situation)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients)
+            c for c in catalogue.candidates(context)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients)
         )
         terms.append(term(name, candidate.build(hyper)))
         values.append(np.asarray(coefficients, dtype=float))
@@ -177,6 +180,15 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
     wrong = rng.random(len(xyz)) < outliers
     xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
     return replace(obs, xyz=xyz)
+
+
+def candidate(name: str, where: str, typical: list[float], depends_on: str = "pose", **options) -> Candidate:
+    """A candidate without parts, for rules that ask only what it is."""
+    return Candidate(name, (where,), depends_on, no_parts, scalar_report("size"), np.array(typical), **options)
+
+
+def no_parts(_: float | None) -> list[Part]:
+    return []
 
 
 def add(a: Displacements, b: Displacements) -> Displacements:

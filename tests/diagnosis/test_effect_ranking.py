@@ -1,0 +1,200 @@
+"""Which effect is the most probable, how often noise is taken for one, and which effects predict data left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from scipy.stats import chi2
+
+from mbcacq.diagnosis import diagnose, model_fit, noise_consistent_ranking, outlier_readmission, verdict
+from mbcacq.diagnosis.nonparametric import model_comparison
+from mbcacq.diagnosis.nonparametric.joint_model import noise_with
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.effects.pose import steps
+from mbcacq.estimation.forward_model import Displacements
+
+
+@pytest.mark.parametrize("k", [1, 6])
+@pytest.mark.parametrize("level", [0.05, 0.005])
+def test_number_of_independent_moments_gives_the_false_alarm_rate(plan, k, level):
+    """White noise cut in two at every moment: the best cut passes the threshold as seldom as is said, and not much more seldom."""
+    setup = model_fit.prepare(plan)
+    hyper = steps.moment(setup.context)
+    n, rng = plan.n_poses, np.random.default_rng(5)
+    first = np.arange(n)[None] >= hyper.values[:, None]
+    column = first - first.mean(axis=1, keepdims=True)
+    column /= np.linalg.norm(column, axis=1, keepdims=True)
+    best = np.array([np.max(np.sum((column @ rng.normal(size=(n, k))) ** 2, axis=1)) for _ in range(4000)])
+
+    rate = np.mean(best > chi2.isf(level / hyper.independent, k))
+
+    assert 0.25 * level < rate < 1.3 * level
+
+
+def test_a_mount_shift_is_not_reported_as_scanner_warmup(plan):
+    """Both change slowly with time; of six components, one step explains more than three that fade."""
+    observed = simulated.observe(plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
+
+    assert model_fit.fit_model(model_fit.prepare(observed)).model.names == ("mount_shift",)
+
+
+def test_a_shifted_ball_is_reported_as_a_parametric_effect(plan):
+    observed = simulated.observe(plan, 132, [("ball_shift", ("ball3",), [0.004, -0.002, 0.003], None)])
+
+    found = model_fit.fit_model(model_fit.prepare(observed))
+
+    assert found.model.names == ("ball_shift",)
+    assert found.smooth is None
+
+
+def test_an_effect_absorbed_by_the_noise_is_reconsidered(plan):
+    """Lost motion makes its joint look like one that repeats badly: under that noise it is not significant, under a noise half as wrong it is."""
+    observed = simulated.observe(plan, 139, [("backlash", ("A1",), [6e-6], None)])
+    setup = model_fit.prepare(observed)
+    sigma = noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise)
+    search = BeamSearch(setup.candidates)
+
+    looked = noise_consistent_ranking.reconsider_near_misses(search, setup.linear, sigma, setup.prior_noise)
+
+    candidate = next(c for c in setup.candidates if c.name == "backlash" and c.depends_on == "direction_1")
+    plain = CandidateScoring.of(setup.linear, sigma).test(candidate)
+    assert [c.key for c, _ in looked.effects] == [candidate.key]
+    assert looked.gain > 1.02 * plain.gain
+
+
+def test_an_effect_that_predicts_nothing_is_removed(plan):
+    observed = simulated.observe(plan, 133, [("joint_compliance", ("A2",), [2.5e-6], None)])
+    setup = model_fit.prepare(observed)
+    full = model_fit.fit_model(setup)
+    false = next(c for c in setup.candidates if c.name == "joint_scale" and c.where == ("A6",))
+    search = BeamSearch(setup.candidates)
+    claimed = replace(full, model=search.solved(full.geometry_only, (*full.model.effects, (false, None))))
+
+    proof = cross_validation.cross_validate(setup, claimed)
+    reported = verdict.conclude(setup, claimed, proof)
+
+    assert proof.not_predictive == ("joint_scale",)
+    assert [e.name for e in reported.effects] == ["joint_compliance"]
+
+
+def test_a_location_of_an_effect_that_predicts_nothing_is_removed(plan):
+    """One joint of an effect may be true while a second, found with it, is noise."""
+    observed = simulated.observe(plan, 165, [("gear_transmission_error", ("A2",), [3e-5, 2e-5], 1.0)])
+    setup = model_fit.prepare(observed)
+    full = model_fit.fit_model(setup)
+    false = next(c for c in setup.candidates if c.name == "gear_transmission_error" and c.where == ("A6",))
+    search = BeamSearch(setup.candidates)
+    claimed = replace(full, model=search.solved(full.geometry_only, (*full.model.effects, (false, 3.0))))
+
+    proof = cross_validation.cross_validate(setup, claimed)
+    reported = verdict.conclude(setup, claimed, proof)
+
+    assert proof.not_predictive == ("gear_transmission_error:A6",)
+    assert [(e.name, e.where) for e in reported.effects] == [("gear_transmission_error", ["A2"])]
+
+
+def test_strong_structure_that_predicts_nothing_is_reported_unknown(plan):
+    """A ball that comes loose lies elsewhere at every station: no other station knows where, but it is no noise."""
+
+    def loose(s):
+        ball = np.zeros(s.obs.xyz.shape)
+        lies = np.random.default_rng(6).normal(0, 0.02, (len(s.obs.cell.stations), 3))
+        mine = s.obs.ball == 2
+        ball[mine] = lies[s.obs.station[s.obs.pose[mine]]]
+        return Displacements(ball=ball)
+
+    reported = diagnose.diagnose(simulated.observe(plan, 166, [loose]))
+
+    assert reported.verdict == "unexplained"
+    assert reported.mismatch[0]["at"] == "ball3"
+    assert [(e.name, e.where) for e in reported.effects] == [("unknown", ["ball3"])]
+
+
+def test_a_fold_may_use_a_lower_threshold_where_an_effect_is_known(plan):
+    """What the whole recording shows weakly, half of it does not show by itself; which effect it is, it shows."""
+    setup = model_fit.prepare(simulated.observe(plan, 178, [("joint_scale", ("A5",), [3e-5], None)]))
+    full = model_fit.fit_model(setup)
+    half = setup.linear.keep & (setup.linear.obs.pose % 2 == 1)
+
+    alone, known = model_fit.fit_model(setup, half), model_fit.fit_model(setup, half, effect_expected=True)
+
+    assert 0 < full.model.penalised_gain < verdict.WEAK
+    assert full.model.names == known.model.names == ("joint_scale",)
+    assert alone.model.names == ()
+
+
+def test_one_unmodelled_effect_is_not_split_into_many_parametric_ones(plan):
+    def twist(s):
+        frame = np.zeros((s.obs.n_poses, s.n + 1, 6))
+        moment = s.gravity_moment(2)[:, 0]
+        frame[:, 2, 3] = 6e-4 * np.tanh(moment / (0.5 * moment.std()))
+        return Displacements(frame=frame)
+
+    two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
+    for effects, one_block in (([twist], True), (two, False)):
+        setup = model_fit.prepare(simulated.observe(plan, 168, effects))
+        projected = CandidateScoring.of(setup.linear, noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise))
+        found = BeamSearch(setup.candidates, context=setup.context).beam_search(projected)
+
+        assert len(found.effects) > 1
+        assert model_comparison.single_block_more_probable(projected, setup.design_blocks, found) == one_block
+
+
+def test_a_station_drift_is_validated_on_the_other_stations(plan):
+    """None of them knows of it: left out itself, its station remains as bad as it was."""
+    observed = simulated.observe(plan, 134, [("station_drift", ("station3",), [0.3, -0.25, 0.4], None)])
+
+    reported = diagnose.diagnose(observed)
+
+    assert [(e.name, e.where) for e in reported.effects] == [("station_drift", ["station3"])]
+    assert reported.fit["held_out"]["split"] == "station"
+    assert reported.fit["held_out"]["after_chi2_dof"] > 2.0
+    assert reported.verdict == "explained"
+
+
+def test_a_moment_among_poses_left_out_does_not_count_against_a_step(plan):
+    """Without the station in which an encoder jumped nobody knows at which of its poses."""
+    observed = simulated.observe(plan, 137, [("joint_step", ("A2",), [8e-4], 52.0)])
+
+    reported = diagnose.diagnose(observed)
+
+    assert (plan.station == plan.station[52]).sum() > 4
+    assert reported.effects[0].parameters["A2.at_pose"]["value"] == 52
+    assert reported.fit["held_out"]["split"] == "station"
+    assert reported.fit["held_out"]["after_chi2_dof"] < 1.2
+    assert reported.verdict == "explained"
+
+
+def test_rejected_centres_that_an_effect_explains_are_readmitted(plan):
+    """A wrist encoder that jumps by a degree near the end: four centres far from its axis look like accidents."""
+    setup = model_fit.prepare(simulated.observe(plan, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
+
+    back = outlier_readmission.readmit_outliers(setup)
+
+    assert np.sum(~setup.linear.keep) > 3
+    assert np.all(back.linear.keep)
+    assert [c.key for c, _ in model_fit.fit_model(back).model.effects] == ["joint_step:A6:pose:"]
+
+
+def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
+    """However far: an effect is not given up for its size while nothing else fits better."""
+    observed = simulated.observe(plan, 135, [("ball_shift", ("ball5",), [1.5, -1.0, 1.0], None)])
+
+    reported = diagnose.diagnose(observed)
+
+    assert [(e.name, e.where) for e in reported.effects] == [("ball_shift", ["ball5"])]
+    assert reported.verdict == "explained"
+
+
+def test_two_scales_that_one_artefact_cannot_separate_are_reported():
+    observed = simulated.observe(simulated.plan(bars=0), 136, [("scanner_scale", ("scanner",), [540.0], None)])
+
+    reported = diagnose.diagnose(observed)
+
+    named = {reported.effects[0].name, *(a["name"] for a in reported.effects[0].alternatives)}
+    assert reported.verdict == "cannot_tell"
+    assert {"scanner_scale", "artefact_expansion"} <= named

@@ -1,0 +1,37 @@
+"""A recording of more poses than can be searched as a whole: parametric effects keep what they explain."""
+
+import pytest
+import simulated
+
+from mbcacq.diagnosis.diagnose import diagnose
+
+
+@pytest.fixture(scope="module")
+def reported():
+    plan = simulated.plan(stations=24, bars=8, each=12)
+    return diagnose(
+        simulated.observe(
+            plan,
+            151,
+            [
+                ("gear_transmission_error", ("A1",), [1.5e-4, 1e-4], 13.4),
+                ("gear_transmission_error", ("A1",), [0.0, 1.2e-4], 23.0),
+                ("gear_transmission_error", ("A3",), [1.5e-4, 0.0], 15.1),
+            ],
+        )
+    )
+
+
+def test_orders_of_two_gears_explain_nearly_all(reported):
+    assert reported.verdict in ("explained", "partly_explained")
+    assert reported.effects[0].name == "gear_transmission_error"
+    assert set(reported.effects[0].where) == {"A1", "A3"}
+    assert reported.effects[0].held_out_gain > 0.9
+    assert sorted(reported.effects[0].parameters["A1.order"]["value"]) == pytest.approx([13.4, 23.0], abs=0.1)
+
+
+def test_several_orders_of_a_joint_are_one_location(reported):
+    locations = [(m["at"], m["depends_on"]) for m in reported.mismatch]
+    assert locations[0] == ("A1", "q1")
+    assert len(locations) == len(set(locations))
+    assert reported.mismatch[0]["share"] > 0.5

@@ -1,0 +1,90 @@
+"""Nothing is claimed on clean data, what is missing is reported, an unmodelled effect is located and not named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.output.alternatives import rivals
+from mbcacq.diagnosis.verdict import verdict_of
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.forward_model import Displacements
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_cells_are_clean(plan, seed):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 100 + seed)))
+
+    assert verdict_of(found) == "none"
+    assert found.model.effects == ()
+
+
+def test_clean_cells_with_outliers_are_clean(plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 105, outliers=0.01)))
+
+    assert verdict_of(found) == "none"
+
+
+def test_noise_is_estimated_whatever_the_cell_file_says(plan):
+    reported = replace(plan, cell=replace(plan.cell, noise_mm=None))
+
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(reported, 106)))
+
+    np.testing.assert_allclose(found.noise.point, simulated.POINT_NOISE, rtol=0.15)
+    np.testing.assert_allclose(np.exp(np.mean(np.log(found.noise.joint))), simulated.JOINT_NOISE, rtol=0.25)
+
+
+def test_effects_without_their_columns_are_reported_as_dropped(plan):
+    bare = replace(simulated.observe(plan, 107), time_s=None, direction=None, temperatures={})
+
+    dropped = model_fit.prepare(bare).dropped
+
+    assert {"scanner_warmup", "thermal_growth", "exposure_latency"} <= set(dropped)
+    assert "temperatures" in dropped["thermal_growth"]
+
+
+def bending_of_link_two(context):
+    """Rotation behind link 2 about its own x, by the product of two joint angles: in no catalogue."""
+    frame = np.zeros((context.obs.n_poses, context.n + 1, 6))
+    frame[:, 2, 3] = 3e-4 * np.sin(2 * context.obs.q[:, 2])
+    return Displacements(frame=frame)
+
+
+def test_an_unmodelled_effect_is_not_explained_by_a_parametric_one(plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 108, [bending_of_link_two])))
+
+    assert verdict_of(found) in ("unexplained", "partly_explained")
+    assert found.smooth is not None
+
+
+def cubic_lens(context):
+    point = np.zeros((context.obs.n_centres, 3))
+    point[:, 2] = 0.03 * (context.obs.xyz[:, 0] / 30) ** 3
+    return Displacements(point=point)
+
+
+def test_an_unmodelled_scanner_error_is_located_in_the_scanner(plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 109, [cubic_lens])))
+
+    assert verdict_of(found) == "unexplained"
+    assert (found.cells[0].location, found.cells[0].depends_on) == ("scanner", "x")
+
+
+def test_too_few_poses_are_refused(plan):
+    few = plan.select(np.arange(plan.n_poses) < 8)
+
+    with pytest.raises(CalibrationError, match="too few"):
+        diagnose(few)
+
+
+def test_the_same_effect_at_a_parallel_joint_is_an_alternative(plan):
+    """Axes 2 and 3 are parallel: which of them measures its turns wrong is a question like any other."""
+    setup = model_fit.prepare(simulated.observe(plan, 150, [("joint_scale", ("A2",), [6e-5], None)]))
+
+    alternatives, inseparable, _ = rivals(setup, model_fit.fit_model(setup))
+
+    assert [(a["name"], a["where"]) for a in alternatives["joint_scale"]][0] == ("joint_scale", ["A3"])
+    assert inseparable == []

@@ -1,0 +1,81 @@
+"""Rules between what was found and what is reported: small effects, a block that may be an effect, columns that vanish."""
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.diagnosis.nonparametric import model_comparison
+from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.diagnosis.result import EffectFound
+from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.verdict import worth_telling
+
+
+@pytest.fixture(scope="module")
+def setup(plan):
+    return prepare(plan)
+
+
+def removing(share):
+    return EffectFound("backlash", ["A2"], "direction_2", {}, 1e-4, share)
+
+
+@pytest.mark.parametrize(("verdict", "least"), [("unexplained", 0.05), ("partly_explained", 0.005)])
+def test_an_effect_that_explains_next_to_nothing_is_not_reported(verdict, least):
+    effects = [removing(share) for share in (0.9 * least, 1.1 * least, 0.5)]
+
+    assert worth_telling(effects, verdict) == effects[1:]
+
+
+def test_where_effects_explain_all_a_small_one_is_reported_too():
+    effects = [removing(0.001), removing(0.9)]
+
+    assert worth_telling(effects, "explained") == effects
+
+
+def test_a_long_recording_counts_all_directions_alike(setup):
+    shift = next(c for c in setup.candidates if c.name == "mount_shift")
+    covariance = np.diag(shift.typical**2) * [1, 1, 1, 1e4, 1e4, 1e4]
+    coefficients = 5 * np.sqrt(np.diag(covariance))
+
+    short = BeamSearch(setup.candidates).effect_prior(shift, coefficients, covariance)
+    long = BeamSearch(setup.candidates, thorough=False).effect_prior(shift, coefficients, covariance)
+
+    assert long.gain == pytest.approx(short.gain)
+    assert np.ptp(long.information) == 0 < np.ptp(short.information)
+    assert long.detection_statistic[1] == pytest.approx(6)
+    assert short.detection_statistic[1] < 4
+
+
+def leads(location, depends_on, share):
+    """Whether a single block of the map leads over an elastic joint 2 that removes this share of what the block removes."""
+    shape = BasisFunction(depends_on, np.array([0]), np.ones(1))
+    block = MapCell(location, depends_on, 1000.0, 1000.0, 1000.0, 1.0, 0, (0,), shape)
+    elastic = simulated.candidate("joint_compliance", "A2", [1e-6], "gravity_torque_2")
+    model = EffectSet(((elastic, None),), log_posterior_odds=share * block.gain)
+    there = (location, depends_on) == ("A2", "gravity_torque_2")
+    return model_comparison.leads_plainly(block, model, share * block.gain if there else -np.inf)
+
+
+def test_an_effect_gives_way_to_a_block_that_is_plainly_more_probable():
+    assert leads("A3", "q3", 0.8)
+    assert leads("A2", "gravity_torque_2", 0.3)
+
+
+def test_a_large_effect_is_not_replaced_by_a_block_at_its_own_location():
+    """It is distorted a little because it is large; the block at its joint, along its covariate, follows the distortion."""
+    assert not leads("A2", "gravity_torque_2", 0.8)
+
+
+def test_a_column_that_vanishes_in_these_data_makes_no_random_effect(plan):
+    setup = prepare(simulated.observe(plan, 17, [("joint_compliance", ("A2",), [2e-5], None)]))
+    projected = CandidateScoring.of(setup.linear, setup.prior_noise)
+    cell = EvidenceMap(projected, setup.design_blocks).evaluate(projected).best()
+    for group in setup.design_blocks.groups:
+        group.functions[:] = 0.0
+
+    assert np.all(EvidenceMap(projected, setup.design_blocks).random_effect(cell).columns == 0.0)

@@ -1,0 +1,90 @@
+"""An unmodelled effect is located where it acts, without wrong parametric effects, and predicts poses left out."""
+
+import numpy as np
+import simulated
+
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
+from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.diagnosis.verdict import conclude, verdict_of
+from mbcacq.estimation.forward_model import Displacements
+
+
+def test_a_bayes_factor_of_a_hundred_is_rare_without_an_effect():
+    rng = np.random.default_rng(5)
+    columns = rng.normal(size=(200, 4))
+    S = columns.T @ columns
+    b = rng.normal(size=(20000, 200)) @ columns
+
+    log, _, _ = log_bayes_factor(np.tile(S, (20000, 1, 1)), b, np.tile(np.diag(S), (20000, 1)), np.ones((1, 4)))
+
+    assert np.mean(log > np.log(100)) <= 0.01
+    assert np.mean(log > np.log(10)) <= 0.1
+
+
+def wobble_across_joint_two(s):
+    """Three lobes a turn, across the axis of joint 2: no error of any joint's angle."""
+    frame = np.zeros((s.obs.n_poses, s.n + 1, 6))
+    frame[:, 2, 3], frame[:, 2, 4] = 3e-4 * np.sin(3 * s.obs.q[:, 1]), 3e-4 * np.cos(3 * s.obs.q[:, 1])
+    return Displacements(frame=frame)
+
+
+def twist_of_link_two_that_saturates(s):
+    """About the link's own length (its x), under the moment about it."""
+    moment = s.gravity_moment(2)[:, 0]
+    frame = np.zeros((s.obs.n_poses, s.n + 1, 6))
+    frame[:, 2, 3] = 6e-4 * np.tanh(moment / (2 * moment.std()))
+    return Displacements(frame=frame)
+
+
+def hose_that_pulls_joint_five(s):
+    joint = np.zeros(s.obs.q.shape)
+    joint[:, 4] = 8e-4 * np.tanh(np.abs(s.obs.q[:, 5] - 0.2) / 0.3) ** 2
+    return Displacements(joint=joint)
+
+
+def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 120, [wobble_across_joint_two])))
+
+    assert verdict_of(found) == "unexplained"
+    assert (found.cells[0].location, found.cells[0].depends_on) == ("link2", "q2")
+    assert found.model.effects == ()
+
+
+def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
+    setup = model_fit.prepare(simulated.observe(plan, 121, [twist_of_link_two_that_saturates]))
+    full = model_fit.fit_model(setup)
+    reported = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
+
+    assert reported.verdict == "unexplained"
+    assert reported.mismatch[0]["at"] == "link2"
+    assert reported.mismatch[0]["depends_on"].startswith("gravity_torque")
+    assert [e.name for e in reported.effects] == ["unknown"]
+    assert reported.effects[0].held_out_gain > 0.9
+
+
+def test_a_pulling_hose_is_not_reported_as_a_wrist_coupling(plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 122, [hose_that_pulls_joint_five])))
+
+    assert "wrist_coupling" not in found.model.names
+    assert (found.cells[0].location, found.cells[0].depends_on) == ("A5", "q6")
+
+
+def test_two_effects_that_cancel_each_other_are_not_reported_together():
+    """With one artefact alone a scanner's scale and the artefact's can hardly be reported apart: never both, thousands of ppm against each other."""
+    found = model_fit.fit_model(
+        model_fit.prepare(simulated.observe(simulated.plan(bars=0), 123, [("scanner_scale", ("scanner",), [540.0], None)]))
+    )
+
+    assert len(set(found.model.names) & {"scanner_scale", "artefact_expansion"}) == 1
+    assert abs(abs(found.model.coefficients[0]) - 540.0) < 100.0
+
+
+def test_instrument_noise_stays_near_its_stated_value(plan):
+    """A ball off by half a millimetre is no noise of an instrument of ten micrometres."""
+    observed = simulated.observe(plan, 124, [("ball_shift", ("ball3",), [0.3, 0.2, -0.3], None)])
+
+    found = model_fit.fit_model(model_fit.prepare(observed))
+
+    assert np.all(found.noise.point < 1.3 * simulated.POINT_NOISE)
+    assert [c.name for c, _ in found.model.effects] == ["ball_shift"]
