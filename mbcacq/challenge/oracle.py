@@ -69,7 +69,7 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
     """The catalogue's candidates that are the concealed effect; of several variants the one that fits best for its size."""
     if effect["name"] == "payload":
         stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
-        return [(c, None) for c in payload.beside(setup.situation, stiffness)]
+        return [(c, None) for c in payload.correction_for(setup.situation, stiffness)]
     chosen = []
     screen = CandidateScoring(setup.linear, setup.first)
     for group in wanted(effect):

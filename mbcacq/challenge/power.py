@@ -75,7 +75,7 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
         observations, told = simulated_cells.observe(challenger.loaded, challenger.poses, plainly, [{**one, "strength": strength}])
         truth = plain(told["effects"][0])
-        found.append(bool(tells(diagnose(observations).as_json(), truth)))
+        found.append(bool(tells(diagnose(observations).to_json(), truth)))
         setup = prepare(observations)
         model = EffectSet(tuple(true_members(setup, truth)))
         informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(LEVEL, k)))

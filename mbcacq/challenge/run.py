@@ -57,7 +57,7 @@ class Challenger:
         concealed = self.gauge.conceal(envelope)
         observations, told = self._record(envelope, concealed)
         start = perf_counter()
-        diagnosis = diagnose(observations).as_json()
+        diagnosis = diagnose(observations).to_json()
         seconds = perf_counter() - start
         truth = [with_places(plain(effect)) for effect in told["effects"]]
         outside = any(name in OUTSIDE for name in envelope.names)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.diagnosis import outlier_readmission
@@ -46,8 +48,7 @@ def _diagnose(obs: Observations, folds: int | None, progress, workers: int) -> D
         workers = 1  # each would need as much memory as all of them in turn
     proof = cross_validation.prove(setup, full, folds or usual_folds(obs, full), workers)
     result = conclude(setup, full, proof)
-    result.notes += extra
-    return result
+    return replace(result, notes=(*result.notes, *extra))
 
 
 def usual_folds(obs: Observations, full: ModelFit) -> int:

@@ -95,7 +95,7 @@ def test_a_joint_that_predicts_nothing_beside_another_is_taken_back(plan):
     told = verdict.conclude(setup, claimed, proof)
 
     assert proof.empty == ("gear_transmission_error:A6",)
-    assert [(e.name, e.where) for e in told.effects] == [("gear_transmission_error", ["A2"])]
+    assert [(e.name, e.where) for e in told.effects] == [("gear_transmission_error", ("A2",))]
 
 
 def test_what_is_plain_but_predicts_nothing_is_not_passed_over(plan):
@@ -111,8 +111,8 @@ def test_what_is_plain_but_predicts_nothing_is_not_passed_over(plan):
     told = diagnose.diagnose(made.observe(plan, 166, [loose]))
 
     assert told.verdict == "unexplained"
-    assert told.mismatch[0]["at"] == "ball3"
-    assert [(e.name, e.where) for e in told.effects] == [("unknown", ["ball3"])]
+    assert told.mismatch[0].at == "ball3"
+    assert [(e.name, e.where) for e in told.effects] == [("unknown", ("ball3",))]
 
 
 def test_in_a_fold_it_is_asked_which_name_not_whether_there_is_one(plan):
@@ -151,9 +151,9 @@ def test_a_creeping_tripod_is_judged_on_the_other_stations(plan):
 
     told = diagnose.diagnose(observed)
 
-    assert [(e.name, e.where) for e in told.effects] == [("station_drift", ["station3"])]
-    assert told.fit["held_out"]["split"] == "station"
-    assert told.fit["held_out"]["after_chi2_dof"] > 2.0
+    assert [(e.name, e.where) for e in told.effects] == [("station_drift", ("station3",))]
+    assert told.fit.held_out.split == "station"
+    assert told.fit.held_out.after_chi2_dof > 2.0
     assert told.verdict == "explained"
 
 
@@ -164,9 +164,9 @@ def test_a_moment_that_falls_among_poses_left_out_is_not_held_against_the_step(p
     told = diagnose.diagnose(observed)
 
     assert (plan.station == plan.station[52]).sum() > 4
-    assert told.effects[0].parameters["A2.at_pose"]["value"] == 52
-    assert told.fit["held_out"]["split"] == "station"
-    assert told.fit["held_out"]["after_chi2_dof"] < 1.2
+    assert told.effects[0].parameters["A2.at_pose"].value == 52
+    assert told.fit.held_out.split == "station"
+    assert told.fit.held_out.after_chi2_dof < 1.2
     assert told.verdict == "explained"
 
 
@@ -187,7 +187,7 @@ def test_a_ball_far_off_keeps_its_name(plan):
 
     told = diagnose.diagnose(observed)
 
-    assert [(e.name, e.where) for e in told.effects] == [("ball_shift", ["ball5"])]
+    assert [(e.name, e.where) for e in told.effects] == [("ball_shift", ("ball5",))]
     assert told.verdict == "explained"
 
 
@@ -196,6 +196,6 @@ def test_two_scales_that_one_artefact_cannot_separate_are_both_said():
 
     told = diagnose.diagnose(observed)
 
-    named = {told.effects[0].name, *(a["name"] for a in told.effects[0].alternatives)}
+    named = {told.effects[0].name, *(a.name for a in told.effects[0].alternatives)}
     assert told.verdict == "cannot_tell"
     assert {"scanner_scale", "artefact_expansion"} <= named

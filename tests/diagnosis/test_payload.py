@@ -44,7 +44,7 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
         told = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
         for name, entry in told.items():
             true = {"mass_kg": mass, "com_mm": np.array(com)}.get(name, softness)
-            assert np.all(np.abs(np.array(entry["value"]) - true) < 3 * np.array(entry["std"])), name
+            assert np.all(np.abs(np.array(entry.value) - true) < 3 * np.array(entry.std)), name
     mass_told = found.model.coefficients[found.model.parts()[-1].start]
     assert mass_told > 3 * np.sqrt(found.model.covariance[found.model.parts()[-1].start, found.model.parts()[-1].start])
 
@@ -90,4 +90,4 @@ def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
     state = geometry_fit.start(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     assert payload.candidates(s) == []
-    assert payload.beside(s, {}) == []
+    assert payload.correction_for(s, {}) == []

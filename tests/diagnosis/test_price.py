@@ -11,8 +11,10 @@ from mbcacq.diagnosis.search.effect_prior import EffectPrior
 from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, FEWEST, SelectionCriteria
 
 
-def elastic(joint, name="joint_compliance", positive=False, sight=1.0, k=1):
-    return SimpleNamespace(name=name, where=(f"A{joint}",), k=k, hyper=None, typical=np.full(k, 1e-6), positive=positive, sight=sight)
+def elastic(joint, name="joint_compliance", positive=False, detectability=1.0, k=1):
+    return SimpleNamespace(
+        name=name, where=(f"A{joint}",), k=k, hyper=None, typical=np.full(k, 1e-6), positive=positive, detectability=detectability
+    )
 
 
 def alone(gain):
@@ -81,7 +83,7 @@ def test_effects_of_few_and_of_many_coefficients_need_the_same_multiple_of_what_
 
 def test_places_that_see_little_leave_their_chance_to_the_others_and_no_more():
     sights = (0.9, 0.8, 0.1, 0.1)
-    candidates = [elastic(j, sight=s) for j, s in enumerate(sights)]
+    candidates = [elastic(j, detectability=s) for j, s in enumerate(sights)]
     needed = np.array([SelectionCriteria(candidates).threshold(c, None, []) for c in candidates])
     alike = SelectionCriteria([elastic(j) for j in range(4)]).threshold(elastic(0), None, [])
     gains = np.random.default_rng(7).normal(size=(400000, 4)) ** 2
@@ -114,7 +116,7 @@ def test_what_is_of_different_kinds_is_not_tested_as_one():
 
 def test_what_is_strong_where_little_is_seen_passes_too():
     """A scanner that only turned on its bracket moves the middle of its view by nothing."""
-    turned = SimpleNamespace(name="mount_shift", where=("mount",), k=6, hyper=None, typical=np.ones(6), positive=False, sight=1.0)
+    turned = SimpleNamespace(name="mount_shift", where=("mount",), k=6, hyper=None, typical=np.ones(6), positive=False, detectability=1.0)
     prices = SelectionCriteria([turned])
     seen = np.array([1, 1, 1, 0.02, 0.02, 0.02])
 

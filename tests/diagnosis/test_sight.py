@@ -15,7 +15,7 @@ def setup(plan):
 
 
 def by_place(candidates, name):
-    return {c.where[0]: c.sight for c in candidates if c.name == name}
+    return {c.where[0]: c.detectability for c in candidates if c.name == name}
 
 
 def test_elasticity_is_seen_where_the_load_is_and_not_where_there_is_a_ten_thousandth_of_it(setup):
@@ -41,5 +41,5 @@ def test_what_is_seen_is_chi2_at_its_typical_size(setup):
 
 
 def test_a_kind_with_a_value_to_be_sought_is_left_alone(setup):
-    assert all(c.sight == 1.0 for c in setup.candidates if c.name in ("gear_transmission_error", "ball_shift", "joint_step"))
-    assert np.unique([c.sight for c in setup.candidates if c.name == "joint_scale"]).size > 1
+    assert all(c.detectability == 1.0 for c in setup.candidates if c.name in ("gear_transmission_error", "ball_shift", "joint_step"))
+    assert np.unique([c.detectability for c in setup.candidates if c.name == "joint_scale"]).size > 1

@@ -57,8 +57,8 @@ def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
     told = conclude(setup, full, cross_validation.prove(setup, full, folds=2))
 
     assert told.verdict == "unexplained"
-    assert told.mismatch[0]["at"] == "link2"
-    assert told.mismatch[0]["depends_on"].startswith("gravity_torque")
+    assert told.mismatch[0].at == "link2"
+    assert told.mismatch[0].depends_on.startswith("gravity_torque")
     assert [e.name for e in told.effects] == ["unknown"]
     assert told.effects[0].held_out_gain > 0.9
 

@@ -22,12 +22,12 @@ LEAST = 0.1  # share of a place that sees nothing: sizes may be far from typical
 
 
 def sighted(linear: LinearProblem, noise: NoiseEstimate, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates, with the ``sight`` of those of which all of the kind have one coefficient, and nothing else to be sought."""
+    """The candidates, with the ``detectability`` of those of which all of the kind have one coefficient, and nothing else to be sought."""
     if linear.obs.n_poses > MANY_POSES:
         return list(candidates)  # all is seen
     screen = CandidateScoring(linear, noise)
     others = {c.name for c in candidates if c.k > 1 or c.hyper is not None}
-    return [c if c.name in others else replace(c, sight=share(screen, c)) for c in candidates]
+    return [c if c.name in others else replace(c, detectability=share(screen, c)) for c in candidates]
 
 
 def share(screen: CandidateScoring, candidate: Candidate) -> float:

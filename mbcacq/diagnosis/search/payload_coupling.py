@@ -43,7 +43,7 @@ def settled(search: EffectSetSolver, screen: CandidateScoring, model: EffectSet)
     situation = search.situation
     if situation is None or payload.NAME not in model.names:
         return model
-    loaded = {(f"A{i + 1}",) for i in payload.loaded(situation)}
+    loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(situation)}
     there = {c.where for c, _ in model.members if c.name == joint_compliance.NAME}
     soft = [c for c in search.candidates if c.name == joint_compliance.NAME and c.where in loaded | there]
     others = tuple((c, h) for c, h in model.members if c.name not in (payload.NAME, joint_compliance.NAME))
@@ -53,7 +53,7 @@ def settled(search: EffectSetSolver, screen: CandidateScoring, model: EffectSet)
     for turn in range(ROUNDS):
         torque = situation.gravity_torque + unit @ more
         heavy = tuple((under(c, torque, turn), None) for c in soft)
-        tool = payload.beside(situation, elastic, complete=True)[0]
+        tool = payload.correction_for(situation, elastic, complete=True)[0]
         new = search.solve(screen, (*others, *heavy, (tool, None)), permit=True)
         last = new.parts()[-1]
         step, spread = new.coefficients[last], new.covariance[last, last]
@@ -61,7 +61,7 @@ def settled(search: EffectSetSolver, screen: CandidateScoring, model: EffectSet)
         elastic = compliances(new)
         if np.all(np.abs(step) < STILL * np.sqrt(np.diag(spread))):
             break
-    tool = payload.beside(situation, elastic, spread, complete=True)[0]
+    tool = payload.correction_for(situation, elastic, spread, complete=True)[0]
     return search.solve(screen, (*others, *declared, (tool, None)), permit=True)
 
 

@@ -35,7 +35,7 @@ class SelectionCriteria:
         self._places = Counter(c.name for c in candidates)
         self._sight: defaultdict[str, float] = defaultdict(float)
         for c in candidates:
-            self._sight[c.name] += c.sight
+            self._sight[c.name] += c.detectability
         self._level = FALSE_ALARM / max(sum(share(c) for c in candidates), FEWEST)
 
     def level(self, candidate: Candidate) -> float:
@@ -50,7 +50,7 @@ class SelectionCriteria:
         where the sign is known: nothing yields backwards.
         """
         here = any(c.name == candidate.name and c.where == candidate.where for c in present)
-        places = 1.0 if here else max(self._sight[candidate.name] / candidate.sight, 1.0)
+        places = 1.0 if here else max(self._sight[candidate.name] / candidate.detectability, 1.0)
         if candidate.positive:
             places *= 0.5
         return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)

@@ -71,7 +71,7 @@ def judge(
 
     best = seen(columns)
     for (candidate, hyper), mine in zip(model.members, parts, strict=True):
-        for moment in steps.undecided(candidate, hyper, linear.obs, train):
+        for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, train):
             other = columns.copy()
             other[:, :, mine] = linear.columns(candidate.build(moment))
             best = min(best, seen(other), key=lambda quality: quality.chi2)
