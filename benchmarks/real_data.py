@@ -41,8 +41,8 @@ class Data:
             chosen = np.zeros(obs.n_poses, bool)
             chosen[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True
             obs = obs.select(chosen)
-        state, keep = geometry_fit.fit(obs, geometry_fit.first_noise(obs))
-        self.obs, self.linear = obs, LinearProblem(obs, state, keep)
+        state, keep = geometry_fit.gauss_newton_fit(obs, geometry_fit.stated_noise(obs))
+        self.obs, self.linear = obs, LinearProblem.of(obs, state, keep)
         self.situation = Context(obs, state, self.linear.prediction)
         self.n = self.situation.n
         self.places = len(np.unique(obs.station)) > 1

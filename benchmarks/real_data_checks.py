@@ -18,7 +18,7 @@ from real_data import Data, rms
 from real_data_campaigns import whole
 
 from mbcacq.diagnosis.model_fit import find, prepare
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.recording import load
 
@@ -28,14 +28,14 @@ def diagnosed(folder: Path) -> None:
     obs = load(folder)
     setup = prepare(obs)
     full = find(setup)
-    linear = full.before.linear
+    linear = full.geometry_only.linear
     chance = np.random.default_rng(0).permutation(obs.n_poses) < int(0.3 * obs.n_poses)
     stations = np.unique(obs.station)
     for test in [obs.station == k for k in stations] if len(stations) > 1 else [chance]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
         part = find(replace(setup, linear=linear), train, expected=full.smooth is not None)
-        before = predictive_score.judge(linear, train, judged, NOTHING, None, full.noise)
-        after = predictive_score.judge(linear, train, judged, part.model, part.smooth, full.noise)
+        before = predictive_score.held_out_score(linear, train, judged, NO_EFFECTS, None, full.noise)
+        after = predictive_score.held_out_score(linear, train, judged, part.model, part.smooth, full.noise)
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
 
 

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized import variance_components
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
-from mbcacq.diagnosis.nonparametric.joint_model import columns_of, outliers
+from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.validation import folds, predictive_score
 from mbcacq.effects.effect import Candidate
@@ -54,11 +53,11 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     known = bool(truth) and all(each)
     model, rest = EffectSet((*beside, *chain.from_iterable(each))), EffectSet(tuple(beside))
     linear = setup.linear
-    sigma = variance_components.estimate(linear, *columns_of(linear, model, None), setup.first, setup.first)
-    better = outliers(CandidateScoring(linear, sigma), model)
+    sigma = noise_with(linear, model, None, setup.prior_noise, setup.prior_noise)
+    better = kept_centres(CandidateScoring.of(linear, sigma), model)
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
-        sigma = variance_components.estimate(linear, *columns_of(linear, model, None), sigma, setup.first)
+        sigma = noise_with(linear, model, None, sigma, setup.prior_noise)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
     others = [EffectSet((*beside, *chain.from_iterable(each[:j] + each[j + 1 :]))) for j in range(len(each))] if len(each) > 1 else []
     before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
@@ -69,9 +68,9 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
     """The catalogue's candidates that are the concealed effect; of several variants the one that fits best for its size."""
     if effect["name"] == "payload":
         stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
-        return [(c, None) for c in payload.correction_for(setup.situation, stiffness)]
+        return [(c, None) for c in payload.correction_for(setup.context, stiffness)]
     chosen = []
-    screen = CandidateScoring(setup.linear, setup.first)
+    screen = CandidateScoring.of(setup.linear, setup.prior_noise)
     for group in wanted(effect):
         fitting = [c for c in setup.candidates if c.name == effect["name"] and set(c.where) == group]
         scored = []
@@ -108,22 +107,22 @@ def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str,
         return [None]
     if candidate.hyper.name == "at_pose":
         here = np.flatnonzero(setup.linear.obs.pose_id == int(value))
-        return [float(setup.situation.order[here[0]])] if len(here) else [None]
+        return [float(setup.context.order[here[0]])] if len(here) else [None]
     return [float(v) for v in np.atleast_1d(value)]
 
 
 def without_effect(with_it: Observations, without_it: Observations) -> Achievable:
     """For an effect without a name: held-out chi2 of the geometry alone, and in the same cell had nothing been concealed."""
     clean = prepare(without_it)
-    sigma = variance_components.estimate(clean.linear, *columns_of(clean.linear, NOTHING, None), clean.first, clean.first)
-    return Achievable(held_out(prepare(with_it).linear, NOTHING, sigma), held_out(clean.linear, NOTHING, sigma), False)
+    sigma = noise_with(clean.linear, NO_EFFECTS, None, clean.prior_noise, clean.prior_noise)
+    return Achievable(held_out(prepare(with_it).linear, NO_EFFECTS, sigma), held_out(clean.linear, NO_EFFECTS, sigma), False)
 
 
 def held_out(linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate, by_pose: bool = False) -> float:
     """chi2 per degree of freedom on stations left out in turn. by_pose: on poses, for what happens to one station alone."""
     fold = np.arange(linear.obs.n_poses) % FOLDS if by_pose else folds.split(linear, FOLDS)[0]
-    total = predictive_score.EMPTY
+    total = predictive_score.NO_CENTRES
     for k in range(int(fold.max()) + 1):
         train, test = linear.keep & (fold != k)[linear.obs.pose], linear.keep & (fold == k)[linear.obs.pose]
-        total += predictive_score.judge(linear, train, test, model, None, sigma)
+        total += predictive_score.held_out_score(linear, train, test, model, None, sigma)
     return total.chi2_dof

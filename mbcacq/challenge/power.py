@@ -17,17 +17,16 @@ from mbcacq.challenge.run import Challenger, plain
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_place
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.linearized import variance_components
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
-from mbcacq.diagnosis.nonparametric.joint_model import columns_of, with_members
-from mbcacq.diagnosis.nonparametric.model_comparison import likelihood
+from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
+from mbcacq.diagnosis.nonparametric.model_comparison import log_restricted_likelihood
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search import hyperparameters
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, SelectionCriteria
+from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM_RATE, SelectionCriteria
 
 LEVEL = 0.01  # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
 ALLOWED = 0.02  # rate of false alarms over the whole catalogue
@@ -86,19 +85,19 @@ def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[floa
 
 def estimated(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, float]:
     """The model with orders and moments as these data would have them, and the number of independent choices of all of them."""
-    screen, members, choices = CandidateScoring(setup.linear, plain_noise(setup)), list(model.members), 1.0
+    screen, members, choices = CandidateScoring.of(setup.linear, plain_noise(setup)), list(model.effects), 1.0
     for j, (candidate, _) in enumerate(members):
         if candidate.hyper is not None:
-            others = screen.adopted([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
+            others = screen.conditioned_on([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
             members[j] = candidate, best_hyper(others, candidate).hyper
             same = sum(c.key == candidate.key for c, _ in members[: j + 1])
-            choices *= max(hyperparameters.values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
+            choices *= max(hyperparameters.independent_values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
     return EffectSet(tuple(members)), choices
 
 
 def plain_noise(setup: DiagnosisProblem) -> NoiseEstimate:
     """With geometry alone."""
-    return variance_components.estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
+    return noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise)
 
 
 def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
@@ -106,9 +105,11 @@ def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
     is no such effect.
     """
     linear = setup.linear
-    plainly = CandidateScoring(linear, plain_noise(setup))
-    there = CandidateScoring(linear, variance_components.estimate(linear, *columns_of(linear, model, None), plainly.noise, setup.first))
-    return likelihood(there, with_members(there, model), setup.first) - likelihood(plainly, plainly, setup.first)
+    plainly = CandidateScoring.of(linear, plain_noise(setup))
+    there = CandidateScoring.of(linear, noise_with(linear, model, None, plainly.noise, setup.prior_noise))
+    return log_restricted_likelihood(there, conditioned_on_effects(there, model), setup.prior_noise) - log_restricted_likelihood(
+        plainly, plainly, setup.prior_noise
+    )
 
 
 def tells(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
@@ -128,9 +129,9 @@ def sought(challenger: Challenger, envelope: Scenario, one: dict) -> tuple[int, 
     members = true_members(setup, plain(told["effects"][0]))
     prices, present, tries = SelectionCriteria(setup.candidates), [], 1.0
     for candidate, hyper in members:
-        tries *= prices.tries(candidate, hyper, present)
+        tries *= prices.independent_trials(candidate, hyper, present)
         present.append(candidate)
-    kind = prices.level(members[0][0]) / FALSE_ALARM if members else 1.0
+    kind = prices.false_alarm_rate(members[0][0]) / FALSE_ALARM_RATE if members else 1.0
     return max(sum(c.k for c in present), 1), kind / max(tries / factorial(len(members)), 1.0)
 
 

@@ -38,8 +38,8 @@ class Gauge:
         urad = self.loaded.plan.fake.get("repeatability_urad")
         joint = TRUE_JOINT if urad is None else 1e-6 * float(urad)
         point = np.array(self.loaded.plan.scanner.noise_mm or (0.005, 0.005, 0.009)) / np.sqrt(self.poses[0].exposures)
-        return CandidateScoring(
-            LinearProblem(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint))
+        return CandidateScoring.of(
+            LinearProblem.of(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint))
         )
 
     def gain(self, envelope: Scenario, concealed: Concealed) -> float:

@@ -65,9 +65,9 @@ def visibility(
     from mbcacq.effects.context import Context
 
     observations = planned_observations(loaded, poses, transits, starts)
-    linear = LinearProblem(observations, planned_state(loaded))
+    linear = LinearProblem.of(observations, planned_state(loaded))
     noise = planned_noise(loaded, poses)
-    screen = CandidateScoring(linear, NoiseEstimate(noise.point, noise.joint, noise.turn))
+    screen = CandidateScoring.of(linear, NoiseEstimate(noise.point, noise.joint, noise.turn))
     found, missing = candidates(Context(observations, planned_state(loaded), linear.prediction))
     effects, left = [], {}
     for candidate in found:

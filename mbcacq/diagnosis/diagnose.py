@@ -2,59 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis import outlier_readmission
-from mbcacq.diagnosis.linearized.variance_components import MANY_POSES
-from mbcacq.diagnosis.model_fit import ModelFit, find
-from mbcacq.diagnosis.problem import prepare, thin
+from mbcacq.diagnosis.model_fit import ModelFit, fit_model
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.outlier_readmission import readmit_outliers
+from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
-from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.verdict import WEAK, conclude
 from mbcacq.errors import CalibrationError
 from mbcacq.model.observations import Observations
 
-MOST_POSES = 4000
-FEWEST_POSES = 12
-FEW_STATIONS = 6  # up to which each is left out alone
+Progress = Callable[[str], None]
 
 
-def diagnose(obs: Observations, folds: int | None = None, progress=lambda text: None, workers: int = 1) -> Diagnosis:
-    """Locate, explain, prove. workers: processes side by side for the proof, of a recording that is not long.
+def diagnose(obs: Observations, folds: int | None = None, progress: Progress = lambda text: None, workers: int = 1) -> Diagnosis:
+    """Locate the mismatch, explain it by effects, and prove them on data left out.
 
+    folds: of the proof; by default as many as the recording allows. workers: processes for the proof, of a recording that is not long.
     Raises CalibrationError where the data do not even determine the geometry.
     """
-    if obs.n_poses < FEWEST_POSES:
-        raise CalibrationError(f"{obs.n_poses} poses are too few for a diagnosis: measure at least {FEWEST_POSES}")
+    if obs.n_poses < OPTIONS.fewest_poses:
+        raise CalibrationError(f"{obs.n_poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
         return _diagnose(obs, folds, progress, workers)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 
 
-def _diagnose(obs: Observations, folds: int | None, progress, workers: int) -> Diagnosis:
+def _diagnose(obs: Observations, folds: int | None, progress: Progress, workers: int) -> Diagnosis:
     progress("fitting the geometry")
-    setup = outlier_readmission.readmitted(prepare(obs))
-    extra = []
-    if obs.n_poses > MOST_POSES:
-        setup = thin(setup, setup.linear.keep, MOST_POSES)
-        extra = [f"of {obs.n_poses} poses {MOST_POSES}, evenly at random, were used"]
+    problem = readmit_outliers(prepare(obs))
+    notes = []
+    if obs.n_poses > OPTIONS.most_poses:
+        problem = thinned(problem, problem.linear.keep, OPTIONS.most_poses)
+        notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
-    full = find(setup)
+    full = fit_model(problem)
     progress("proving on data left out")
-    if obs.n_poses >= MANY_POSES:
+    if obs.n_poses >= OPTIONS.many_poses:
         workers = 1  # each would need as much memory as all of them in turn
-    proof = cross_validation.prove(setup, full, folds or usual_folds(obs, full), workers)
-    result = conclude(setup, full, proof)
-    return replace(result, notes=(*result.notes, *extra))
+    proof = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
+    result = conclude(problem, full, proof)
+    return replace(result, notes=(*result.notes, *notes))
 
 
 def usual_folds(obs: Observations, full: ModelFit) -> int:
-    if obs.n_poses >= MANY_POSES:
-        return 3 if obs.n_poses < 2000 else 2
-    if full.smooth is None and 0 < full.model.score < WEAK:
-        return 8
+    """Number of folds of the proof, by the length of the recording and how weak its effects are."""
+    if obs.n_poses >= OPTIONS.many_poses:
+        return OPTIONS.long_folds if obs.n_poses < OPTIONS.longest_from else OPTIONS.longest_folds
+    if full.smooth is None and 0 < full.model.penalised_gain < WEAK:
+        return OPTIONS.weak_folds
     stations = len(np.unique(obs.station))
-    return stations if 4 < stations <= FEW_STATIONS else 4
+    return stations if OPTIONS.usual_folds < stations <= OPTIONS.few_stations else OPTIONS.usual_folds

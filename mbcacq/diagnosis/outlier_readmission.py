@@ -1,4 +1,4 @@
-"""Centres set aside before anything was known, offered to the effects once: many of them, or whole poses, may be an effect themselves."""
+"""Outlier readmission: many centres rejected before anything was known, or whole poses, may be an effect themselves."""
 
 from __future__ import annotations
 
@@ -6,35 +6,34 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized import variance_components
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.nonparametric.joint_model import columns_of, outliers
+from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 
-MANY = 0.015  # share of the centres from which they are no longer taken for accidents unasked
-WHOLE_POSES = 3  # as many poses without any centre left
-TRIED, LEFT = 3, 0.5  # best candidates tried; share of the set aside that may remain so
+MANY = 0.015  # share of the centres from which rejected ones may be no accidents
+WHOLE_POSES = 3  # or as many poses without any centre left
+TRIED, STILL_REJECTED = 3, 0.5  # best candidates tried; share of the rejected centres that may remain so
 
 
-def readmitted(setup: DiagnosisProblem) -> DiagnosisProblem:
-    """The recording with those centres back that one candidate alone explains; as it was where none explains half of them."""
-    linear = setup.linear
-    aside = int(np.sum(~linear.keep))
-    seen = np.bincount(linear.obs.pose, linear.keep, linear.obs.n_poses)
-    if aside <= MANY * len(linear.keep) and int(np.sum(seen == 0)) < WHOLE_POSES:
-        return setup
-    sigma = variance_components.estimate(linear, *columns_of(linear, NOTHING, None), setup.first, setup.first)
-    everything = LinearProblem(linear.obs, linear.state, np.ones(len(linear.keep), bool))
-    screen, search = CandidateScoring(everything, sigma), BeamSearch([c for c in setup.candidates if not c.several])
-    best, fewest = None, LEFT * aside
-    for scored in search.expand(screen, NOTHING)[:TRIED]:
-        model = search.solve(screen, ((scored.candidate, scored.hyper),))
+def readmit_outliers(problem: DiagnosisProblem) -> DiagnosisProblem:
+    """The recording with those rejected centres back that one candidate alone explains; as it was where none explains half of them."""
+    linear = problem.linear
+    rejected = int(np.sum(~linear.keep))
+    left = np.bincount(linear.obs.pose, linear.keep, linear.obs.n_poses)
+    if rejected <= MANY * len(linear.keep) and int(np.sum(left == 0)) < WHOLE_POSES:
+        return problem
+    noise = noise_with(linear, NO_EFFECTS, None, problem.prior_noise, problem.prior_noise)
+    everything = LinearProblem.of(linear.obs, linear.state, np.ones(len(linear.keep), bool))
+    projected, search = CandidateScoring.of(everything, noise), BeamSearch([c for c in problem.candidates if not c.several])
+    best, fewest = None, STILL_REJECTED * rejected
+    for scored in search.expand(projected, NO_EFFECTS)[:TRIED]:
+        model = search.solve(projected, ((scored.candidate, scored.hyper),))
         if model is None:
             continue
-        keep = outliers(screen, model)
+        keep = kept_centres(projected, model)
         if np.sum(~keep) < fewest:
             best, fewest = keep, np.sum(~keep)
-    return setup if best is None else replace(setup, linear=everything.restricted(best))
+    return problem if best is None else replace(problem, linear=everything.restricted(best))

@@ -1,9 +1,8 @@
-"""The recording made ready: geometry fitted, linearised there, and everything that may compete; long recordings thinned."""
+"""The diagnosis problem: the geometry fitted, the recording linearised there, and every candidate effect; long recordings thinned."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
-from mbcacq.diagnosis.search.detectability import sighted
+from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -21,59 +20,65 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True)
 class DiagnosisProblem:
-    """The recording linearised at its geometric fit, and everything that may compete."""
+    """The recording linearised at its geometric fit, and everything that may explain it.
+
+    dropped: effect -> what the recording lacks for it. prior_noise: as stated, the prior of the variance components. design_blocks: of
+    unmodelled effects; they depend on the poses alone.
+    """
 
     linear: LinearProblem
-    situation: Context
+    context: Context
     candidates: list[Candidate]
     dropped: dict[str, str]
-    first: NoiseEstimate
+    prior_noise: NoiseEstimate
+    design_blocks: DesignBlocks
 
-    @cached_property
-    def chart(self) -> DesignBlocks:
-        """Of what has no name: places by shapes."""
-        return DesignBlocks(self.situation)
-
-    def at(self, linear: LinearProblem) -> DiagnosisProblem:
-        """The same with another linearisation, or other centres kept; the chart is of the poses, and stays."""
-        out = replace(self, linear=linear)
-        out.__dict__["chart"] = self.chart
-        return out
+    def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
+        """The same with another linearisation of the same poses, or with other centres kept."""
+        return replace(self, linear=linear)
 
 
 def prepare(obs: Observations) -> DiagnosisProblem:
-    first = geometry_fit.first_noise(obs)
-    state, keep = geometry_fit.fit(obs, first)
-    linear = LinearProblem(obs, state, keep)
-    situation = Context(obs, state, linear.prediction)
-    candidates, dropped = catalogue.candidates(situation)
-    return DiagnosisProblem(linear, situation, sighted(linear, first, candidates), dropped, first)
+    """Raises CalibrationError where the recording does not belong to this robot."""
+    prior_noise = geometry_fit.stated_noise(obs)
+    state, keep = geometry_fit.gauss_newton_fit(obs, prior_noise)
+    linear = LinearProblem.of(obs, state, keep)
+    context = Context(obs, state, linear.prediction)
+    candidates, dropped = catalogue.candidates(context)
+    candidates = with_detectability(linear, prior_noise, candidates)
+    return DiagnosisProblem(linear, context, candidates, dropped, prior_noise, DesignBlocks(context))
 
 
-def thin(setup: DiagnosisProblem, keep: np.ndarray, most: int) -> DiagnosisProblem:
+def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> DiagnosisProblem:
     """The same recording with at most ``most`` of the poses that have a kept centre, evenly at random along its order."""
-    obs = setup.linear.obs
+    obs = problem.linear.obs
     has = np.flatnonzero(np.bincount(obs.pose[keep], minlength=obs.n_poses) > 0)
     rng = np.random.default_rng(0)
     chosen = np.zeros(obs.n_poses, bool)
-    chosen[[rng.choice(part) for part in np.array_split(has[np.argsort(setup.situation.order[has])], min(most, len(has)))]] = True
+    chosen[[rng.choice(part) for part in np.array_split(has[np.argsort(problem.context.order[has])], min(most, len(has)))]] = True
     small = obs.select(chosen)
-    linear = LinearProblem(small, setup.linear.state, keep[chosen[obs.pose]])
-    situation = Context(small, setup.linear.state, linear.prediction)
-    return DiagnosisProblem(linear, situation, catalogue.candidates(situation)[0], setup.dropped, setup.first)
+    linear = LinearProblem.of(small, problem.linear.state, keep[chosen[obs.pose]])
+    context = Context(small, problem.linear.state, linear.prediction)
+    candidates = catalogue.candidates(context)[0]
+    return DiagnosisProblem(linear, context, candidates, problem.dropped, problem.prior_noise, DesignBlocks(context))
 
 
-def back(setup: DiagnosisProblem, small: DiagnosisProblem, model: EffectSet) -> EffectSet:
-    """The members of a model found on a thinned recording, as candidates of the whole one."""
-    by_key = {c.key: c for c in setup.candidates}
-    members = []
-    for candidate, hyper in model.members:
-        if candidate.hyper is not None and candidate.hyper.name == "at_pose":
-            pose = small.linear.obs.pose_id[np.flatnonzero(small.situation.order == int(hyper))[0]]
-            later = setup.linear.obs.pose_id[np.argsort(setup.situation.order)]
-            hyper = (
-                float(np.flatnonzero(later == pose)[0]) if np.any(later == pose) else float(hyper) * len(later) / small.linear.obs.n_poses
-            )
+def transferred(source: DiagnosisProblem, target: DiagnosisProblem, model: EffectSet) -> EffectSet:
+    """The effects found on one thinning of a recording as candidates of another, to be solved anew there."""
+    by_key = {c.key: c for c in target.candidates}
+    effects = []
+    for candidate, hyper in model.effects:
+        if candidate.hyper is not None and candidate.hyper.name == "at_pose" and hyper is not None:
+            hyper = same_moment(source, target, hyper)
         if candidate.key in by_key:
-            members.append((by_key[candidate.key], hyper))
-    return EffectSet(tuple(members))
+            effects.append((by_key[candidate.key], hyper))
+    return EffectSet(tuple(effects))
+
+
+def same_moment(source: DiagnosisProblem, target: DiagnosisProblem, moment: float) -> float:
+    """The place in the order of the target's poses of the pose at a place in the source's order."""
+    pose = source.linear.obs.pose_id[np.flatnonzero(source.context.order == int(moment))[0]]
+    listed = target.linear.obs.pose_id[np.argsort(target.context.order)]
+    if np.any(listed == pose):
+        return float(np.flatnonzero(listed == pose)[0])
+    return float(moment) * len(listed) / source.linear.obs.n_poses

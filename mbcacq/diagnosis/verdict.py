@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import next_measurements
 from mbcacq.diagnosis.output.alternatives import Alternatives, Unobservable, alternatives, unobservable
 from mbcacq.diagnosis.output.contributions import Contributions
@@ -15,9 +16,9 @@ from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.beam_search import BeamSearch
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
-from mbcacq.diagnosis.validation.predictive_score import NOISE_LIKE, PredictiveScore, better, on_train
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
 
 # Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
 # unmodelled one is the larger of the two, and where it is the smaller.
@@ -27,22 +28,22 @@ WEAK = 20.0  # score up to which a name may be a false alarm, and is validated w
 
 def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
     """The diagnosis of a fit whose cross-validation is ``proof``."""
-    if proof.empty:
-        kept = full.model.without(proof.empty)
-        full = replace(full, model=BeamSearch(setup.candidates).solve(full.before, kept.members, permit=True))
-    before, residual_before = on_train(full.before, NOTHING, None)
-    after, residual_after = on_train(full.before, full.model, full.smooth)
+    if proof.not_predictive:
+        kept = full.model.without(proof.not_predictive)
+        full = replace(full, model=BeamSearch(setup.candidates).solved(full.geometry_only, kept.effects))
+    before, residual_before = training_score(full.geometry_only, NO_EFFECTS, None)
+    after, residual_after = training_score(full.geometry_only, full.model, full.smooth)
     judged = _judged(full, proof, before)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
     found = alternatives(setup, full) if judged.effects else Alternatives()
-    advice = next_measurements.separating(setup.situation, found.pairs)
+    advice = next_measurements.separating(setup.context, found.pairs)
     verdict, not_separable = judged.verdict, found.not_separable
     if verdict == "explained" and not_separable:
         verdict = "cannot_tell"
     if verdict == "none":
         missed = unobservable(setup, full)
-        advice += [next_measurements.revealing(setup.situation, m.candidate) for m in missed]
+        advice += [next_measurements.revealing(setup.context, m.candidate) for m in missed]
         not_separable += tuple(_absorbed(m) for m in missed if m.even_strong)
         if any(m.even_strong for m in missed):
             verdict = "cannot_tell"
@@ -77,12 +78,12 @@ def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> 
     # Groups that act at every location could do what parametric effects do: they take no part in the contributions then.
     contributions = Contributions(full if full.cells else replace(full, smooth=None))
     verdict, mismatch = verdict_of(full), mismatch_table(full, contributions, before)
-    geometry_alone, with_effects = proof.decides
-    predictive = bool(better(with_effects, geometry_alone))
+    geometry_alone, with_effects = proof.decisive
+    predictive = bool(predicts_better(with_effects, geometry_alone))
     if not predictive and verdict != "none":  # effects that predict nothing are not reported; that something is there may be, if not weak
-        weak = verdict == "explained" and full.model.score < WEAK
+        weak = verdict == "explained" and full.model.penalised_gain < WEAK
         verdict, mismatch = ("none", []) if weak else ("unexplained", mismatch)
-    if (with_effects if predictive else geometry_alone).chi2_dof > NOISE_LIKE:
+    if (with_effects if predictive else geometry_alone).chi2_dof > OPTIONS.noise_like_chi2:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not mismatch:
         mismatch = mismatch_table(full, contributions, before, anything=True)
@@ -111,7 +112,7 @@ def _figures(before: PredictiveScore, after: PredictiveScore) -> tuple[float, fl
 
 def expected_rms(full: ModelFit, fallback: float) -> float:
     """3D rms (mm) that the estimated noise alone makes at one centre; fallback: where no centre was kept."""
-    linear, noise = full.before.linear, full.noise
+    linear, noise = full.geometry_only.linear, full.noise
     joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
@@ -120,8 +121,8 @@ def verdict_of(full: ModelFit) -> str:
     """The verdict on the data of the fit: parametric effects that are selected although unmodelled ones are there explain partly, if they
     explain more than the unmodelled ones do.
     """
-    structure = full.smooth is not None or (full.leftover is not None and full.leftover.structure and not full.cells)
-    if not full.model.members:
+    structure = full.smooth is not None or (full.residual_tests is not None and full.residual_tests.structure and not full.cells)
+    if not full.model.effects:
         return "unexplained" if structure else "none"
     if not structure:
         return "explained"
@@ -131,8 +132,8 @@ def verdict_of(full: ModelFit) -> str:
 def _mostly_parametric(full: ModelFit) -> bool:
     contributions = Contributions(full)
     if full.smooth is None:
-        assert full.leftover is not None, "without unmodelled effects only the residual tests can find structure"
-        rest = full.leftover.judged.best()
+        assert full.residual_tests is not None, "without unmodelled effects only the residual tests can find structure"
+        rest = full.residual_tests.evidence.best()
         return full.model.gain > max(rest.gain - rest.used, 0.0)
     count = contributions.effects
     if not full.cells:  # a long recording: groups act everywhere and could do what parametric effects do, which were selected first
@@ -143,11 +144,11 @@ def _mostly_parametric(full: ModelFit) -> bool:
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     """Sentences on what was left out of the diagnosis."""
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
-    keep = full.before.linear.keep
+    keep = full.geometry_only.linear.keep
     dropped = int(np.sum(~keep))
     if dropped:
         out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
-    if not setup.situation.masses_known:
+    if not setup.context.masses_known:
         out.append(
             "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
             "its size in rad/Nm is not meaningful"

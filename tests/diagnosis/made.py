@@ -148,7 +148,7 @@ def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0
 
     rng = np.random.default_rng(seed)
     obs = template
-    start = geometry_fit.start(obs)
+    start = geometry_fit.initial_state(obs)
     state = CellState(
         obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)),
         obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),

@@ -7,7 +7,7 @@ import pytest
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.projected_solve import solve_blocks, two
 
 
@@ -18,9 +18,9 @@ def setup(plan):
 
 @pytest.mark.parametrize("members", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
 def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
-    screen = CandidateScoring(setup.linear, setup.first)
+    screen = CandidateScoring.of(setup.linear, setup.prior_noise)
     chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in members]
-    here = screen.adopted([(screen.block(c, None), np.zeros(c.k)) for c in chosen])
+    here = screen.conditioned_on([(screen.block(c, None), np.zeros(c.k)) for c in chosen])
 
     together = here.best_fixed(setup.candidates)
 
@@ -34,11 +34,11 @@ def test_all_fixed_candidates_at_once_are_each_by_itself(setup, members):
 
 def test_a_candidate_is_looked_at_only_where_it_could_pay(setup):
     """The filter leaves out what cannot pay, and nothing else: without it the best are the same."""
-    screen = CandidateScoring(setup.linear, setup.first)
+    screen = CandidateScoring.of(setup.linear, setup.prior_noise)
     search = BeamSearch(setup.candidates)
 
-    kept = search.expand(screen, NOTHING)
-    all_of_them = search.expand(screen, NOTHING, short=1e9)
+    kept = search.expand(screen, NO_EFFECTS)
+    all_of_them = search.expand(screen, NO_EFFECTS, short=1e9)
 
     assert 0 < len(kept) < len(all_of_them) == len(setup.candidates)
     assert [s.candidate.key for s in kept[:5]] == [s.candidate.key for s in all_of_them[:5]]

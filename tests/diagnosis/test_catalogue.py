@@ -36,7 +36,7 @@ def test_every_effect_of_the_contract_has_a_file():
 
 def test_scans_multiply_the_same_functions_as_built_columns(plan):
     obs = made.observe(plan, 31)
-    state = geometry_fit.start(obs)
+    state = geometry_fit.initial_state(obs)
     situation = Context(obs, state, forward_model.predict(obs, state))
     scanned = [c for c in catalogue.candidates(situation)[0] if c.separable]
     assert scanned
@@ -51,7 +51,7 @@ def test_scans_multiply_the_same_functions_as_built_columns(plan):
 
 
 def test_what_the_gravity_moment_says_about_a_joint_is_its_torque(plan):
-    state = geometry_fit.start(plan)
+    state = geometry_fit.initial_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     for i in range(s.n):
         about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]

@@ -68,9 +68,9 @@ def test_a_killed_process_is_told_and_none_stays_behind(alone):
 
 def test_a_proof_shared_by_two_processes_is_the_same_proof(plan, alone):
     setup = model_fit.prepare(made.observe(plan, 160, [("joint_compliance", ("A2",), [2.5e-6], None)]))
-    full = model_fit.find(setup)
+    full = model_fit.fit_model(setup)
 
-    one, two = cross_validation.prove(setup, full, 4), cross_validation.prove(setup, full, 4, workers=2)
+    one, two = cross_validation.cross_validate(setup, full, 4), cross_validation.cross_validate(setup, full, 4, workers=2)
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one

@@ -32,9 +32,9 @@ CASES = [
 def test_found_named_and_measured(plan, name, where, values, hyper):
     observed = made.observe(plan, 11, [(name, where, values, hyper)])
 
-    found = model_fit.find(model_fit.prepare(observed))
+    found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert {(c.name, c.where) for c, _ in found.model.members} == {(name, where)}
+    assert {(c.name, c.where) for c, _ in found.model.effects} == {(name, where)}
     assert verdict_of(found) == "explained"
     std = np.sqrt(np.diag(found.model.covariance))[: len(values)]
     assert np.all(np.abs(found.model.coefficients[: len(values)] - values) < 4 * std)
@@ -43,15 +43,15 @@ def test_found_named_and_measured(plan, name, where, values, hyper):
 def test_two_effects_at_once(plan):
     observed = made.observe(plan, 12, [("joint_compliance", ("A2",), [2.5e-6], None), ("backlash", ("A1",), [5e-5], None)])
 
-    found = model_fit.find(model_fit.prepare(observed))
+    found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert {(c.name, c.where) for c, _ in found.model.members} == {("joint_compliance", ("A2",)), ("backlash", ("A1",))}
+    assert {(c.name, c.where) for c, _ in found.model.effects} == {("joint_compliance", ("A2",)), ("backlash", ("A1",))}
 
 
 def test_found_among_one_percent_of_gross_outliers(plan):
     observed = made.observe(plan, 13, [("joint_compliance", ("A2",), [2.5e-6], None)], outliers=0.01)
 
-    found = model_fit.find(model_fit.prepare(observed))
+    found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert [(c.name, c.where) for c, _ in found.model.members] == [("joint_compliance", ("A2",))]
+    assert [(c.name, c.where) for c, _ in found.model.effects] == [("joint_compliance", ("A2",))]
     assert abs(found.model.coefficients[0] - 2.5e-6) < 4 * np.sqrt(found.model.covariance[0, 0])

@@ -16,14 +16,14 @@ from mbcacq.estimation.forward_model import Displacements
 
 @pytest.mark.parametrize("seed", range(4))
 def test_clean_cells_are_clean(plan, seed):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 100 + seed)))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 100 + seed)))
 
     assert verdict_of(found) == "none"
-    assert found.model.members == ()
+    assert found.model.effects == ()
 
 
 def test_clean_cells_with_outliers_are_clean(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 105, outliers=0.01)))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 105, outliers=0.01)))
 
     assert verdict_of(found) == "none"
 
@@ -31,7 +31,7 @@ def test_clean_cells_with_outliers_are_clean(plan):
 def test_noise_is_estimated_whatever_the_cell_file_says(plan):
     told = replace(plan, cell=replace(plan.cell, noise_mm=None))
 
-    found = model_fit.find(model_fit.prepare(made.observe(told, 106)))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(told, 106)))
 
     np.testing.assert_allclose(found.noise.point, made.POINT_NOISE, rtol=0.15)
     np.testing.assert_allclose(np.exp(np.mean(np.log(found.noise.joint))), made.JOINT_NOISE, rtol=0.25)
@@ -54,7 +54,7 @@ def bending_of_link_two(situation):
 
 
 def test_an_effect_without_a_name_is_not_given_one(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 108, [bending_of_link_two])))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 108, [bending_of_link_two])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
     assert found.smooth is not None
@@ -67,7 +67,7 @@ def cubic_lens(situation):
 
 
 def test_an_unnamed_scanner_error_is_located_in_the_scanner(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 109, [cubic_lens])))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 109, [cubic_lens])))
 
     assert verdict_of(found) == "unexplained"
     assert (found.cells[0].at, found.cells[0].depends_on) == ("scanner", "x")
@@ -84,7 +84,7 @@ def test_the_same_effect_at_another_joint_is_an_alternative_too(plan):
     """Axes 2 and 3 are parallel: which of them measures its turns wrong is a question like any other."""
     setup = model_fit.prepare(made.observe(plan, 150, [("joint_scale", ("A2",), [6e-5], None)]))
 
-    found = alternatives(setup, model_fit.find(setup))
+    found = alternatives(setup, model_fit.fit_model(setup))
 
     assert [(a.name, a.where) for a in found.by_name["joint_scale"]][0] == ("joint_scale", ("A3",))
     assert found.not_separable == ()

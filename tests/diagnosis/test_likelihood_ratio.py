@@ -24,7 +24,7 @@ def test_without_an_effect_it_is_chi_square_however_the_noise_was_stated(plan):
     tail = []
     for seed in range(16):
         setup = prepare(made.observe(plan, 900 + seed))
-        setup = replace(setup, first=NoiseEstimate(setup.first.point * 1.2, setup.first.joint * 1.5))
+        setup = replace(setup, first=NoiseEstimate(setup.prior_noise.point * 1.2, setup.prior_noise.joint * 1.5))
         sought = [c for c in setup.candidates if c.key in SOUGHT]
         tail += [chi2.sf(max(likelihood_ratio(setup, EffectSet(((c, None),))), 0.0), c.k) for c in sought]
 
@@ -42,7 +42,7 @@ def test_one_that_estimates_order_or_moment_counts_how_many_it_could_have_chosen
             best, choices = estimated(setup, EffectSet(((candidate, 60.0),)))
             tail.append(choices * chi2.sf(max(likelihood_ratio(setup, best), 0.0), candidate.k))
 
-    assert best.members[0][1] != 60.0
+    assert best.effects[0][1] != 60.0
     assert 0 < np.sum(np.array(tail) < 0.3) <= 14
     assert np.sum(np.array(tail) < 0.05) <= 4
 

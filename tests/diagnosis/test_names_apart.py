@@ -13,7 +13,7 @@ from mbcacq.diagnosis.nonparametric import model_comparison
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.effects.pose import steps
 from mbcacq.estimation.forward_model import Displacements
@@ -24,7 +24,7 @@ from mbcacq.estimation.forward_model import Displacements
 def test_a_moment_is_sought_among_as_many_independent_ones_as_are_counted(plan, k, level):
     """White noise cut in two at every moment: the best cut passes the threshold as seldom as is said, and not much more seldom."""
     setup = model_fit.prepare(plan)
-    hyper = steps.moment(setup.situation)
+    hyper = steps.moment(setup.context)
     n, rng = plan.n_poses, np.random.default_rng(5)
     first = np.arange(n)[None] >= hyper.values[:, None]
     column = first - first.mean(axis=1, keepdims=True)
@@ -40,13 +40,13 @@ def test_a_slipping_bracket_is_not_told_as_a_warming_scanner(plan):
     """Both change slowly with time; of six components, one step explains more than three that fade."""
     observed = made.observe(plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
 
-    assert model_fit.find(model_fit.prepare(observed)).model.names == ("mount_shift",)
+    assert model_fit.fit_model(model_fit.prepare(observed)).model.names == ("mount_shift",)
 
 
 def test_what_a_ball_may_be_called_is_not_left_without_a_name(plan):
     observed = made.observe(plan, 132, [("ball_shift", ("ball3",), [0.004, -0.002, 0.003], None)])
 
-    found = model_fit.find(model_fit.prepare(observed))
+    found = model_fit.fit_model(model_fit.prepare(observed))
 
     assert found.model.names == ("ball_shift",)
     assert found.smooth is None
@@ -56,29 +56,29 @@ def test_an_effect_that_hides_in_the_noise_gets_a_second_look(plan):
     """Lost motion makes its joint look like one that repeats badly: under that noise it is not significant, under a noise half as wrong it is."""
     observed = made.observe(plan, 139, [("backlash", ("A1",), [6e-6], None)])
     setup = model_fit.prepare(observed)
-    sigma = estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first)
+    sigma = estimate(setup.linear, *columns_of(setup.linear, NO_EFFECTS, None), setup.prior_noise, setup.prior_noise)
     search = BeamSearch(setup.candidates)
 
-    looked = noise_consistent_ranking.second_look(search, setup.linear, sigma, setup.first)
+    looked = noise_consistent_ranking.reconsider_near_misses(search, setup.linear, sigma, setup.prior_noise)
 
     candidate = next(c for c in setup.candidates if c.name == "backlash" and c.depends_on == "direction_1")
-    plain = CandidateScoring(setup.linear, sigma).test(candidate)
-    assert [c.key for c, _ in looked.members] == [candidate.key]
+    plain = CandidateScoring.of(setup.linear, sigma).test(candidate)
+    assert [c.key for c, _ in looked.effects] == [candidate.key]
     assert looked.gain > 1.02 * plain.gain
 
 
 def test_a_name_that_predicts_nothing_beside_a_true_one_is_taken_back(plan):
     observed = made.observe(plan, 133, [("joint_compliance", ("A2",), [2.5e-6], None)])
     setup = model_fit.prepare(observed)
-    full = model_fit.find(setup)
+    full = model_fit.fit_model(setup)
     false = next(c for c in setup.candidates if c.name == "joint_scale" and c.where == ("A6",))
     search = BeamSearch(setup.candidates)
-    claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, None)), permit=True))
+    claimed = replace(full, model=search.solved(full.geometry_only, (*full.model.effects, (false, None))))
 
-    proof = cross_validation.prove(setup, claimed)
+    proof = cross_validation.cross_validate(setup, claimed)
     told = verdict.conclude(setup, claimed, proof)
 
-    assert proof.empty == ("joint_scale",)
+    assert proof.not_predictive == ("joint_scale",)
     assert [e.name for e in told.effects] == ["joint_compliance"]
 
 
@@ -86,15 +86,15 @@ def test_a_joint_that_predicts_nothing_beside_another_is_taken_back(plan):
     """One joint of a name may be true while a second, found beside it, is chance."""
     observed = made.observe(plan, 165, [("gear_transmission_error", ("A2",), [3e-5, 2e-5], 1.0)])
     setup = model_fit.prepare(observed)
-    full = model_fit.find(setup)
+    full = model_fit.fit_model(setup)
     false = next(c for c in setup.candidates if c.name == "gear_transmission_error" and c.where == ("A6",))
     search = BeamSearch(setup.candidates)
-    claimed = replace(full, model=search.solve(full.before, (*full.model.members, (false, 3.0)), permit=True))
+    claimed = replace(full, model=search.solved(full.geometry_only, (*full.model.effects, (false, 3.0))))
 
-    proof = cross_validation.prove(setup, claimed)
+    proof = cross_validation.cross_validate(setup, claimed)
     told = verdict.conclude(setup, claimed, proof)
 
-    assert proof.empty == ("gear_transmission_error:A6",)
+    assert proof.not_predictive == ("gear_transmission_error:A6",)
     assert [(e.name, e.where) for e in told.effects] == [("gear_transmission_error", ("A2",))]
 
 
@@ -118,12 +118,12 @@ def test_what_is_plain_but_predicts_nothing_is_not_passed_over(plan):
 def test_in_a_fold_it_is_asked_which_name_not_whether_there_is_one(plan):
     """What the whole recording shows weakly, half of it does not show by itself; which it is, it tells."""
     setup = model_fit.prepare(made.observe(plan, 178, [("joint_scale", ("A5",), [3e-5], None)]))
-    full = model_fit.find(setup)
+    full = model_fit.fit_model(setup)
     half = setup.linear.keep & (setup.linear.obs.pose % 2 == 1)
 
-    alone, known = model_fit.find(setup, half), model_fit.find(setup, half, name_expected=True)
+    alone, known = model_fit.fit_model(setup, half), model_fit.fit_model(setup, half, name_expected=True)
 
-    assert 0 < full.model.score < verdict.WEAK
+    assert 0 < full.model.penalised_gain < verdict.WEAK
     assert full.model.names == known.model.names == ("joint_scale",)
     assert alone.model.names == ()
 
@@ -138,11 +138,11 @@ def test_one_thing_without_a_name_is_not_strung_together_of_many(plan):
     two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
     for effects, strung in (([twist], True), (two, False)):
         setup = model_fit.prepare(made.observe(plan, 168, effects))
-        screen = CandidateScoring(setup.linear, estimate(setup.linear, *columns_of(setup.linear, NOTHING, None), setup.first, setup.first))
-        names = BeamSearch(setup.candidates, situation=setup.situation).grow(screen)
+        screen = CandidateScoring.of(setup.linear, estimate(setup.linear, *columns_of(setup.linear, NO_EFFECTS, None), setup.prior_noise, setup.prior_noise))
+        names = BeamSearch(setup.candidates, situation=setup.context).grow(screen)
 
-        assert len(names.members) > 1
-        assert model_comparison.overshadowed(screen, setup.chart, names) == strung
+        assert len(names.effects) > 1
+        assert model_comparison.overshadowed(screen, setup.design_blocks, names) == strung
 
 
 def test_a_creeping_tripod_is_judged_on_the_other_stations(plan):
@@ -178,7 +178,7 @@ def test_centres_set_aside_come_back_where_an_effect_explains_them(plan):
 
     assert np.sum(~setup.linear.keep) > 3
     assert np.all(back.linear.keep)
-    assert [c.key for c, _ in model_fit.find(back).model.members] == ["joint_step:A6:pose:"]
+    assert [c.key for c, _ in model_fit.fit_model(back).model.effects] == ["joint_step:A6:pose:"]
 
 
 def test_a_ball_far_off_keeps_its_name(plan):

@@ -32,49 +32,49 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
     mass, com, softness = 6.0, [0.0, 0.0, 100.0], 6e-6
     hidden = {"name": "payload", "mass_kg": mass, "com_mm": com, "compliance_rad_per_Nm": softness}
 
-    found = model_fit.find(model_fit.prepare(observed(seeing, 102, hidden)))
+    found = model_fit.fit_model(model_fit.prepare(observed(seeing, 102, hidden)))
 
     assert verdict_of(found) == "explained"
-    assert {(c.name, c.where) for c, _ in found.model.members} == {
+    assert {(c.name, c.where) for c, _ in found.model.effects} == {
         ("payload", ("mount",)),
         ("joint_compliance", ("A2",)),
         ("joint_compliance", ("A3",)),
     }
-    for (candidate, hyper), p in zip(found.model.members, found.model.parts(), strict=True):
+    for (candidate, hyper), p in zip(found.model.effects, found.model.slices(), strict=True):
         told = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
         for name, entry in told.items():
             true = {"mass_kg": mass, "com_mm": np.array(com)}.get(name, softness)
             assert np.all(np.abs(np.array(entry.value) - true) < 3 * np.array(entry.std)), name
-    mass_told = found.model.coefficients[found.model.parts()[-1].start]
-    assert mass_told > 3 * np.sqrt(found.model.covariance[found.model.parts()[-1].start, found.model.parts()[-1].start])
+    mass_told = found.model.coefficients[found.model.slices()[-1].start]
+    assert mass_told > 3 * np.sqrt(found.model.covariance[found.model.slices()[-1].start, found.model.slices()[-1].start])
 
 
 def test_a_tool_far_too_heavy_on_soft_joints_is_measured_too(seeing):
     """Far from where both were begun: what is left of compliance times weight is no further effect."""
     hidden = {"name": "payload", "mass_kg": 12.0, "com_mm": [20.0, 0.0, 130.0], "compliance_rad_per_Nm": 2.5e-5}
 
-    found = model_fit.find(model_fit.prepare(observed(seeing, 104, hidden)))
+    found = model_fit.fit_model(model_fit.prepare(observed(seeing, 104, hidden)))
 
     assert set(found.model.names) == {"payload", "joint_compliance"}
-    candidate, hyper = found.model.members[-1]
-    p = found.model.parts()[-1]
+    candidate, hyper = found.model.effects[-1]
+    p = found.model.slices()[-1]
     mass = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)["mass_kg"]
-    assert abs(mass["value"] - 12.0) < 3 * mass["std"]
-    assert mass["std"] < 1.5
+    assert abs(mass.value - 12.0) < 3 * mass.std
+    assert mass.std < 1.5
 
 
 def test_elastic_joints_under_the_declared_tool_are_not_told_as_a_wrong_tool(seeing):
     hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
 
-    found = model_fit.find(model_fit.prepare(observed(seeing, 103, hidden)))
+    found = model_fit.fit_model(model_fit.prepare(observed(seeing, 103, hidden)))
 
-    assert {c.name for c, _ in found.model.members} == {"joint_compliance"}
+    assert {c.name for c, _ in found.model.effects} == {"joint_compliance"}
 
 
 def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
     from mbcacq.estimation import forward_model
 
-    state = geometry_fit.start(plan)
+    state = geometry_fit.initial_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     arm, mass, com = plan.cell.robot, 4.2, np.array([30.0, -20, 90])
     none = np.zeros(s.n)
@@ -87,7 +87,7 @@ def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
 def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
     from mbcacq.estimation import forward_model
 
-    state = geometry_fit.start(plan)
+    state = geometry_fit.initial_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     assert payload.candidates(s) == []
     assert payload.correction_for(s, {}) == []

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from mbcacq.diagnosis.search.effect_prior import EffectPrior
-from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM, FEWEST, SelectionCriteria
+from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM_RATE, FEWEST, SelectionCriteria
 
 
 def elastic(joint, name="joint_compliance", positive=False, detectability=1.0, k=1):
@@ -31,7 +31,7 @@ def test_the_best_pair_passes_by_chance_as_seldom_as_the_best_single_one(joints)
 
     pair, best = np.mean(gains[:, -1] + gains[:, -2] > needed), np.mean(gains[:, -1] > single)
 
-    level = FALSE_ALARM / FEWEST * joints
+    level = FALSE_ALARM_RATE / FEWEST * joints
     assert 0.3 * level < pair < level  # pairs share joints, so they are fewer than counted
     assert 0.7 * level < best < 1.2 * level
 
@@ -51,7 +51,7 @@ def test_of_what_only_yields_forwards_half_as_much_chance_passes(together):
     def passed(z, least):
         return np.mean(np.sort(z**2, axis=1)[:, -together:].sum(axis=1) > least)
 
-    level = FALSE_ALARM / FEWEST * 4
+    level = FALSE_ALARM_RATE / FEWEST * 4
     assert needed(forwards) < needed(both) - 1.0
     assert 0.3 * level < passed(np.maximum(z, 0.0), needed(forwards)) < 1.2 * level
 
@@ -63,7 +63,7 @@ def test_all_places_of_all_kinds_together_pass_by_chance_as_seldom_as_stated():
     gains = np.random.default_rng(5).normal(size=(40000, 100)) ** 2
     needed = np.array([prices.threshold(c, None, []) for c in many])
 
-    assert np.mean((gains > needed).any(axis=1)) == pytest.approx(FALSE_ALARM, rel=0.15)
+    assert np.mean((gains > needed).any(axis=1)) == pytest.approx(FALSE_ALARM_RATE, rel=0.15)
     assert np.ptp(needed) < 0.2
 
 
@@ -90,7 +90,7 @@ def test_places_that_see_little_leave_their_chance_to_the_others_and_no_more():
 
     assert needed[0] < alike - 0.7
     assert needed[2] > alike + 2.0
-    assert 0.7 < np.mean((gains > needed).any(axis=1)) / (FALSE_ALARM / FEWEST * 4) < 1.2
+    assert 0.7 < np.mean((gains > needed).any(axis=1)) / (FALSE_ALARM_RATE / FEWEST * 4) < 1.2
 
 
 def test_two_weak_joints_pass_together_where_neither_passes_alone():

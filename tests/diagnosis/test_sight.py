@@ -21,7 +21,7 @@ def by_place(candidates, name):
 def test_elasticity_is_seen_where_the_load_is_and_not_where_there_is_a_ten_thousandth_of_it(setup):
     elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
     light = [replace(elastic[1], typical=1e-4 * elastic[1].typical)]
-    sight = by_place(sighted(setup.linear, setup.first, [elastic[0], *light]), "joint_compliance")
+    sight = by_place(sighted(setup.linear, setup.prior_noise, [elastic[0], *light]), "joint_compliance")
 
     assert sight["A2"] > 0.9
     assert sight["A3"] == pytest.approx(LEAST, abs=0.01)
@@ -30,8 +30,8 @@ def test_elasticity_is_seen_where_the_load_is_and_not_where_there_is_a_ten_thous
 def test_what_is_seen_is_chi2_at_its_typical_size(setup):
     """Four of chi2 is the middle; a tenth of the noise makes a hundred times as much of it."""
     joints = [c for c in setup.candidates if c.name == "joint_scale"]
-    tenth = replace(setup.first, point=setup.first.point / 10, joint=setup.first.joint / 10)
-    coarse, fine = (by_place(sighted(setup.linear, noise, joints), "joint_scale") for noise in (setup.first, tenth))
+    tenth = replace(setup.prior_noise, point=setup.prior_noise.point / 10, joint=setup.prior_noise.joint / 10)
+    coarse, fine = (by_place(sighted(setup.linear, noise, joints), "joint_scale") for noise in (setup.prior_noise, tenth))
     small = by_place(sighted(setup.linear, tenth, [replace(c, typical=c.typical / 10) for c in joints]), "joint_scale")
 
     for joint, one in coarse.items():

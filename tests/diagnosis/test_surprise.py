@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of
-from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.diagnosis.validation.posterior import Posterior
 
@@ -22,7 +22,7 @@ def test_surprise_is_minus_twice_the_log_of_the_density_foretold():
         return lambda a: a[which].reshape(which.sum(), *a.shape[2:])
 
     known = Posterior.of(of(train), X, sigma, r)
-    surprise = known.surprise(of(test), X, r)
+    surprise = known.negative_log_predictive_density(of(test), X, r)
 
     A, B = X[train, 0], X[test, 0]
     covariance = np.linalg.inv(A.T @ A + np.diag(1 / sigma**2))
@@ -41,12 +41,12 @@ def test_it_does_not_matter_in_which_order_stations_come(plan):
     def summed(model, order):
         seen, total = np.isin(station, order[:2]), 0.0
         for k in order[2:]:
-            total += predictive_score.judge(linear, seen, station == k, model, None, setup.first).surprise
+            total += predictive_score.held_out_score(linear, seen, station == k, model, None, setup.prior_noise).negative_log_predictive_density
             seen = seen | (station == k)
         return total
 
     first, *rest = np.unique(station)[:6]
-    ways = [summed(NOTHING, [first, rest[0], *order]) for order in (rest[1:], rest[:0:-1])]
+    ways = [summed(NO_EFFECTS, [first, rest[0], *order]) for order in (rest[1:], rest[:0:-1])]
     assert ways[0] == pytest.approx(ways[1], rel=1e-6)
     assert summed(EffectSet(((elastic, None),)), [first, *rest]) < ways[0] - 10
 
@@ -58,9 +58,9 @@ def test_what_is_hardly_seen_stays_near_zero(plan):
     candidate = next(c for c in setup.candidates if c.name == "mount_shift")
     model = EffectSet(((candidate, 60.0),))
     columns, sigma = columns_of(setup.linear, model, None)
-    parts = predictive_score.places_of(model, columns.shape[2])
+    parts = predictive_score.effect_columns(model, columns.shape[2])
 
-    free = Posterior.of(setup.linear.whitener(setup.first), columns, sigma, setup.linear.residual)
+    free = Posterior.of(setup.linear.whitener(setup.prior_noise), columns, sigma, setup.linear.residual)
     sized = free.sized(model, parts)
 
     shift, turn = parts[0].start, slice(parts[0].start + 3, parts[0].stop)
@@ -71,14 +71,14 @@ def test_what_is_hardly_seen_stays_near_zero(plan):
 
 def test_a_model_that_leaves_more_than_noise_is_judged_by_squares():
     sure, close = (
-        predictive_score.PredictiveScore(1.0, 100, 310.0, 300.0, surprise=50.0),
-        predictive_score.PredictiveScore(1.0, 100, 305.0, 300.0, surprise=60.0),
+        predictive_score.PredictiveScore(1.0, 100, 310.0, 300.0, negative_log_predictive_density=50.0),
+        predictive_score.PredictiveScore(1.0, 100, 305.0, 300.0, negative_log_predictive_density=60.0),
     )
-    assert predictive_score.better(sure, close)
-    assert not predictive_score.better(close, sure)
+    assert predictive_score.predicts_better(sure, close)
+    assert not predictive_score.predicts_better(close, sure)
 
     wrong, less_wrong = (
-        predictive_score.PredictiveScore(1.0, 100, chi2, 300.0, surprise=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0))
+        predictive_score.PredictiveScore(1.0, 100, chi2, 300.0, negative_log_predictive_density=s) for chi2, s in ((3000.0, 50.0), (2900.0, 60.0))
     )
-    assert predictive_score.better(less_wrong, wrong)
-    assert not predictive_score.better(wrong, less_wrong)
+    assert predictive_score.predicts_better(less_wrong, wrong)
+    assert not predictive_score.predicts_better(wrong, less_wrong)

@@ -15,7 +15,7 @@ from mbcacq.estimation.forward_model import Displacements
 
 
 def situation(obs):
-    state = geometry_fit.start(obs)
+    state = geometry_fit.initial_state(obs)
     return Context(obs, state, forward_model.predict(obs, state))
 
 
@@ -42,7 +42,7 @@ def short_memory_of_joint_four(s):
 
 
 def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 110, [short_memory_of_joint_four])))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 110, [short_memory_of_joint_four])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
     assert (found.cells[0].at, found.cells[0].depends_on) == ("A4", "direction_4")
@@ -52,7 +52,7 @@ def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(p
     observed = made.observe(plan, 111)
     true = 0.03 * np.sin(2 * np.pi * observed.xyz[:, 1] / 14.0 + 0.4)
 
-    found = model_fit.find(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
+    found = model_fit.fit_model(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
 
     first = found.cells[0]
     assert verdict_of(found) == "unexplained"

@@ -44,17 +44,17 @@ def hose_that_pulls_joint_five(s):
 
 
 def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 120, [wobble_across_joint_two])))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 120, [wobble_across_joint_two])))
 
     assert verdict_of(found) == "unexplained"
     assert (found.cells[0].at, found.cells[0].depends_on) == ("link2", "q2")
-    assert found.model.members == ()
+    assert found.model.effects == ()
 
 
 def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
     setup = model_fit.prepare(made.observe(plan, 121, [twist_of_link_two_that_saturates]))
-    full = model_fit.find(setup)
-    told = conclude(setup, full, cross_validation.prove(setup, full, folds=2))
+    full = model_fit.fit_model(setup)
+    told = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
 
     assert told.verdict == "unexplained"
     assert told.mismatch[0].at == "link2"
@@ -64,7 +64,7 @@ def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
 
 
 def test_a_pulling_hose_is_not_told_as_a_coupling_of_the_wrist(plan):
-    found = model_fit.find(model_fit.prepare(made.observe(plan, 122, [hose_that_pulls_joint_five])))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(plan, 122, [hose_that_pulls_joint_five])))
 
     assert "wrist_coupling" not in found.model.names
     assert (found.cells[0].at, found.cells[0].depends_on) == ("A5", "q6")
@@ -72,7 +72,7 @@ def test_a_pulling_hose_is_not_told_as_a_coupling_of_the_wrist(plan):
 
 def test_two_names_that_cancel_each_other_are_not_told_together():
     """With one artefact alone a scanner's scale and the artefact's can hardly be told apart: never both, thousands of ppm against each other."""
-    found = model_fit.find(model_fit.prepare(made.observe(made.plan(bars=0), 123, [("scanner_scale", ("scanner",), [540.0], None)])))
+    found = model_fit.fit_model(model_fit.prepare(made.observe(made.plan(bars=0), 123, [("scanner_scale", ("scanner",), [540.0], None)])))
 
     assert len(set(found.model.names) & {"scanner_scale", "artefact_expansion"}) == 1
     assert abs(abs(found.model.coefficients[0]) - 540.0) < 100.0
@@ -82,7 +82,7 @@ def test_no_instrument_passes_for_much_worse_than_stated(plan):
     """A ball off by half a millimetre is no noise of an instrument of ten micrometres."""
     observed = made.observe(plan, 124, [("ball_shift", ("ball3",), [0.3, 0.2, -0.3], None)])
 
-    found = model_fit.find(model_fit.prepare(observed))
+    found = model_fit.fit_model(model_fit.prepare(observed))
 
     assert np.all(found.noise.point < 1.3 * made.POINT_NOISE)
-    assert [c.name for c, _ in found.model.members] == ["ball_shift"]
+    assert [c.name for c, _ in found.model.effects] == ["ball_shift"]

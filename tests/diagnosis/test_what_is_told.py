@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import made
 import numpy as np
 import pytest
+from mbcacq.diagnosis.nonparametric.evidence_atlas import EvidenceMap
 
 from mbcacq.diagnosis.nonparametric import model_comparison
-from mbcacq.diagnosis.nonparametric.evidence_atlas import EvidenceMap
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.beam_search import BeamSearch
@@ -73,9 +73,9 @@ def test_a_large_effect_is_not_overshadowed_by_its_own_place(monkeypatch):
 
 def test_a_column_that_these_data_do_not_see_is_nothing_and_no_fraction_of_it(plan):
     setup = prepare(made.observe(plan, 17, [("joint_compliance", ("A2",), [2e-5], None)]))
-    screen = CandidateScoring(setup.linear, setup.first)
-    cell = EvidenceMap(screen, setup.chart).judge(screen).best()
-    for layer in setup.chart.layers:
+    screen = CandidateScoring.of(setup.linear, setup.prior_noise)
+    cell = EvidenceMap(screen, setup.design_blocks).judge(screen).best()
+    for layer in setup.design_blocks.layers:
         layer.functions[:] = 0.0
 
-    assert np.all(EvidenceMap(screen, setup.chart).group(cell).columns == 0.0)
+    assert np.all(EvidenceMap(screen, setup.design_blocks).group(cell).columns == 0.0)

@@ -1,4 +1,4 @@
-"""The hierarchical noise of a recording, and rows made independent and of unit variance by it.
+"""Whitening: rows made independent and of unit variance by the hierarchical noise of a recording.
 
 Every centre has instrument noise; every pose has joint repeatability, which moves all its centres together.
 """
@@ -15,15 +15,15 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """point: (3,) mm sigma of a centre along the instrument's axes; joint: (n,) rad; turn: rad, of a measured orientation."""
+    """point: (3,) mm sigma of a centre along the instrument's axes; joint: (n,) rad; rotation: rad, of a measured orientation."""
 
     point: np.ndarray
     joint: np.ndarray
-    turn: float = 1e-4
+    rotation: float = 1e-4
 
     def rows(self, width: int) -> np.ndarray:
         """(R,) sigma of the rows of one centre."""
-        return self.point if width == 3 else np.concatenate([self.point, np.full(3, self.turn)])
+        return self.point if width == 3 else np.concatenate([self.point, np.full(3, self.rotation)])
 
 
 def joint_columns(obs: Observations, prediction: Prediction) -> np.ndarray:
@@ -33,7 +33,7 @@ def joint_columns(obs: Observations, prediction: Prediction) -> np.ndarray:
 
 
 class Whitener:
-    """Multiplies the rows of each pose by the inverse Cholesky factor of its covariance. ``keep``: (M,) bool, outliers dropped (rows 0)."""
+    """Multiplies the rows of each pose by the inverse Cholesky factor of its covariance. keep: (M,) bool; other centres have rows 0."""
 
     def __init__(self, obs: Observations, joint: np.ndarray, noise: NoiseEstimate, keep: np.ndarray):
         self.keep = keep

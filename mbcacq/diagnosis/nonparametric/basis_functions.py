@@ -1,4 +1,4 @@
-"""Functions that a mismatch without a name may follow: few coefficients before many, each a shape of one covariate.
+"""Basis functions that an unmodelled effect may follow: few coefficients before many, each a shape of one covariate.
 
 All functions of all covariates stand in one table; a shape is a choice of its columns, with prior weights that fall where a
 function is finer.
@@ -12,16 +12,13 @@ import numpy as np
 
 from mbcacq.diagnosis.nonparametric import joint_travel
 from mbcacq.diagnosis.nonparametric.covariates import artefact_tilt
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
-
-TURNS, OWN_TURNS = 4, 9  # periodic functions of a joint up to so many times a turn, of any and of the place's own
-COSINES = 5  # smooth functions over the range of a covariate
-FINE = 16  # of a joint's own angle
 
 
 @dataclass(frozen=True)
 class BasisFunction:
-    """depends_on: name of the contract. index: columns of the table; weight: relative prior sigma of each."""
+    """depends_on: name of the covariate. index: columns of the table; weight: relative prior sigma of each."""
 
     depends_on: str
     index: np.ndarray
@@ -56,50 +53,57 @@ class BasisTable:
 
 
 def cosines(x: np.ndarray, count: int) -> np.ndarray:
-    """Cosines over the range of x: smooth, and harmless where there are no data."""
+    """(P, count) cosines over the range of x (P,): smooth, and bounded where there are no data."""
     low, span = float(np.min(x)), max(float(np.ptp(x)), 1e-12)
     return np.cos(np.pi * ((np.asarray(x, dtype=float) - low) / span)[:, None] * np.arange(1, count + 1))
 
 
 def of_poses(s: Context) -> BasisTable:
-    """Joint angles, gravity, senses of motion, time, temperatures, velocities, torques: the same for every place."""
+    """Joint angles, gravity, directions of rotation, time, temperatures, velocities, torques: the same at every location."""
     table, obs = BasisTable(), s.obs
     for i in range(s.n):
         if np.ptp(obs.q[:, i]) > 0.02:
-            angle(table, f"q{i + 1}", obs.q[:, i])
+            joint_angle(table, f"q{i + 1}", obs.q[:, i])
     table.shape(f"gravity_torque_{s.n}", table.add(s.flange_gravity))
     if obs.direction is not None:
         for i in range(s.n):
             if np.ptp(obs.direction[:, i]) > 0:
-                sense(table, s, i)
+                directions(table, s, i)
     for name, index in in_time(table, s):
         table.shape(name, index[:1])
         table.shape(name, index, falling=True)
     for name, values in (("qd", obs.velocity), ("tau", obs.torque)):
-        for i in range(s.n if values is not None else 0):
-            table.shape(f"{name}{i + 1}", table.add(np.nan_to_num(values[:, i])))
+        if values is not None:
+            each_joint(table, name, values)
     if obs.payload_kg is not None:
         table.shape("payload_kg", table.add(obs.payload_kg))
     return table
 
 
-def angle(table: BasisTable, name: str, q: np.ndarray) -> None:
-    turns = [table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)) for h in range(1, TURNS + 1)]
-    for index in turns:
+def each_joint(table: BasisTable, name: str, values: np.ndarray) -> None:
+    """Velocities or torques (P, n), each joint's by itself."""
+    for i, column in enumerate(values.T):
+        table.shape(f"{name}{i + 1}", table.add(np.nan_to_num(column)))
+
+
+def joint_angle(table: BasisTable, name: str, q: np.ndarray) -> None:
+    """Harmonics and smooth functions of a joint's angle q (P,)."""
+    periodic = [table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)) for h in range(1, OPTIONS.harmonics + 1)]
+    for index in periodic:
         table.shape(name, index)
-    table.shape(name, np.concatenate(turns[:2]))
-    smooth = table.add(cosines(q, COSINES))
+    table.shape(name, np.concatenate(periodic[:2]))
+    smooth = table.add(cosines(q, OPTIONS.cosines))
     table.shape(name, smooth[:2])
     table.shape(name, smooth, falling=True)
 
 
-def sense(table: BasisTable, s: Context, i: int) -> None:
-    """The sense of the last motion: alone, fading with the distance travelled, growing with the load."""
+def directions(table: BasisTable, s: Context, i: int) -> None:
+    """The direction of rotation of joint i's last motion: alone, fading with the distance travelled, growing with the load."""
     fading = table.add(joint_travel.functions(s, i))
     for j in range(len(fading)):
         table.shape(f"direction_{i + 1}", fading[j : j + 1])
     table.shape(f"direction_{i + 1}", fading)
-    loaded = table.add(s.obs.direction[:, i] * np.abs(s.gravity_torque[:, i]))
+    loaded = table.add(joint_travel.directions(s)[:, i] * np.abs(s.gravity_torque[:, i]))
     table.shape(f"direction_{i + 1}", loaded)
 
 
@@ -107,7 +111,7 @@ def in_time(table: BasisTable, s: Context) -> list[tuple[str, np.ndarray]]:
     """(name, columns: straight line first) of time, or the order of the poses, and every temperature."""
     timed = s.obs.time_s is not None and np.ptp(s.obs.time_s) > 0
     clock = np.asarray(s.time if timed else s.order, dtype=float)
-    out = [("time" if timed else "pose", np.concatenate([table.add(clock), table.add(cosines(clock, COSINES))]))]
+    out = [("time" if timed else "pose", np.concatenate([table.add(clock), table.add(cosines(clock, OPTIONS.cosines))]))]
     for name, T in s.obs.temperatures.items():
         if np.ptp(T) > 0.2:
             x = (T - T.mean()) / T.std()
@@ -115,41 +119,41 @@ def in_time(table: BasisTable, s: Context) -> list[tuple[str, np.ndarray]]:
     return out
 
 
-def moments(s: Context, frame: int) -> BasisTable:
-    """Components of the gravity moment of all that hangs behind a frame, about its origin: straight, and bent."""
+def gravity_moments(s: Context, frame: int) -> BasisTable:
+    """Components of the gravity moment of all that hangs behind a frame, about its origin: linear, and nonlinear."""
     table, moment = BasisTable(), s.gravity_moment(frame)
-    size, straight = np.abs(moment).max(), []
+    size, linear = np.abs(moment).max(), list[np.ndarray]()
     name = f"gravity_torque_{min(max(frame + 1, 2), s.n)}"  # a vertical first axis feels none: the second does what tilts the base
     for x in moment.T:
         if np.ptp(x) > 0.005 * size:
             first = table.add(x)
-            straight.append(first)
-            bent = np.concatenate([first, table.add(cosines(x, 4))])
+            linear.append(first)
+            nonlinear = np.concatenate([first, table.add(cosines(x, 4))])
             table.shape(name, first)
-            table.shape(name, bent[:3])
-            table.shape(name, bent, falling=True)
-    if len(straight) > 1:
-        table.shape(name, np.concatenate(straight))
+            table.shape(name, nonlinear[:3])
+            table.shape(name, nonlinear, falling=True)
+    if len(linear) > 1:
+        table.shape(name, np.concatenate(linear))
     return table
 
 
-def turns(q: np.ndarray, name: str) -> BasisTable:
-    """More periodic functions of an angle: of the joint at, or before, the place."""
+def higher_harmonics(q: np.ndarray, name: str) -> BasisTable:
+    """More periodic functions of an angle: of the joint at, or before, the location."""
     table = BasisTable()
-    for h in range(TURNS + 1, OWN_TURNS + 1):
+    for h in range(OPTIONS.harmonics + 1, OPTIONS.own_harmonics + 1):
         table.shape(name, table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)))
     return table
 
 
-def fine(q: np.ndarray, name: str) -> BasisTable:
+def narrow(q: np.ndarray, name: str) -> BasisTable:
     """Functions of a joint's own angle narrow enough for a bump."""
     table = BasisTable()
-    table.shape(name, table.add(cosines(q, FINE)))
+    table.shape(name, table.add(cosines(q, OPTIONS.narrow_cosines)))
     return table
 
 
-def bends(x: np.ndarray, name: str) -> BasisTable:
-    """One coefficient each: what sets in at a value (a sigmoid), or pulls away from it to both sides, for ever or until it is taut."""
+def thresholds(x: np.ndarray, name: str) -> BasisTable:
+    """One coefficient each: a sigmoid about a value, its square, or the distance from the value to both sides."""
     table, span = BasisTable(), float(np.ptp(x))
     for middle in np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9]):
         for width in (0.06 * span, 0.15 * span):
@@ -161,21 +165,21 @@ def bends(x: np.ndarray, name: str) -> BasisTable:
 
 
 def of_field(s: Context) -> BasisTable:
-    """Functions of the centre: polynomials and waves over the field of view, the artefact's tilt, time and temperatures."""
+    """Functions of the centre: polynomials over the field of view, the artefact's tilt, time and temperatures."""
     table, obs = BasisTable(), s.obs
     x, y, z = ((v - v.mean()) / max(float(v.std()), 1e-12) for v in obs.xyz.T)
-    straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
+    linear = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
     for name, v in zip("xyz", (x, y, z), strict=True):
-        table.shape(name, np.concatenate([straight[name], table.add(np.stack([v**2, v**3], axis=1))]), falling=True)
-    round_ = table.add(x * x + y * y)
-    table.shape("x", round_)
-    table.shape("x", np.concatenate([round_, table.add(np.stack([x * y, x * x - y * y], axis=1))]))
+        table.shape(name, np.concatenate([linear[name], table.add(np.stack([v**2, v**3], axis=1))]), falling=True)
+    radial = table.add(x * x + y * y)
+    table.shape("x", radial)
+    table.shape("x", np.concatenate([radial, table.add(np.stack([x * y, x * x - y * y], axis=1))]))
     table.shape("x", table.add(np.stack([x**3, x * x * y, x * y * y, y**3], axis=1)))
     table.shape("z", table.add(np.stack([x * z, y * z], axis=1)))
     if np.ptp(artefact_tilt(s)) > 0.02:
-        tilt(table, s)
-    for name, index in in_time(_per_centre := BasisTable(), s):
-        values = [_per_centre.columns[j][obs.pose] for j in index]
+        artefact_tilts(table, s)
+    for name, index in in_time(per_pose := BasisTable(), s):
+        values = [per_pose.columns[j][obs.pose] for j in index]
         here = table.add(np.stack(values, axis=1))
         table.shape(name, here[:1])
         table.shape(name, here, falling=True)
@@ -186,30 +190,32 @@ def of_field(s: Context) -> BasisTable:
 
 
 def of_volume(s: Context) -> BasisTable:
-    """Functions of a place far from the instrument: its direction (errors along the line of sight), and polynomials (scale, refraction)."""
+    """Functions of a target's position far from the instrument: its direction (errors along the line of sight) and polynomials (scale,
+    refraction).
+    """
     table, xyz = BasisTable(), s.obs.xyz
     table.shape("x", table.add(xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9)))
     x, y, z = ((v - v.mean()) / float(v.std()) for v in xyz.T)
-    straight = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
+    linear = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
     for name, v in zip("xyz", (x, y, z), strict=True):
-        table.shape(name, straight[name])
-        table.shape(name, np.concatenate([straight[name], table.add(v * v)]))
-    linear = np.concatenate(list(straight.values()))
-    table.shape("x", linear)
-    table.shape("x", np.concatenate([linear, table.add(np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1))]))
+        table.shape(name, linear[name])
+        table.shape(name, np.concatenate([linear[name], table.add(v * v)]))
+    all_linear = np.concatenate(list(linear.values()))
+    table.shape("x", all_linear)
+    table.shape("x", np.concatenate([all_linear, table.add(np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1))]))
     return table
 
 
-def tilt(table: BasisTable, s: Context) -> None:
+def artefact_tilts(table: BasisTable, s: Context) -> None:
     """The artefact's upward direction in the scanner's axes, its products, and how far it leans."""
     up = np.einsum("pji,pj->pi", s.prediction.T_base_scanner[:, :3, :3], s.prediction.T_base_station[:, :3, 2])[s.obs.pose]
     lean = np.abs(up[:, 2])
-    bent = table.add(np.stack([1 - lean**2, lean], axis=1))
-    table.shape("tilt", bent[:1])
-    table.shape("tilt", bent)
+    nonlinear = table.add(np.stack([1 - lean**2, lean], axis=1))
+    table.shape("tilt", nonlinear[:1])
+    table.shape("tilt", nonlinear)
     across = table.add(np.sign(up[:, 2:]) * up[:, :2])
     table.shape("tilt", across)
     strong = table.add((1 - lean**2)[:, None] * up[:, :2])
-    table.shape("tilt", np.concatenate([bent[:1], strong]))
+    table.shape("tilt", np.concatenate([nonlinear[:1], strong]))
     products = table.add(np.stack([up[:, 0] * up[:, 1], up[:, 0] ** 2 - up[:, 1] ** 2], axis=1))
-    table.shape("tilt", np.concatenate([bent[:1], across, products, strong]))
+    table.shape("tilt", np.concatenate([nonlinear[:1], across, products, strong]))

@@ -1,8 +1,8 @@
-"""How much a group of coefficients of unknown size is worth: the ratio of marginal likelihoods, with the group and without it.
+"""Bayes factor of a group of coefficients of unknown size: the ratio of marginal likelihoods with the group and without it.
 
 The coefficients are a random effect u ~ N(0, s^2 diag(w^2)); the ratio is averaged over a grid of sizes s. Without an effect its
-expectation is one, whatever the group, so averages over groups (with prior shares) may be compared, and an average of R has a
-chance of at most 1/R of being seen where there is nothing.
+expectation is one, whatever the group, so averages over groups (with prior shares) may be compared, and an average of R or more is seen
+with a probability of at most 1/R where there is nothing.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 SIZES = 10.0 ** np.linspace(0.3, 6.0, 12)  # squares of the signal to noise ratio of a group's best determined direction
 
 
-def log_ratio(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def log_bayes_factor(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """S: projected normal matrices (H, k, k); b: right-hand sides (H, k); raw: columns squared before projection (H, k); weight: (H, k).
 
-    Returns the log ratio (H,), the gain in chi2 at the best size (H,) and how many coefficients the data determine there (H,).
+    Returns the log Bayes factor (H,), the gain in chi2 at the best size (H,) and how many coefficients the data determine there (H,).
     """
     scale = weight / np.sqrt(np.maximum(raw, 1e-300))
     scaled, target = S * (scale[:, :, None] * scale[:, None, :]), b * scale
@@ -24,7 +24,7 @@ def log_ratio(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray)
     else:
         value, V = np.linalg.eigh(scaled)
         value, along2 = np.maximum(value, 0.0), np.einsum("hij,hi->hj", V, target) ** 2
-    top = np.maximum(value.max(axis=1), 1e-6)  # of what the projection destroyed nothing is told
+    top = np.maximum(value.max(axis=1), 1e-6)  # what the projection removed has no evidence
     size = SIZES[None] / top[:, None]
     grown = size[:, :, None] * value[:, None, :]
     gain = (along2[:, None, :] * size[:, :, None] / (1 + grown)).sum(axis=2)

@@ -1,4 +1,4 @@
-"""What a mismatch may depend on, and smooth functions of it: the columns of the map."""
+"""Covariates that a mismatch may depend on, with smooth functions of each: the columns of the evidence map."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric import joint_travel, periodic_component
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
-
-BUMPS = 5
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class Covariate:
 
 def of_poses(s: Context) -> list[Covariate]:
     """Covariates that are one number a pose."""
-    obs, out = s.obs, []
+    obs, out = s.obs, list[Covariate]()
     for i in range(s.n):
         if np.ptp(obs.q[:, i]) > 0.02:
             out.append(smooth(f"q{i + 1}", obs.q[:, i]))
@@ -32,9 +31,9 @@ def of_poses(s: Context) -> list[Covariate]:
         if np.ptp(torque[:, i]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             out.append(polynomial(f"gravity_torque_{i + 1}", torque[:, i], 2))
     if obs.direction is not None:
-        turning = [i for i in range(s.n) if np.ptp(obs.direction[:, i]) > 0]
-        out += [polynomial(f"direction_{i + 1}", obs.direction[:, i], 1) for i in turning]
-        out += [Covariate(f"direction_{i + 1}", joint_travel.functions(s, i), obs.direction[:, i]) for i in turning]
+        moving = [i for i in range(s.n) if np.ptp(obs.direction[:, i]) > 0]
+        out += [polynomial(f"direction_{i + 1}", obs.direction[:, i], 1) for i in moving]
+        out += [Covariate(f"direction_{i + 1}", joint_travel.functions(s, i), obs.direction[:, i]) for i in moving]
     if obs.time_s is not None and np.ptp(obs.time_s) > 0:
         out.append(smooth("time", s.time))
     else:
@@ -48,9 +47,9 @@ def of_poses(s: Context) -> list[Covariate]:
 
 
 def of_centres(s: Context) -> list[Covariate]:
-    """Covariates within the field of view (M,), with waves over it: for a model of what is there, rather than a test of whether."""
+    """Covariates within the field of view (M,), x and y with periodic components."""
     return [
-        Covariate(c.name, np.concatenate([c.functions, periodic_component.waves(c.values)], axis=1), c.values)
+        Covariate(c.name, np.concatenate([c.functions, periodic_component.harmonics(c.values)], axis=1), c.values)
         if c.name in ("x", "y")
         else c
         for c in smooth_of_centres(s)
@@ -76,16 +75,18 @@ def artefact_tilt(s: Context) -> np.ndarray:
 
 
 def standard(values: np.ndarray) -> np.ndarray:
+    """Values of mean zero and unit standard deviation."""
     return (values - values.mean()) / max(float(values.std()), 1e-12)
 
 
 def polynomial(name: str, values: np.ndarray, degree: int) -> Covariate:
+    """Powers of the standardised covariate up to a degree."""
     x = standard(np.asarray(values, dtype=float))
     return Covariate(name, np.stack([x ** (d + 1) for d in range(degree)], axis=1), values)
 
 
-def smooth(name: str, values: np.ndarray, bumps: int = BUMPS) -> Covariate:
-    """Natural ranks are not used: cosines over the range keep places without data harmless."""
+def smooth(name: str, values: np.ndarray) -> Covariate:
+    """Cosines over the range of a covariate: they stay bounded where there are no data."""
     low, span = float(np.min(values)), max(float(np.ptp(values)), 1e-12)
     phase = np.pi * (np.asarray(values, dtype=float) - low) / span
-    return Covariate(name, np.cos(phase[:, None] * np.arange(1, bumps + 1)), values)
+    return Covariate(name, np.cos(phase[:, None] * np.arange(1, OPTIONS.cosines + 1)), values)

@@ -1,4 +1,4 @@
-"""Places of the cell that may move in ways no name describes: their components, in axes in which neighbours can be told apart.
+"""Locations of the cell at which an unmodelled effect may act: their components, in axes in which neighbours can be told apart.
 
 A link's components stand in the frame of its own joint, so that turning about that joint (which is the joint's) is left out, and a
 single component that is a turn about the next joint as well is left to that joint.
@@ -10,19 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
-
-PARALLEL = 0.99  # cosine from which two axes count as one
 
 
 @dataclass(frozen=True)
 class Location:
-    """at: name of the contract. keys: (place, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
+    """name: as in the contract. keys: (location, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
     them. variants: which components may move together, each a tuple of rows of mix. frame: whose gravity moment acts here. joint: index of
     the joint there, or before it.
     """
 
-    at: str
+    name: str
     keys: tuple[tuple[str, int, int], ...]
     mix: np.ndarray
     variants: tuple[tuple[int, ...], ...]
@@ -41,7 +40,7 @@ def of_arm(s: Context) -> list[Location]:
         mix = np.zeros((5, 6))
         mix[:3, :3] = across.T
         mix[3:, 3:] = across.T[:2]
-        singles = [(c,) for c in range(5) if c < 3 or abs(mix[c, 5]) < PARALLEL]
+        singles = [(c,) for c in range(5) if c < 3 or abs(mix[c, 5]) < OPTIONS.parallel_cosine]
         out.append(Location(f"link{i}", frame(i), mix, (*singles, (3, 4), (0, 1, 2), (0, 1, 2, 3, 4)), i, i - 1))
     whole = ((0,), (1,), (2,), (3,), (4,), (3, 4), (0, 1, 2), (3, 4, 5), tuple(range(6)))
     out.append(Location("base", frame(0), np.eye(6), whole, 0, 0))
@@ -57,7 +56,7 @@ def frame(index: int) -> tuple[tuple[str, int, int], ...]:
 
 
 def stations(s: Context) -> list[tuple[int, Location]]:
-    """(index of the station, its place) where enough was measured to see it move."""
+    """(index of the station, its location) where enough was measured to see it move."""
     seen = np.unique(s.obs.station)
     keys = tuple(("station", 0, c) for c in range(6))
     variants = ((0, 1, 2), tuple(range(6)))

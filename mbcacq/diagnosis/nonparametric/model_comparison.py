@@ -1,7 +1,7 @@
-"""What has no name, found: groups of the map adopted one after the other, each weighed anew once the noise is known without it.
+"""Model comparison: parametric effects, random effects and noise together are one hypothesis, compared by restricted likelihood.
 
-A mismatch makes noise look larger than it is, and large noise hides it; so groups, their sizes and the noise are found in turns. Whole
-hypotheses (names, groups and noise together) are compared by their restricted likelihood.
+A mismatch makes noise look larger than it is, and large noise hides it; so random effects, their sizes and the noise are found in turns:
+the best block of the evidence map is added, and each is chosen anew once the noise is known without it.
 """
 
 from __future__ import annotations
@@ -13,145 +13,147 @@ import numpy as np
 from mbcacq.diagnosis.linearized import variance_components
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
-from mbcacq.diagnosis.nonparametric import random_effects
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
-from mbcacq.diagnosis.nonparametric.evidence_atlas import EvidenceMap, MapCell
-from mbcacq.diagnosis.nonparametric.joint_model import adopted, columns_of, with_members
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, conditioned_on_random_effects, noise_with
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel, fit_random_effects
 from mbcacq.diagnosis.nonparametric.residual_tests import STRUCTURE
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 
 MOST_GROUPS = 5
-BENT = 0.7  # share of a group's gain that a name at its place has alone, if the group may be that name
-PLAINLY, AHEAD = 5.0, 1.1  # log of a ratio of probabilities, and share of it, by which a single group must be ahead of many names
-NAMELESS = float(np.log(100.0))  # what has no name is a hundred times less likely beforehand than what has one
+DISTORTED = 0.7  # share of a block's gain that an effect at its location has alone, if the block may be that effect
+DECISIVE, RELATIVE_LEAD = 5.0, 1.1  # log posterior odds, and their ratio, by which a single block must lead over several effects
+UNMODELLED = float(np.log(100.0))  # an unmodelled effect is a hundred times less likely beforehand than a parametric one
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Named members, groups with their fitted sizes (None: no groups), noise. score: twice the log of the restricted likelihood, less what
-    members and groups cost for having been picked. last: evidence of the best further group (log ratio of the whole map).
+    """Parametric effects, cells of the map with the random effects fitted to them (None: no cells), noise. log_posterior: twice the log of
+    the restricted likelihood less the Occam penalties of effects and cells.
     """
 
     model: EffectSet
     cells: tuple[MapCell, ...]
     smooth: RandomEffectsModel | None
     noise: NoiseEstimate
-    score: float
+    log_posterior: float
 
 
 @dataclass(frozen=True)
 class ComparisonProblem:
-    """What hypotheses are built on. first: prior of the noise. least: evidence of the map from which a further group is adopted."""
+    """What hypotheses are built on. least: evidence of the map from which a further cell is added."""
 
     linear: LinearProblem
-    chart: DesignBlocks
-    first: NoiseEstimate
+    design_blocks: DesignBlocks
+    prior_noise: NoiseEstimate
     search: BeamSearch
     least: float = STRUCTURE
 
-    def build(self, names: EffectSet, start: NoiseEstimate, cells: tuple[MapCell, ...] = (), rounds: int = 4) -> Hypothesis:
-        """Groups beyond the names, until nothing is left that the map sees. cells: groups to begin with."""
-        sigma, rest = start, None
-        for turn in range(rounds):
-            screen = CandidateScoring(self.linear, sigma)
-            atlas, named = EvidenceMap(screen, self.chart), with_members(screen, names)
+    def build(self, model: EffectSet, start: NoiseEstimate, cells: tuple[MapCell, ...] = (), rounds: int = 4) -> Hypothesis:
+        """Random effects beyond the parametric ones, until the map has no further evidence. cells: to begin with."""
+        noise, smooth = start, None
+        for number in range(rounds):
+            projected = CandidateScoring.of(self.linear, noise)
+            evidence_map, conditioned = EvidenceMap(projected, self.design_blocks), conditioned_on_effects(projected, model)
             before = cells
-            if turn > 0 or cells:
-                cells = self._chosen_anew(atlas, named, cells)
-            cells, rest = self._grown(atlas, named, cells)
-            new = self.noise_of(names, rest, sigma)
-            same = [(c.at, c.rows, c.depends_on) for c in cells] == [(c.at, c.rows, c.depends_on) for c in before]
-            steady = near(new, sigma)
-            sigma = new
-            if not cells or same or (steady and turn > 0):
+            if number > 0 or cells:
+                cells = self._chosen_anew(evidence_map, conditioned, cells)
+            cells, smooth = self._grown(evidence_map, conditioned, cells)
+            new = noise_with(self.linear, model, smooth, noise, self.prior_noise)
+            same = [(c.location, c.rows, c.depends_on) for c in cells] == [(c.location, c.rows, c.depends_on) for c in before]
+            steady = nearly_equal(new, noise)
+            noise = new
+            if not cells or same or (steady and number > 0):
                 break
-        names = self.search.solve(CandidateScoring(self.linear, sigma), names.members, permit=True)
-        return Hypothesis(names, cells, rest, sigma, self.score(names, cells, rest, sigma))
+        model = self.search.solved(CandidateScoring.of(self.linear, noise), model.effects)
+        return Hypothesis(model, cells, smooth, noise, self.log_posterior(model, cells, smooth, noise))
 
-    def _chosen_anew(self, atlas: EvidenceMap, named: CandidateScoring, cells: tuple[MapCell, ...]) -> tuple[MapCell, ...]:
-        """Each group in turn put to the choice again, beside the others."""
+    def _chosen_anew(self, evidence_map: EvidenceMap, conditioned: CandidateScoring, cells: tuple[MapCell, ...]) -> tuple[MapCell, ...]:
+        """Each cell in turn replaced by the best one beyond the others."""
         for j in range(len(cells)):
-            others = cells[:j] + cells[j + 1 :]
-            judged = atlas.judge(adopted(named, fitted(atlas, named, others)))
-            cells = (*cells[:j], judged.best(), *cells[j + 1 :])
+            others = fitted(evidence_map, conditioned, cells[:j] + cells[j + 1 :])
+            evidence = evidence_map.evaluate(conditioned_on_random_effects(conditioned, others))
+            cells = (*cells[:j], evidence.best(), *cells[j + 1 :])
         return cells
 
     def _grown(
-        self, atlas: EvidenceMap, named: CandidateScoring, cells: tuple[MapCell, ...]
+        self, evidence_map: EvidenceMap, conditioned: CandidateScoring, cells: tuple[MapCell, ...]
     ) -> tuple[tuple[MapCell, ...], RandomEffectsModel | None]:
-        rest = fitted(atlas, named, cells)
+        smooth = fitted(evidence_map, conditioned, cells)
         while len(cells) < MOST_GROUPS:
-            judged = atlas.judge(adopted(named, rest))
-            if judged.total < self.least:
+            evidence = evidence_map.evaluate(conditioned_on_random_effects(conditioned, smooth))
+            if evidence.total < self.least:
                 break
-            cells = (*cells, judged.best())
-            rest = fitted(atlas, named, cells)
-        return cells, rest
+            cells = (*cells, evidence.best())
+            smooth = fitted(evidence_map, conditioned, cells)
+        return cells, smooth
 
-    def noise_of(self, names: EffectSet, rest: RandomEffectsModel | None, start: NoiseEstimate) -> NoiseEstimate:
-        return variance_components.estimate(self.linear, *columns_of(self.linear, names, rest), start, self.first)
-
-    def score(self, names: EffectSet, cells: tuple[MapCell, ...], rest: RandomEffectsModel | None, sigma: NoiseEstimate) -> float:
-        screen = CandidateScoring(self.linear, sigma)
-        named = with_members(screen, names)
-        value = likelihood(screen, adopted(named, rest), self.first)
-        if rest is not None:
-            X = screen.whiten(rest.columns) * rest.sigma
-            taken = named.all_projected.T @ X
-            value -= float(np.linalg.slogdet(X.T @ X - taken.T @ taken + np.eye(X.shape[1]))[1])
-        return value - (names.gain - names.worth) - 2 * sum(c.log_ratio - c.weighed + NAMELESS for c in cells)
-
-
-def likelihood(screen: CandidateScoring, adopted: CandidateScoring, first: NoiseEstimate) -> float:
-    """Twice the log of the restricted likelihood of a noise, less what the coefficients of whatever is adopted cost. first: its prior."""
-    return -screen.whiten.log_det - screen.log_det - adopted.chi2 + 2 * variance_components.log_prior(screen.noise, first, screen.linear)
+    def log_posterior(self, model: EffectSet, cells: tuple[MapCell, ...], smooth: RandomEffectsModel | None, noise: NoiseEstimate) -> float:
+        """Twice the log of the posterior probability of a hypothesis, up to a constant."""
+        projected = CandidateScoring.of(self.linear, noise)
+        conditioned = conditioned_on_effects(projected, model)
+        value = log_restricted_likelihood(projected, conditioned_on_random_effects(conditioned, smooth), self.prior_noise)
+        if smooth is not None:
+            X = projected.whiten(smooth.columns) * smooth.sigma
+            absorbed = conditioned.all_projected.T @ X
+            value -= float(np.linalg.slogdet(X.T @ X - absorbed.T @ absorbed + np.eye(X.shape[1]))[1])
+        penalty = model.gain - model.log_posterior_odds
+        return value - penalty - 2 * sum(c.log_bayes_factor - c.log_posterior + UNMODELLED for c in cells)
 
 
-def overshadowed(screen: CandidateScoring, chart: DesignBlocks, names: EffectSet) -> bool:
-    """Whether a single group of the map is plainly more probable than a set of names: they are strung together in place of one thing
-    without a name, and it is better to look for names beyond that.
+def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoiseEstimate) -> float:
+    """Twice the log of the restricted likelihood of a noise with its prior, up to a constant.
 
-    A group at the place of one of them that follows the same variable, and gains little more, may be that very effect, bent because it
-    is large.
+    conditioned: the problem conditioned on the effects of the model, of whose coefficients no determinant is counted.
     """
-    best = EvidenceMap(screen, chart).judge(screen).best()
-    same = [m for m in names.members if best.at in m[0].where and best.depends_on == m[0].depends_on]
-    if any(screen.test(*m).gain > BENT * best.gain for m in same):
+    log_prior = variance_components.log_prior(projected.noise, prior_noise, projected.linear)
+    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * log_prior
+
+
+def single_block_more_probable(projected: CandidateScoring, design_blocks: DesignBlocks, model: EffectSet) -> bool:
+    """Whether a single block of the map is plainly more probable than a set of effects: they describe one unmodelled effect together, and
+    it is better to look for parametric effects beyond that.
+
+    A block at the location of one of them that follows the same covariate, and gains little more, may be that very effect, distorted
+    because it is large.
+    """
+    best = EvidenceMap(projected, design_blocks).evaluate(projected).best()
+    same = [e for e in model.effects if best.location in e[0].where and best.depends_on == e[0].depends_on]
+    if any(projected.test(*e).gain > DISTORTED * best.gain for e in same):
         return False
-    return best.weighed - NAMELESS - PLAINLY > 0.5 * AHEAD * names.worth
+    return best.log_posterior - UNMODELLED - DECISIVE > 0.5 * RELATIVE_LEAD * model.log_posterior_odds
 
 
-def near(a: NoiseEstimate, b: NoiseEstimate) -> bool:
+def nearly_equal(a: NoiseEstimate, b: NoiseEstimate) -> bool:
     return bool(np.all(np.abs(np.log(variance_components.pack(a, False) / variance_components.pack(b, False))) < 0.05))
 
 
-def fitted(atlas: EvidenceMap, named: CandidateScoring, cells: tuple[MapCell, ...]) -> RandomEffectsModel | None:
-    return random_effects.fit(named, [atlas.group(c) for c in cells]) if cells else None
+def fitted(evidence_map: EvidenceMap, conditioned: CandidateScoring, cells: tuple[MapCell, ...]) -> RandomEffectsModel | None:
+    return fit_random_effects(conditioned, [evidence_map.random_effect(c) for c in cells]) if cells else None
 
 
-def contest(ground: ComparisonProblem, names: EffectSet, start: NoiseEstimate, plain: NoiseEstimate) -> Hypothesis:
-    """Names with groups beyond them, groups without names, names found beyond groups: what is most probable.
+def most_probable_hypothesis(problem: ComparisonProblem, model: EffectSet, start: NoiseEstimate, plain: NoiseEstimate) -> Hypothesis:
+    """The most probable of parametric effects with random effects beyond them, random effects alone, and effects found beyond those.
 
-    start: noise with the names in place; plain: with geometry alone.
+    start: noise with the parametric effects in place; plain: with geometry alone.
     """
-    best = ground.build(names, start)
-    if names.members:
-        best = better(best, ground.build(NOTHING, plain))
-        for name in names.names if len(names.names) > 1 and not best.model.members else ():  # one of them may be true
-            only = EffectSet(tuple(m for m in names.members if m[0].name == name))
-            best = better(best, ground.build(only, plain))
+    best = problem.build(model, start)
+    if model.effects:
+        best = more_probable(best, problem.build(NO_EFFECTS, plain))
+        for name in model.names if len(model.names) > 1 and not best.model.effects else ():  # one of them may be true
+            only = EffectSet(tuple(e for e in model.effects if e[0].name == name))
+            best = more_probable(best, problem.build(only, plain))
     if best.smooth is not None:
-        beside = best.smooth.columns, best.smooth.sigma
-        found = ground.search.run(CandidateScoring(ground.linear, best.noise, beside))
-        if {c.key for c, _ in found.members} != {c.key for c, _ in best.model.members}:
-            best = better(best, ground.build(EffectSet(found.members), best.noise, best.cells, 2))
+        nuisance = best.smooth.columns, best.smooth.sigma
+        found = problem.search.run(CandidateScoring.of(problem.linear, best.noise, nuisance))
+        if {c.key for c, _ in found.effects} != {c.key for c, _ in best.model.effects}:
+            best = more_probable(best, problem.build(EffectSet(found.effects), best.noise, best.cells, 2))
         for name in best.model.names if len(best.model.names) > 1 else ():
-            best = better(best, ground.build(best.model.without((name,)), best.noise, best.cells, 2))
+            best = more_probable(best, problem.build(best.model.without((name,)), best.noise, best.cells, 2))
     return best
 
 
-def better(a: Hypothesis, b: Hypothesis) -> Hypothesis:
-    return b if b.score > a.score else a
+def more_probable(a: Hypothesis, b: Hypothesis) -> Hypothesis:
+    return b if b.log_posterior > a.log_posterior else a

@@ -61,16 +61,16 @@ class Alternatives:
 
 def unobservable(setup: DiagnosisProblem, full: ModelFit) -> list[Unobservable]:
     """The compliance of the joint with the largest range of gravity torque, if these poses cannot observe it."""
-    if not setup.situation.masses_known:
+    if not setup.context.masses_known:
         return []
     elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
-    most_loaded = sorted(elastic, key=lambda c: -np.ptp(setup.situation.gravity_torque[:, int(c.where[0][1:]) - 1]))[:1]
+    most_loaded = sorted(elastic, key=lambda c: -np.ptp(setup.context.gravity_torque[:, int(c.where[0][1:]) - 1]))[:1]
     out = []
     for candidate in most_loaded:
-        information = 1 / max(full.before.test(candidate).covariance[0, 0], 1e-300)
+        information = 1 / max(full.geometry_only.test(candidate).covariance[0, 0], 1e-300)
         chi2 = candidate.typical[0] ** 2 * information
         if chi2 < OBSERVABLE:
-            X = full.before.block(candidate, None)
+            X = full.geometry_only.block(candidate, None)
             share = float(np.clip(information / np.sum(X * X), 0, 1))
             out.append(Unobservable(candidate, share, bool(STRONG**2 * chi2 < OBSERVABLE)))
     return out
@@ -79,27 +79,27 @@ def unobservable(setup: DiagnosisProblem, full: ModelFit) -> list[Unobservable]:
 def alternatives(setup: DiagnosisProblem, full: ModelFit) -> Alternatives:
     """For each selected effect: which others, or the same one elsewhere, could stand in its place."""
     model = full.model
-    if not model.members or len(model.members) > MOST_EFFECTS:
+    if not model.effects or len(model.effects) > MOST_EFFECTS:
         return Alternatives()
     search = BeamSearch(setup.candidates)
-    excess = max(full.before.chi2 - full.before.dof, 1e-9)
+    excess = max(full.geometry_only.chi2 - full.geometry_only.dof, 1e-9)
     by_name: dict[str, tuple[Alternative, ...]] = {}
     not_separable: list[NotSeparable] = []
     pairs: list[tuple[SizedEffect, SizedEffect]] = []
     for name in model.names:
-        mine = [j for j, (c, _) in enumerate(model.members) if c.name == name]
-        rest = search.solve(full.before, tuple(m for j, m in enumerate(model.members) if j not in mine))
+        mine = [j for j, (c, _) in enumerate(model.effects) if c.name == name]
+        rest = search.solve(full.geometry_only, tuple(m for j, m in enumerate(model.effects) if j not in mine))
         if rest is None:
             continue
-        (first, hyper), lost = model.members[mine[0]], model.gain - rest.gain
-        selected = SizedEffect(first, hyper, model.coefficients[model.parts()[mine[0]]])
-        scored = _others(search, full, rest, name, {w for j in mine for w in model.members[j][0].where})
+        (first, hyper), lost = model.effects[mine[0]], model.gain - rest.gain
+        selected = SizedEffect(first, hyper, model.coefficients[model.slices()[mine[0]]])
+        scored = _others(search, full, rest, name, {w for j in mine for w in model.effects[j][0].where})
         if scored:
             by_name[name] = tuple(
                 Alternative(s.candidate.name, tuple(s.candidate.where), float(np.clip(s.gain / excess, 0, 1))) for s in scored
             )
         for s in scored:
-            swapped = search.solve(full.before, (*rest.members, (s.candidate, s.hyper)))
+            swapped = search.solve(full.geometry_only, (*rest.effects, (s.candidate, s.hyper)))
             if swapped is not None and not excluded(setup, full, search, swapped):
                 other = SizedEffect(s.candidate, s.hyper, s.coefficients)
                 correlation = float(np.clip(s.gain / max(lost, 1e-9), 0, 1))
@@ -111,7 +111,7 @@ def alternatives(setup: DiagnosisProblem, full: ModelFit) -> Alternatives:
 def _others(search: BeamSearch, full: ModelFit, rest: EffectSet, name: str, where: set[str]) -> list[ScoredCandidate]:
     """The best candidates in place of an effect at these locations, at most one of each name."""
     best: dict[str, ScoredCandidate] = {}
-    for scored in search.expand(full.before, rest):
+    for scored in search.expand(full.geometry_only, rest):
         candidate = scored.candidate
         itself = candidate.name == name and where.intersection(candidate.where)
         if not itself and candidate.name not in best and len(best) < MOST_ALTERNATIVES:
@@ -121,13 +121,13 @@ def _others(search: BeamSearch, full: ModelFit, rest: EffectSet, name: str, wher
 
 def excluded(setup: DiagnosisProblem, full: ModelFit, search: BeamSearch, other: EffectSet) -> bool:
     """Whether another set of effects is less than a twentieth as probable as the selected one, each under the noise that it leaves."""
-    if other.worth < full.model.worth - noise_consistent_ranking.CLOSE:
+    if other.log_posterior_odds < full.model.log_posterior_odds - noise_consistent_ranking.MAX_DEFICIT:
         return True
     if full.smooth is not None:  # the noise is that of the unmodelled effects
-        return other.worth < full.model.worth - UNDECIDED
-    linear = full.before.linear
-    there, solved = noise_consistent_ranking.under_own_noise(search, linear, other, full.noise, setup.first)
+        return other.log_posterior_odds < full.model.log_posterior_odds - UNDECIDED
+    linear = full.geometry_only.linear
+    there, solved = noise_consistent_ranking.under_own_noise(search, linear, other, full.noise, setup.prior_noise)
     if solved is None:
         return True
-    selected = noise_consistent_ranking.probability(full.before, full.model, setup.first)
-    return noise_consistent_ranking.probability(there, solved, setup.first) < selected - UNDECIDED
+    selected = noise_consistent_ranking.log_posterior(full.geometry_only, full.model, setup.prior_noise)
+    return noise_consistent_ranking.log_posterior(there, solved, setup.prior_noise) < selected - UNDECIDED

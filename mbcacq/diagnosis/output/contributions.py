@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
-from mbcacq.diagnosis.search.projected_solve import LARGEST
+from mbcacq.diagnosis.search.projected_solve import prior_sigma
 
 
 class Contributions:
@@ -16,16 +16,16 @@ class Contributions:
     """
 
     def __init__(self, full: ModelFit):
-        screen, model, rest = full.before, full.model, full.smooth
+        screen, model, rest = full.geometry_only, full.model, full.smooth
         blocks, sigma = [], []
-        for candidate, hyper in model.members:
+        for candidate, hyper in model.effects:
             blocks.append(screen.block(candidate, hyper))
-            sigma.append(LARGEST * candidate.typical)
+            sigma.append(prior_sigma(candidate))
         self.effects = len(blocks)
         if rest is not None:
             X = screen.whiten(rest.columns)
-            blocks += [X[:, p] for p in rest.parts()]
-            sigma += [rest.sigma[p] for p in rest.parts()]
+            blocks += [X[:, p] for p in rest.slices()]
+            sigma += [rest.sigma[p] for p in rest.slices()]
         ends = np.cumsum([0] + [b.shape[1] for b in blocks])
         self.parts = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
         if blocks:
@@ -47,4 +47,8 @@ class Contributions:
         """Numbers of the groups at a location, of one covariate or of all."""
         if full.smooth is None:
             return []
-        return [self.effects + g for g, group in enumerate(full.smooth.groups) if group.at == at and depends_on in (None, group.depends_on)]
+        return [
+            self.effects + g
+            for g, group in enumerate(full.smooth.groups)
+            if group.location == at and depends_on in (None, group.depends_on)
+        ]

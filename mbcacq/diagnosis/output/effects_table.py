@@ -26,17 +26,17 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
     """
     model = full.model
     grouped: dict[str, list[int]] = {}
-    for j, (candidate, _) in enumerate(model.members):
+    for j, (candidate, _) in enumerate(model.effects):
         name = candidate.name
         several = candidate.where[0].startswith(ONE_ENTRY) and name != "wrist_coupling"
         grouped.setdefault(name if several else f"{name}:{'+'.join(candidate.where)}", []).append(j)
     out = []
     for members in grouped.values():
-        first = model.members[members[0]][0]
+        first = model.effects[members[0]][0]
         gain = contributions.of(members)
         effect = EffectFound(
             name=first.name,
-            where=tuple(dict.fromkeys(w for j in members for w in model.members[j][0].where)),
+            where=tuple(dict.fromkeys(w for j in members for w in model.effects[j][0].where)),
             parameters=merged_parameters(full, members),
             p_value=likelihood_ratio_p(full, members, gain),
             held_out_gain=proof.gain(first.name),
@@ -48,15 +48,15 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
     """The probability that noise alone gains as much chi2 with as many coefficients as these effects have."""
-    return 10 ** max(log10_tail(gain, sum(full.model.members[j][0].k for j in members)), SMALLEST_LOG10_P)
+    return 10 ** max(log10_tail(gain, sum(full.model.effects[j][0].k for j in members)), SMALLEST_LOG10_P)
 
 
 def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:
     """Parameters of these effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
     out: dict[str, ParameterEstimate] = {}
-    slices = full.model.parts()
+    slices = full.model.slices()
     for j in members:
-        candidate, hyper = full.model.members[j]
+        candidate, hyper = full.model.effects[j]
         p = slices[j]
         for name, new in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
             old = out.get(name)
@@ -78,14 +78,14 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     ranked = sorted(size, key=lambda key: -size[key].value)
     if not full.cells:
         modelled = {at for at, _ in size}
-        first = next((c for c in full.leftover.places if c.at in modelled), None) if full.leftover else None
-        at, on = (first.at, first.depends_on) if first else ranked[0]
-        p_value = float(np.exp(-first.log_ratio)) if first and first.log_ratio < LARGEST_LOG_RATIO else 0.0
-        return [EffectFound("unknown", (at,), _rms_parameters(size, ranked[:12]), min(p_value, 1.0), proof.nameless, depends_on=on)]
+        first = next((c for c in full.residual_tests.significant_cells if c.location in modelled), None) if full.residual_tests else None
+        at, on = (first.location, first.depends_on) if first else ranked[0]
+        p_value = float(np.exp(-first.log_bayes_factor)) if first and first.log_bayes_factor < LARGEST_LOG_RATIO else 0.0
+        return [EffectFound("unknown", (at,), _rms_parameters(size, ranked[:12]), min(p_value, 1.0), proof.unmodelled_gain, depends_on=on)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
-        evidence = max((c.log_ratio for c in full.cells if c.at == at), default=0.0)
+        evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
         gain = proof.gain(f"unknown:{at}")
         effect = EffectFound("unknown", (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
         out.append((contributions.of(contributions.groups_at(full, at)), effect))
@@ -97,9 +97,9 @@ def suspected_effect(mismatch: list[MismatchEntry]) -> list[EffectFound]:
     return [EffectFound("unknown", (m.at,), {}, m.p_value, 0.0, depends_on=m.depends_on) for m in mismatch[:1]]
 
 
-def _bayes_p(log_ratio: float) -> float:
+def _bayes_p(log_bayes_factor: float) -> float:
     """Upper limit of the p-value of a Bayes factor, given by its natural logarithm."""
-    return float(np.exp(-np.clip(log_ratio, 0, LARGEST_LOG_RATIO)))
+    return float(np.exp(-np.clip(log_bayes_factor, 0, LARGEST_LOG_RATIO)))
 
 
 @dataclass(frozen=True)
@@ -112,15 +112,15 @@ class Displacement:
 
 def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
     """(location, covariate) -> how much the groups of the unmodelled effects there move the centres."""
-    smooth, keep = full.smooth, full.before.linear.keep
+    smooth, keep = full.smooth, full.geometry_only.linear.keep
     assert smooth is not None, "only called where unmodelled effects were fitted"
-    X = full.named.whiten(smooth.columns) * smooth.sigma
-    taken = full.named.all_projected.T @ X
+    X = full.conditioned.whiten(smooth.columns) * smooth.sigma
+    taken = full.conditioned.all_projected.T @ X
     covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
     square: dict[tuple[str, str], float] = {}
     slope: dict[tuple[str, str], np.ndarray] = {}
-    for g, p in zip(smooth.groups, smooth.parts(), strict=True):
-        moved, key = (g.columns[keep] @ smooth.coefficients[p])[:, :3], (g.at, g.depends_on)
+    for g, p in zip(smooth.groups, smooth.slices(), strict=True):
+        moved, key = (g.columns[keep] @ smooth.coefficients[p])[:, :3], (g.location, g.depends_on)
         square[key] = square.get(key, 0.0) + float(np.mean(np.sum(moved**2, axis=1)))
         mine = slope.setdefault(key, np.zeros(X.shape[1]))
         mine[p] = np.einsum("mrk,mr->k", g.columns[keep][:, :3], moved) / len(moved)
@@ -142,12 +142,12 @@ def mismatch_table(full: ModelFit, contributions: Contributions, before: Predict
     """
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
     entries = [*_of_parametric(full, contributions), *_of_groups(full, contributions)]
-    if not full.cells and full.leftover is not None and (full.leftover.structure or anything):
+    if not full.cells and full.residual_tests is not None and (full.residual_tests.structure or anything):
         # Neighbouring locations explain each other's mismatch: the most significant one carries the largest share.
-        suspects = full.leftover.places[:MOST_LOCATIONS]
-        scale = full.before.linear.keep.sum() / max(full.leftover.centres, 1)
+        suspects = full.residual_tests.significant_cells[:MOST_LOCATIONS]
+        scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
         gains = sorted((scale * (c.gain - c.used) for c in suspects), reverse=True)
-        entries += [(c.at, c.depends_on, gain, _bayes_p(c.log_ratio)) for c, gain in zip(suspects, gains, strict=True)]
+        entries += [(c.location, c.depends_on, gain, _bayes_p(c.log_bayes_factor)) for c, gain in zip(suspects, gains, strict=True)]
     largest: dict[tuple[str, str], MismatchEntry] = {}
     for at, on, gain, p_value in entries:
         entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), float(np.clip(p_value, 1e-300, 1.0)))
@@ -161,7 +161,7 @@ _Entry = tuple[str, str, float, float]  # location, covariate, gain in chi2, p-v
 
 def _of_parametric(full: ModelFit, contributions: Contributions) -> list[_Entry]:
     together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
-    for j, (candidate, _) in enumerate(full.model.members):
+    for j, (candidate, _) in enumerate(full.model.effects):
         together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
     gains = {key: contributions.of(members) for key, members in together.items()}
     return [(at, on, gains[at, on], likelihood_ratio_p(full, members, gains[at, on])) for (at, on), members in together.items()]
@@ -169,6 +169,11 @@ def _of_parametric(full: ModelFit, contributions: Contributions) -> list[_Entry]
 
 def _of_groups(full: ModelFit, contributions: Contributions) -> list[_Entry]:
     return [
-        (cell.at, cell.depends_on, contributions.of(contributions.groups_at(full, cell.at, cell.depends_on)), _bayes_p(cell.log_ratio))
+        (
+            cell.location,
+            cell.depends_on,
+            contributions.of(contributions.groups_at(full, cell.location, cell.depends_on)),
+            _bayes_p(cell.log_bayes_factor),
+        )
         for cell in full.cells
     ]

@@ -60,7 +60,7 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]
     if not pairs:
         return []
     there = elsewhere(context)
-    linear = LinearProblem(there.obs, there.state)
+    linear = LinearProblem.of(there.obs, there.state)
     advice = (_separating_one(context, there, linear, a, b) for a, b in pairs)
     return [one for one in advice if one is not None]
 
@@ -81,7 +81,7 @@ def _separating_one(context: Context, there: Context, linear: LinearProblem, a: 
 def revealing(context: Context, candidate: Candidate) -> Advice:
     """Poses at which an effect of typical size shows that the recording cannot observe."""
     there = elsewhere(context)
-    moved = displacement(there, LinearProblem(there.obs, there.state), candidate.key, None, candidate.typical)
+    moved = displacement(there, LinearProblem.of(there.obs, there.state), candidate.key, None, candidate.typical)
     chosen = spread(moved) if moved is not None else np.arange(0)
     return Advice(
         f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "

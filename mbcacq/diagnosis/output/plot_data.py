@@ -12,7 +12,7 @@ from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
-from mbcacq.diagnosis.nonparametric.evidence_map import MapEntry, mismatch
+from mbcacq.diagnosis.nonparametric.evidence_map import MapEntry, map_entries
 from mbcacq.diagnosis.output.response_curves import ResponseCurve, response_curves
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -42,12 +42,12 @@ class PlotData:
     @cached_property
     def evidence_map(self) -> list[MapEntry]:
         """Evidence for a mismatch by location and covariate, before any effect, most significant first."""
-        return mismatch(CandidateScoring(self.linear, self.noise), DesignBlocks(self.context))
+        return map_entries(CandidateScoring.of(self.linear, self.noise), DesignBlocks(self.context))
 
 
 def plot_data(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after: np.ndarray) -> PlotData:
     """The plot data of a fit; before, after: (M, R) mm residuals in the frame of the instrument."""
-    context, linear = setup.situation, full.before.linear
+    context, linear = setup.context, full.geometry_only.linear
     obs, keep = linear.obs, linear.keep
     if context.scanner_on_flange:
         T = linear.prediction.T_base_scanner[obs.pose]
@@ -65,8 +65,8 @@ def plot_data(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after
         covariates={name: v[keep] for name, v in values.items()},
         pose=obs.pose_id[obs.pose][keep],
         ball=np.array(obs.cell.ball_ids)[obs.ball[keep]],
-        curves=response_curves(linear, values, full.model, full.smooth, full.named, after),
+        curves=response_curves(linear, values, full.model, full.smooth, full.conditioned, after),
         linear=linear,
-        noise=full.before.noise,
+        noise=full.geometry_only.noise,
         context=context,
     )

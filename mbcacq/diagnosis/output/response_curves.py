@@ -52,7 +52,7 @@ def response_curves(
     left in ``named`` after the parametric ones. residual: (M, R) mm after all of them.
     """
     fitted = _Fitted(linear, values, residual)
-    out = [entry for j in range(len(model.members)) for entry in _of_effect(fitted, model, j)]
+    out = [entry for j in range(len(model.effects)) for entry in _of_effect(fitted, model, j)]
     if rest is not None:
         out += _of_groups(fitted, rest, named)
     return [curve for _, curve in sorted(out, key=lambda item: -item[0])][:MOST]
@@ -81,7 +81,7 @@ class _MovedPart:
 
 def _of_effect(fitted: _Fitted, model: EffectSet, j: int) -> list[tuple[float, ResponseCurve]]:
     """The two parts of a parametric effect that move most."""
-    (candidate, hyper), p = model.members[j], model.parts()[j]
+    (candidate, hyper), p = model.effects[j], model.slices()[j]
     if candidate.depends_on not in fitted.values:
         return []
     linear, coefficients, covariance = fitted.linear, model.coefficients[p], model.covariance[p, p]
@@ -141,7 +141,7 @@ def _of_groups(fitted: _Fitted, rest: RandomEffectsModel, named: CandidateScorin
     linear = fitted.linear
     out, keep, pose = [], linear.keep, linear.obs.pose
     count = np.bincount(pose, keep, linear.obs.n_poses)
-    for group, p in zip(rest.groups, rest.parts(), strict=True):
+    for group, p in zip(rest.groups, rest.slices(), strict=True):
         x = fitted.values.get(group.depends_on)
         if x is None:
             continue
@@ -156,7 +156,7 @@ def _of_groups(fitted: _Fitted, rest: RandomEffectsModel, named: CandidateScorin
         good = count > 0
         y, band, points = 1e3 * amount[good], 1e3 * std[good], 1e3 * measured[good]
         what = f"balls seen along {AXES[axis]}"
-        out.append((size, ResponseCurve("unknown", group.at, what, "µm", group.depends_on, at[good], y, band, points)))
+        out.append((size, ResponseCurve("unknown", group.location, what, "µm", group.depends_on, at[good], y, band, points)))
     return out
 
 

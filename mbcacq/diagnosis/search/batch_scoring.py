@@ -1,4 +1,4 @@
-"""Many fixed candidates weighed at once: their columns side by side, the blocks of those of one size in one array."""
+"""Many candidates scored in one product: their columns side by side, the normal matrices of those of one size in one array."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from mbcacq.effects.effect import Candidate
 
 
 class FixedBlocks:
-    """The candidates whose columns need no scan, each at every value of its hyper-parameter; kept with the linearisation.
+    """The candidates whose columns need no scan, each at every value of its hyper-parameter.
 
     entries: (candidate, value); columns (M, R, K): all of theirs. sizes: of those with k coefficients, which entries (n,), which columns
     (n, k), their prior weights (n, k).
     """
 
     def __init__(self, candidates: list[Candidate], linear: LinearProblem):
-        self.candidates = candidates
         self.entries = [(c, h) for c in candidates if not c.separable for h in (c.hyper.values if c.hyper else (None,))]
         each = [linear.columns(c.build(h)) for c, h in self.entries]
         self.columns = np.concatenate(each, axis=2) if each else np.zeros((*linear.residual.shape, 0))
@@ -34,15 +33,17 @@ class FixedBlocks:
 
     @staticmethod
     def of(candidates: list[Candidate], linear: LinearProblem) -> FixedBlocks:
-        found = linear.kept.get(id(candidates))
-        if found is None:
-            found = linear.kept[id(candidates)] = FixedBlocks(candidates, linear)
-        return found
+        """Made once for a linearisation."""
+        return linear.computed_once(candidate_keys(candidates), lambda: FixedBlocks(candidates, linear))
+
+
+def candidate_keys(candidates: list[Candidate]) -> tuple[str, ...]:
+    return tuple(c.key for c in candidates)
 
 
 @dataclass(frozen=True)
 class BatchScoring:
-    """Under one screen: whitened columns X (rows, K), and of each size S (n, k, k), b, raw (n, k), geometry projected out."""
+    """Under one noise model: whitened columns X (rows, K), and of each size S (n, k, k), b, raw (n, k), geometry projected out."""
 
     fixed: FixedBlocks
     X: np.ndarray
@@ -50,25 +51,26 @@ class BatchScoring:
 
     @classmethod
     def of(cls, candidates: list[Candidate], linear: LinearProblem, whiten: Whitener, Q: np.ndarray, r: np.ndarray) -> BatchScoring:
-        """Q (rows, z): what geometry takes; r (rows,): what it leaves of the residual."""
+        """Q (rows, z): basis of what geometry absorbs; r (rows,): residual beyond it."""
         fixed = FixedBlocks.of(candidates, linear)
         X = whiten(fixed.columns)
-        taken, raw, b = Q.T @ X, np.sum(X * X, axis=0), X.T @ r
+        absorbed, raw, b = Q.T @ X, np.sum(X * X, axis=0), X.T @ r
         blocks = []
         for _, columns, _ in fixed.sizes:
-            own, gone = X.T[columns], taken.T[columns]
+            own, gone = X.T[columns], absorbed.T[columns]
             blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns], raw[columns]))
         return cls(fixed, X, blocks)
 
-    def best(self, adopted: np.ndarray, along: np.ndarray) -> dict[str, tuple[float | None, float]]:
-        """Candidate's key -> its best value of the hyper-parameter and the gain there; adopted (rows, a): what else is projected out,
-        along (a,): the residual along it.
+    def best(self, conditioned: np.ndarray, along: np.ndarray) -> dict[str, tuple[float | None, float]]:
+        """Candidate's key -> its best value of the hyper-parameter and the gain there.
+
+        conditioned (rows, a): basis of what is projected out besides geometry; along (a,): the residual along it.
         """
         gains = np.zeros(len(self.fixed.entries))
-        taken = adopted.T @ self.X if adopted.shape[1] else None
+        absorbed = conditioned.T @ self.X if conditioned.shape[1] else None
         for (entries, columns, weight), (S, b, raw) in zip(self.fixed.sizes, self.blocks, strict=True):
-            if taken is not None:
-                T = taken.T[columns]
+            if absorbed is not None:
+                T = absorbed.T[columns]
                 S, b = S - T @ np.swapaxes(T, 1, 2), b - T @ along
             gains[entries] = solve_blocks(S, b, raw, weight)
         out: dict[str, tuple[float | None, float]] = {}

@@ -1,22 +1,26 @@
-"""What every candidate would gain: whitened rows with all free geometry projected out, and fast scans over hyper-parameters.
+"""The projected problem: whitened rows with all free geometry projected out, in which every candidate's gain is scored.
 
-Gains are differences of weighted squares (of chi2 if the noise is right), each after the geometry and the station poses, and
-whatever has been adopted, were refitted together with the candidate.
+Gains are differences of weighted squares (of chi2 if the noise is right), each after the geometry, the station poses and whatever the
+problem is conditioned on were refitted together with the candidate.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
 
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.variance_components import orthogonal, pose_sums
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
-from mbcacq.diagnosis.search.batch_scoring import BatchScoring
+from mbcacq.diagnosis.linearized.variance_components import PoseSums, inverse_of_lower, ridge_projection
+from mbcacq.diagnosis.linearized.whitening import NoiseEstimate, Whitener
+from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
 from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, solve_blocks
 from mbcacq.effects.effect import Candidate
+
+UnitKey = tuple[str, int, int]  # location, index, component
+PER_CHUNK = 2e6  # numbers of one product of a scan: larger ones do not fit the cache
+MOST_KEPT = 3000  # candidates whose products are kept
+LARGEST_KEPT = 1e6  # functions of a scan that are kept
 
 
 @dataclass(frozen=True)
@@ -35,44 +39,70 @@ class ScoredCandidate:
         return self.candidate, self.coefficients, self.covariance
 
 
+@dataclass(frozen=True)
+class ProductStore:
+    """Products with geometry alone projected out, each computed when first asked for; every conditioning of the problem shares them."""
+
+    units: dict[UnitKey, np.ndarray] = field(default_factory=dict)
+    candidates: dict[tuple[str, float | None], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    scans: dict[tuple[str, int], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class CandidateScoring:
-    """Whitened problem under a noise model. adopted() gives a screen that projects out more; it borrows what this one has computed."""
+    """The projected problem under one noise model, and what it is conditioned on.
 
-    def __init__(self, linear: LinearProblem, noise: NoiseEstimate, beside: tuple[np.ndarray, np.ndarray] | None = None):
-        """beside: more columns (M, R, k) with their prior sigma (k,), to be projected out as geometry is."""
-        self.linear, self.noise = linear, noise
-        self.whiten = linear.whitener(noise)
+    whiten: to rows of unit variance. Q (rows, z): basis of what geometry absorbs, log_det its log determinant. r0, r (rows,): whitened
+    residual before and after all projections. dof: degrees of freedom with geometry alone. conditioned (rows, a): basis of what is
+    projected out besides geometry; along (a,): the residual along it.
+    """
+
+    linear: LinearProblem
+    noise: NoiseEstimate
+    whiten: Whitener
+    Q: np.ndarray
+    log_det: float
+    r0: np.ndarray
+    r: np.ndarray
+    dof: float
+    by_pose: PoseSums
+    conditioned: np.ndarray
+    along: np.ndarray
+    store: ProductStore = field(default_factory=ProductStore, repr=False)
+    conditioned_products: dict[tuple[UnitKey, ...], np.ndarray] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, linear: LinearProblem, noise: NoiseEstimate, nuisance: tuple[np.ndarray, np.ndarray] | None = None) -> CandidateScoring:
+        """nuisance: more columns (M, R, k) with their prior sigma (k,), to be projected out as geometry is."""
+        whiten = linear.whitener(noise)
         columns, sigma, _ = linear.nuisance()
-        Z = self.whiten(columns) * sigma
-        if beside is not None:
-            Z = np.concatenate([Z, self.whiten(beside[0]) * beside[1]], axis=1)
+        Z = whiten(columns) * sigma
+        if nuisance is not None:
+            Z = np.concatenate([Z, whiten(nuisance[0]) * nuisance[1]], axis=1)
         # With priors Q'Q < I, and x'(I - QQ')y is what they allow: the metric of all gains.
-        self.Q, self.log_det = orthogonal(Z)
-        self.r0 = self.whiten(linear.residual)
-        self.r = self.r0 - self.Q @ (self.Q.T @ self.r0)
-        self.pose_of_row, self.by_pose = pose_sums(linear)
-        self.dof = float(linear.keep.sum() * linear.width - np.sum(self.Q * self.Q))
-        self.more, self.taken = np.zeros((len(self.r0), 0)), np.zeros(0)
-        self._units: dict[tuple[str, int, int], np.ndarray] = {}
-        self._tests: dict[tuple, tuple] = {}
-        self._scans: dict[tuple, tuple] = {}
-        self._reduced: dict[tuple, tuple] = {}
-        self._reduced_more: dict[tuple, np.ndarray] = {}
-        self._benches: list[BatchScoring] = []
+        Q, log_det = ridge_projection(Z)
+        r0 = whiten(linear.residual)
+        dof = float(linear.keep.sum() * linear.width - np.sum(Q * Q))
+        nothing = np.zeros((len(r0), 0)), np.zeros(0)
+        return cls(linear, noise, whiten, Q, log_det, r0, r0 - Q @ (Q.T @ r0), dof, PoseSums.of(linear), *nothing)
 
-    def adopted(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> CandidateScoring:
-        """A screen that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
-        out = object.__new__(CandidateScoring)
-        out.__dict__.update(self.__dict__)
-        out._reduced_more = {}
+    def conditioned_on(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> CandidateScoring:
+        """The problem that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
+        basis = self.conditioned
         for X, weight in blocks:
-            Y = X - self.Q @ (self.Q.T @ X) - out.more @ (out.more.T @ X)
+            Y = X - self.Q @ (self.Q.T @ X) - basis @ (basis.T @ X)
             S = X.T @ Y + np.diag(weight)
             L = np.linalg.cholesky(S + 1e-12 * np.diag(np.sum(X * X, axis=0)))
-            out.more = np.concatenate([out.more, Y @ dtrtri(L, lower=1)[0].T], axis=1)
-        out.taken = out.more.T @ self.r0
-        out.r = self.r0 - self.Q @ (self.Q.T @ self.r0) - out.more @ out.taken
-        return out
+            basis = np.concatenate([basis, Y @ inverse_of_lower(L).T], axis=1)
+        along = basis.T @ self.r0
+        r = self.beyond_geometry() - basis @ along
+        return replace(self, conditioned=basis, along=along, r=r, conditioned_products={})
+
+    def beyond_geometry(self) -> np.ndarray:
+        """(rows,) whitened residual with geometry alone projected out."""
+        return self.r0 - self.Q @ (self.Q.T @ self.r0)
 
     @property
     def chi2(self) -> float:
@@ -80,65 +110,66 @@ class CandidateScoring:
 
     @property
     def all_projected(self) -> np.ndarray:
-        """(rows, z) everything that is projected out."""
-        return np.concatenate([self.Q, self.more], axis=1)
+        """(rows, z + a) everything that is projected out."""
+        return np.concatenate([self.Q, self.conditioned], axis=1)
 
     def block(self, candidate: Candidate, hyper: float | None) -> np.ndarray:
         """Whitened columns (rows, k) of a candidate."""
-        return self.prepared(candidate, hyper)[0]
+        return self.candidate_products(candidate, hyper)[0]
 
-    def prepared(self, candidate: Candidate, hyper: float | None) -> tuple:
-        """Whitened columns X, X'X and X'r with geometry projected out; adopted blocks left out."""
-        key = (candidate.key, hyper)
-        if key not in self._tests:
+    def candidate_products(self, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Whitened columns X (rows, k), X'X and X'r with geometry alone projected out."""
+        key, kept = (candidate.key, hyper), self.store.candidates
+        if key not in kept:
             X = self.whiten(self.linear.columns(candidate.build(hyper)))
-            taken = self.Q.T @ X
-            r = self.r0 - self.Q @ (self.Q.T @ self.r0)
-            self._tests[key] = X, X.T @ X - taken.T @ taken, X.T @ r
-            if len(self._tests) > 3000:
-                self._tests.pop(next(iter(self._tests)))
-        return self._tests[key]
+            absorbed = self.Q.T @ X
+            kept[key] = X, X.T @ X - absorbed.T @ absorbed, X.T @ self.beyond_geometry()
+            if len(kept) > MOST_KEPT:
+                kept.pop(next(iter(kept)))
+        return kept[key]
 
     def test(self, candidate: Candidate, hyper: float | None = None) -> ScoredCandidate:
-        X, S, b = self.prepared(candidate, hyper)
-        if self.more.shape[1]:
-            taken = self.more.T @ X
-            S, b = S - taken.T @ taken, b - taken.T @ self.taken
+        """The candidate fitted by itself beyond geometry and what the problem is conditioned on."""
+        X, S, b = self.candidate_products(candidate, hyper)
+        if self.conditioned.shape[1]:
+            absorbed = self.conditioned.T @ X
+            S, b = S - absorbed.T @ absorbed, b - absorbed.T @ self.along
         gain, coefficients, covariance = solve_block(S, b, np.sum(X * X, axis=0), prior_weight(candidate))
         return ScoredCandidate(candidate, hyper, gain, len(b), coefficients, covariance)
 
     def best_fixed(self, candidates: list[Candidate]) -> dict[str, tuple[float | None, float]]:
         """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
-        bench = next((b for b in self._benches if b.fixed.candidates is candidates), None)
-        if bench is None:
-            bench = BatchScoring.of(candidates, self.linear, self.whiten, self.Q, self.r0 - self.Q @ (self.Q.T @ self.r0))
-            self._benches.append(bench)
-        return bench.best(self.more, self.taken)
+        key, kept = candidate_keys(candidates), self.store.batches
+        if key not in kept:
+            kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.Q, self.beyond_geometry())
+        return kept[key].best(self.conditioned, self.along)
 
     # Scans --------------------------------------------------------------------------------------------------------
 
-    def unit(self, key: tuple[str, int, int]) -> np.ndarray:
-        if key not in self._units:
-            self._units[key] = self.whiten(self.linear.unit(*key)[:, :, None])[:, 0]
-        return self._units[key]
+    def unit(self, key: UnitKey) -> np.ndarray:
+        """(rows,) whitened column of a unit of one component of one location."""
+        if key not in self.store.units:
+            self.store.units[key] = self.whiten(self.linear.unit(*key)[:, :, None])[:, 0]
+        return self.store.units[key]
 
-    def reduced(self, components: tuple[tuple[str, int, int], ...]):
-        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components; adopted blocks left out."""
-        if components not in self._reduced:
+    def pose_products(self, components: tuple[UnitKey, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components, with geometry alone."""
+        kept = self.store.pose_products
+        if components not in kept:
             E = np.stack([self.unit(key) for key in components], axis=1)
-            r = self.r0 - self.Q @ (self.Q.T @ self.r0)
-            products = self.products(E, np.concatenate([self.Q, E, r[:, None]], axis=1))
+            products = self._products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
             z = self.Q.shape[1]
-            self._reduced[components] = products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
-        return self._reduced[components]
+            kept[components] = products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
+        return kept[components]
 
-    def reduced_more(self, components: tuple[tuple[str, int, int], ...]) -> np.ndarray:
-        """(P, c, z) of the adopted blocks."""
-        if components not in self._reduced_more:
-            self._reduced_more[components] = self.products(np.stack([self.unit(key) for key in components], axis=1), self.more)
-        return self._reduced_more[components]
+    def conditioned_pose_products(self, components: tuple[UnitKey, ...]) -> np.ndarray:
+        """(P, c, a): the same with the basis of what the problem is conditioned on."""
+        kept = self.conditioned_products
+        if components not in kept:
+            kept[components] = self._products(np.stack([self.unit(key) for key in components], axis=1), self.conditioned)
+        return kept[components]
 
-    def products(self, E: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    def _products(self, E: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """(P, c, z): E'Y over the rows of each pose; E (rows, c), Y (rows, z)."""
         linear, out = self.linear, np.zeros((self.linear.obs.n_poses, E.shape[1], Y.shape[1]))
         E, Y = E.reshape(-1, linear.width, E.shape[1]), Y.reshape(-1, linear.width, Y.shape[1])
@@ -148,41 +179,40 @@ class CandidateScoring:
         return out
 
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
-        """Gain (H,) of a separable candidate at each hyper value."""
+        """Gain (H,) of a separable candidate at each value of its hyper-parameter, or at ``values``."""
+        assert candidate.hyper is not None, "a separable candidate has a hyper-parameter"
         key = candidate.key if values is None else None
         values = candidate.hyper.values if values is None else values
-        return self.gains(candidate.separable, candidate.functions, values, prior_weight(candidate), key)
-
-    def gains(
-        self,
-        components: tuple[tuple[str, int, int], ...],
-        functions,
-        values: np.ndarray,
-        weight: np.ndarray | float = 0.0,
-        key: str | None = None,
-    ) -> np.ndarray:
-        """Gain (H,) of the products of some components of a place with functions(values) (H, P, f). key: remember under this name."""
+        chunk = max(1, int(PER_CHUNK // max(self.linear.obs.n_poses, 1)))
         out = []
-        chunk = max(1, int(2e6 // max(self.linear.obs.n_poses, 1)))
-        c = len(components)
         for start in range(0, len(values), chunk):
             here = values if len(values) <= chunk else values[start : start + chunk]
-            flat, S, xr, raw = self._normal(components, functions, here, key and (key, start))
-            if self.more.shape[1]:
-                H, f = len(S), S.shape[1] // c
-                extra = (flat @ self.reduced_more(components).reshape(len(self.reduced_more(components)), -1)).reshape(H, f, c, -1)
-                extra = extra.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
-                S, xr = S - extra @ np.swapaxes(extra, 1, 2), xr - extra @ self.taken
-            out.append(solve_blocks(S, xr, raw, weight))
+            out.append(self._gains(candidate, here, None if key is None else (key, start)))
         return np.concatenate(out)
 
-    def _normal(self, components, functions, values, key):
+    def _gains(self, candidate: Candidate, values: np.ndarray, key: tuple[str, int] | None) -> np.ndarray:
+        """Gain (H,) of a candidate at these values. key: under which the products are kept."""
+        components = candidate.separable
+        flat, S, b, raw = self._normal_matrices(candidate, values, key)
+        if self.conditioned.shape[1]:
+            c = len(components)
+            H, f = len(S), S.shape[1] // c
+            products = self.conditioned_pose_products(components)
+            absorbed = (flat @ products.reshape(len(products), -1)).reshape(H, f, c, -1)
+            absorbed = absorbed.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
+            S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
+        return solve_blocks(S, b, raw, prior_weight(candidate))
+
+    def _normal_matrices(
+        self, candidate: Candidate, values: np.ndarray, key: tuple[str, int] | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Functions (H f, P), normal matrices (H, k, k), right-hand sides (H, k) and raw squares (H, k), geometry projected out."""
-        if key is not None and key in self._scans:
-            return self._scans[key]
-        b, A, C = self.reduced(components)
+        if key is not None and key in self.store.scans:
+            return self.store.scans[key]
+        assert candidate.functions is not None, "a separable candidate has functions"
+        b, A, C = self.pose_products(candidate.separable)
         P, c = b.shape
-        F = functions(values)
+        F = candidate.functions(values)
         H, _, f = F.shape
         flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, P)
         xr = (flat @ b).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
@@ -195,6 +225,6 @@ class CandidateScoring:
                 xx[:, :, j, :, i] = block
         xx = xx.reshape(H, c * f, c * f)
         result = flat, xx - xq @ np.swapaxes(xq, 1, 2), xr, np.diagonal(xx, axis1=1, axis2=2)
-        if key is not None and flat.size < 1e6:
-            self._scans[key] = result
+        if key is not None and flat.size < LARGEST_KEPT:
+            self.store.scans[key] = result
         return result

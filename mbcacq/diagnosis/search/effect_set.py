@@ -1,4 +1,4 @@
-"""A set of named effects, each at its hyper-parameter, solved together with the geometry."""
+"""A set of parametric effects, each at its hyper-parameter, solved together with the geometry."""
 
 from __future__ import annotations
 
@@ -8,44 +8,48 @@ import numpy as np
 
 from mbcacq.effects.effect import Candidate
 
-Members = tuple[tuple[Candidate, float | None], ...]
+SelectedEffects = tuple[tuple[Candidate, float | None], ...]
 
 
 @dataclass(frozen=True)
 class EffectSet:
-    """A set of effects. gain: of all together over free geometry alone; score: gain less what chance gives to the best of their kinds;
-    worth: gain less what evidence takes off, twice the log of a ratio of probabilities.
+    """Selected effects, with the coefficients of all of them and their covariance.
+
+    gain: chi2 that all together gain over free geometry alone. penalised_gain: gain less the detection threshold of the set, so it is
+    positive where the set is significant. log_posterior_odds: gain less the Occam penalty, twice the natural log of the posterior odds of
+    the set against no effect.
     """
 
-    members: Members
+    effects: SelectedEffects
     gain: float = 0.0
-    score: float = 0.0
-    worth: float = 0.0
+    penalised_gain: float = 0.0
+    log_posterior_odds: float = 0.0
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros(0))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def parts(self) -> list[slice]:
-        ends = np.cumsum([0] + [c.k for c, _ in self.members])
+    def slices(self) -> list[slice]:
+        """Which coefficients belong to which effect."""
+        ends = np.cumsum([0] + [c.k for c, _ in self.effects])
         return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(sorted({c.name for c, _ in self.members}))
+        return tuple(sorted({c.name for c, _ in self.effects}))
 
     @property
-    def spots(self) -> tuple[str, ...]:
-        """'name:place' of the effects that are at several places."""
-        found = dict.fromkeys((c.name, spot(c)) for c, _ in self.members)
-        return tuple(at for name, at in found if sum(name == other for other, _ in found) > 1)
+    def located_names(self) -> tuple[str, ...]:
+        """'name:location' of the effects that are at several locations."""
+        found = dict.fromkeys((c.name, located_name(c)) for c, _ in self.effects)
+        return tuple(located for name, located in found if sum(name == other for other, _ in found) > 1)
 
     def without(self, keys: tuple[str, ...]) -> EffectSet:
-        """The other effects, to be solved anew; this very model where it has none of these. keys: names, or 'name:place'."""
-        members = tuple(m for m in self.members if m[0].name not in keys and spot(m[0]) not in keys)
-        return self if len(members) == len(self.members) else EffectSet(members)
+        """The other effects, to be solved anew; this very set where it has none of these. keys: names, or 'name:location'."""
+        effects = tuple(e for e in self.effects if e[0].name not in keys and located_name(e[0]) not in keys)
+        return self if len(effects) == len(self.effects) else EffectSet(effects)
 
 
-def spot(candidate: Candidate) -> str:
+def located_name(candidate: Candidate) -> str:
     return f"{candidate.name}:{'+'.join(candidate.where)}"
 
 
-NOTHING = EffectSet(())
+NO_EFFECTS = EffectSet(())

@@ -1,7 +1,7 @@
-"""A wrong tool and the elastic joints that show it, solved together.
+"""A wrong payload and the elastic joints that show it, solved together.
 
-A joint gives way by c (tau + U p): compliance times the torque of what is declared and of what the tool is more than that. Linear in c for
-a given p and in p for given c; so both are solved in turns at the point reached (Gauss-Newton). What is told is the last such problem
+A joint gives way by c (tau + U p): compliance times the torque of the declared payload and of the payload's error p. It is linear in c for
+a given p and in p for given c; so both are solved in turns at the point reached (Gauss-Newton). What is reported is the last such problem
 written with the declared torque, in which mass and centre of mass stand for themselves.
 """
 
@@ -13,14 +13,14 @@ from typing import Protocol
 import numpy as np
 
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import EffectSet, Members
+from mbcacq.diagnosis.search.effect_set import EffectSet, SelectedEffects
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part
 from mbcacq.effects.pose import joint_compliance, payload
 
 ROUNDS = 20
-LEAST_SOFT = 0.02  # of the softest joint: no loaded joint is stiffer than that
-STILL = 0.05  # standard deviations by which the tool may still move
+LEAST_COMPLIANCE = 0.02  # of the softest joint: no loaded joint is stiffer than that
+CONVERGED = 0.05  # standard deviations by which the payload may still change
 
 
 class EffectSetSolver(Protocol):
@@ -30,53 +30,54 @@ class EffectSetSolver(Protocol):
     def candidates(self) -> list[Candidate]: ...
 
     @property
-    def situation(self) -> Context | None: ...
+    def context(self) -> Context | None: ...
 
-    def solve(self, screen: CandidateScoring, members: Members, permit: bool = False) -> EffectSet | None: ...
+    def solved(self, projected: CandidateScoring, effects: SelectedEffects) -> EffectSet: ...
 
 
-def settled(search: EffectSetSolver, screen: CandidateScoring, model: EffectSet) -> EffectSet:
-    """The model with compliances and tool that agree with each other; the model itself where it has no wrong tool.
+def coupled(search: EffectSetSolver, projected: CandidateScoring, model: EffectSet) -> EffectSet:
+    """The set with compliances and payload that agree with each other; the set itself where it has no wrong payload.
 
-    Every loaded joint is elastic in this, significantly or not, so that the tool's uncertainty contains theirs.
+    Every loaded joint is elastic in this, significantly or not, so that the payload's uncertainty contains theirs.
     """
-    situation = search.situation
-    if situation is None or payload.NAME not in model.names:
+    context = search.context
+    if context is None or payload.NAME not in model.names:
         return model
-    loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(situation)}
-    there = {c.where for c, _ in model.members if c.name == joint_compliance.NAME}
+    loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(context)}
+    there = {c.where for c, _ in model.effects if c.name == joint_compliance.NAME}
     soft = [c for c in search.candidates if c.name == joint_compliance.NAME and c.where in loaded | there]
-    others = tuple((c, h) for c, h in model.members if c.name not in (payload.NAME, joint_compliance.NAME))
+    others = tuple((c, h) for c, h in model.effects if c.name not in (payload.NAME, joint_compliance.NAME))
     declared = tuple((c, None) for c in soft)
-    elastic = compliances(search.solve(screen, (*others, *declared), permit=True))
-    unit, more, spread = payload.unit_torques(situation), np.zeros(4), None
-    for turn in range(ROUNDS):
-        torque = situation.gravity_torque + unit @ more
-        heavy = tuple((under(c, torque, turn), None) for c in soft)
-        tool = payload.correction_for(situation, elastic, complete=True)[0]
-        new = search.solve(screen, (*others, *heavy, (tool, None)), permit=True)
-        last = new.parts()[-1]
-        step, spread = new.coefficients[last], new.covariance[last, last]
-        more = more + step
+    elastic = compliances(search.solved(projected, (*others, *declared)))
+    unit, correction, covariance = payload.unit_torques(context), np.zeros(4), None
+    for number in range(ROUNDS):
+        torque = context.gravity_torque + unit @ correction
+        loaded_joints = tuple((under_torque(c, torque, number), None) for c in soft)
+        tool = payload.correction_for(context, elastic, complete=True)[0]
+        new = search.solved(projected, (*others, *loaded_joints, (tool, None)))
+        last = new.slices()[-1]
+        step, covariance = new.coefficients[last], new.covariance[last, last]
+        correction = correction + step
         elastic = compliances(new)
-        if np.all(np.abs(step) < STILL * np.sqrt(np.diag(spread))):
+        if np.all(np.abs(step) < CONVERGED * np.sqrt(np.diag(covariance))):
             break
-    tool = payload.correction_for(situation, elastic, spread, complete=True)[0]
-    return search.solve(screen, (*others, *declared, (tool, None)), permit=True)
+    tool = payload.correction_for(context, elastic, covariance, complete=True)[0]
+    return search.solved(projected, (*others, *declared, (tool, None)))
 
 
-def under(candidate: Candidate, torque: np.ndarray, turn: int) -> Candidate:
+def under_torque(candidate: Candidate, torque: np.ndarray, number: int) -> Candidate:
     """An elastic joint under other torques (P, n) N m than declared."""
     i = int(candidate.where[0][1:]) - 1
-    return replace(candidate, build=lambda _: [Part("joint", i, 0, torque[:, i : i + 1])], variant=f"heavy {turn} {torque[:, i].sum():.9g}")
+    variant = f"heavy {number} {torque[:, i].sum():.9g}"
+    return replace(candidate, build=lambda _: [Part("joint", i, 0, torque[:, i : i + 1])], variant=variant)
 
 
 def compliances(model: EffectSet) -> dict[int, float]:
     """Index of the joint -> rad/Nm, to four digits; none below a share of the softest."""
-    found = {int(c.where[0][1:]) - 1: float(model.coefficients[p.start]) for c, p in _soft(model)}
-    least = max(LEAST_SOFT * max(found.values()), 1e-9)
+    found = {
+        int(c.where[0][1:]) - 1: float(model.coefficients[p.start])
+        for (c, _), p in zip(model.effects, model.slices(), strict=True)
+        if c.name == joint_compliance.NAME
+    }
+    least = max(LEAST_COMPLIANCE * max(found.values()), 1e-9)
     return {i: float(f"{max(value, least):.4g}") for i, value in found.items()}
-
-
-def _soft(model: EffectSet) -> list[tuple[Candidate, slice]]:
-    return [(c, p) for (c, _), p in zip(model.members, model.parts(), strict=True) if c.name == joint_compliance.NAME]

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import Candidate
 
-LARGEST = 30.0
-SMALLEST_SHARE = 1e-6  # of a column's square that must survive the projection
+
+def prior_sigma(candidate: Candidate) -> np.ndarray:
+    """(k,) prior standard deviation of the coefficients: an effect far larger than its typical size is not believed."""
+    return OPTIONS.typical_multiple * candidate.typical
 
 
 def prior_weight(candidate: Candidate) -> np.ndarray:
-    """(k,) inverse variance of the coefficients: an effect thirty times its typical size is not believed."""
-    return 1.0 / (LARGEST * candidate.typical) ** 2
+    """(k,) prior inverse variance of the coefficients."""
+    return 1.0 / prior_sigma(candidate) ** 2
 
 
 def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray | float = 0.0) -> tuple[float, np.ndarray, np.ndarray]:
@@ -20,7 +23,7 @@ def solve_block(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarra
     S = S + np.diag(np.broadcast_to(weight, len(b)))
     size = np.sqrt(np.maximum(raw, 1e-300))
     w, V = np.linalg.eigh(S / np.outer(size, size))
-    inverse = np.where(w > SMALLEST_SHARE, 1.0 / np.maximum(w, SMALLEST_SHARE), 0.0)
+    inverse = np.where(w > OPTIONS.smallest_share, 1.0 / np.maximum(w, OPTIONS.smallest_share), 0.0)
     pseudo = (V * inverse) @ V.T / np.outer(size, size)
     coefficients = pseudo @ b
     return float(b @ coefficients), coefficients, pseudo
@@ -33,20 +36,20 @@ def solve_blocks(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarr
     size = np.sqrt(np.maximum(raw, 1e-300))
     scaled, target = S / (size[:, :, None] * size[:, None, :]), b / size
     if S.shape[1] == 1:
-        good = scaled[:, 0, 0] > SMALLEST_SHARE
-        return np.where(good, target[:, 0] ** 2 / np.maximum(scaled[:, 0, 0], SMALLEST_SHARE), 0.0)
-    if k == 2:  # the usual case, a wave's sine and cosine
-        w, along = two(scaled, target)
+        good = scaled[:, 0, 0] > OPTIONS.smallest_share
+        return np.where(good, target[:, 0] ** 2 / np.maximum(scaled[:, 0, 0], OPTIONS.smallest_share), 0.0)
+    if k == 2:  # the usual case, sine and cosine of a harmonic
+        w, along = eigen_two_by_two(scaled, target)
     else:
         w, V = np.linalg.eigh(scaled)
         along = np.einsum("hij,hi->hj", V, target)
-    return np.sum(np.where(w > SMALLEST_SHARE, along**2 / np.maximum(w, SMALLEST_SHARE), 0.0), axis=1)
+    return np.sum(np.where(w > OPTIONS.smallest_share, along**2 / np.maximum(w, OPTIONS.smallest_share), 0.0), axis=1)
 
 
-def two(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def eigen_two_by_two(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (H, 2) of symmetric S (H, 2, 2) and b (H, 2) along their directions."""
     middle, half = 0.5 * (S[:, 0, 0] + S[:, 1, 1]), 0.5 * (S[:, 0, 0] - S[:, 1, 1])
-    radius, turn = np.hypot(half, S[:, 0, 1]), 0.5 * np.arctan2(S[:, 0, 1], half)
-    c, s = np.cos(turn), np.sin(turn)
+    radius, angle = np.hypot(half, S[:, 0, 1]), 0.5 * np.arctan2(S[:, 0, 1], half)
+    c, s = np.cos(angle), np.sin(angle)
     along = np.stack([c * b[:, 1] - s * b[:, 0], c * b[:, 0] + s * b[:, 1]], axis=1)
     return np.stack([middle - radius, middle + radius], axis=1), along

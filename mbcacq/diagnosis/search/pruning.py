@@ -1,4 +1,4 @@
-"""Members of a set of effects that no longer pay, taken back."""
+"""Backward elimination: selected effects that are no longer significant are removed."""
 
 from __future__ import annotations
 
@@ -9,21 +9,25 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.pose import payload
 
-SIGNIFICANT = 0.001  # own p-value beyond which a member is not told, whatever it was found with
+SIGNIFICANT = 0.001  # own p-value beyond which an effect is not reported, whatever it was found with
 LIKELY = 0.05  # the same where there is known to be an effect
 
 
-def pruned(search: BeamSearch, screen: CandidateScoring, model: EffectSet) -> EffectSet:
-    """Without the members that no longer pay, one by one, under the noise and beside whatever was found in the end.
+def pruned(search: BeamSearch, projected: CandidateScoring, model: EffectSet) -> EffectSet:
+    """The set without the effects that are not significant under the noise that was found in the end, removed one by one.
 
-    screen: may have groups without a name projected out, which can make a name superfluous that was needed before them.
+    projected: may have random effects projected out, which can make an effect superfluous that was needed before them.
     """
-    model = search.solve(screen, model.members, permit=True)
-    while model.members:
-        rest = {j: search.solve(screen, model.members[:j] + model.members[j + 1 :], permit=True) for j in removable(model)}
-        dead = [m for j, m in rest.items() if lost(model, m, j) > required(search, model, m)]
+    model = search.solved(projected, model.effects)
+    while model.effects:
+        rest = {j: search.solved(projected, model.effects[:j] + model.effects[j + 1 :]) for j in removable(model)}
+        dead = [m for j, m in rest.items() if p_value(model, m, j) > required(search, model, m)]
         free = [m for j, m in rest.items() if not search.is_protected(model, j)]
-        best = max(dead or [m for m in free if m.score > model.score], key=lambda m: m.gain if dead else m.score, default=None)
+        best = max(
+            dead or [m for m in free if m.penalised_gain > model.penalised_gain],
+            key=lambda m: m.gain if dead else m.penalised_gain,
+            default=None,
+        )
         if best is None:
             break
         model = best
@@ -31,17 +35,17 @@ def pruned(search: BeamSearch, screen: CandidateScoring, model: EffectSet) -> Ef
 
 
 def removable(model: EffectSet) -> list[int]:
-    """Numbers of the members; a wrong tool and the elasticity beside it stay together on purpose."""
+    """Numbers of the effects; a wrong payload and the elasticity that shows it stay together."""
     together = (payload.NAME, "joint_compliance") if payload.NAME in model.names else ()
-    return [j for j, (c, _) in enumerate(model.members) if c.name not in together]
+    return [j for j, (c, _) in enumerate(model.effects) if c.name not in together]
 
 
 def required(search: BeamSearch, model: EffectSet, rest: EffectSet) -> float:
-    """p-value that a member must reach; a mild one if without it what is left would not pass the test that all of them pass."""
-    carries = rest.members and model.score > search.nothing.score >= rest.score
-    return LIKELY if search.allowance or carries else SIGNIFICANT
+    """p-value that an effect must reach; a mild one if the rest of the set would not be significant without it."""
+    carries = rest.effects and model.penalised_gain > search.no_effects.penalised_gain >= rest.penalised_gain
+    return LIKELY if search.threshold_reduction or carries else SIGNIFICANT
 
 
-def lost(model: EffectSet, rest: EffectSet, j: int) -> float:
-    """p-value of member j beside the others: chi2 that is lost without it."""
-    return float(chi2.sf(max(model.gain - rest.gain, 0.0), model.members[j][0].k))
+def p_value(model: EffectSet, rest: EffectSet, j: int) -> float:
+    """Of effect j among the others: by the chi2 that is lost without it."""
+    return float(chi2.sf(max(model.gain - rest.gain, 0.0), model.effects[j][0].k))

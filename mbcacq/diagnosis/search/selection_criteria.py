@@ -1,8 +1,8 @@
-"""What a further effect costs: twice, because there are two questions.
+"""The two criteria by which an effect is selected.
 
-Whether there is something at all is a test: an effect must gain what chance gives to the best of its kind only rarely (``threshold``).
-Which of several it is, is a question of probability: what evidence takes off a gain, in which every coefficient pays for what it could
-have fitted (``price``). A test's threshold alone would favour names of few coefficients.
+Detection is a test: an effect must gain what noise alone gives to the best of its kind only at a stated false-alarm rate (``threshold``).
+Which of several effects it is, is a question of posterior probability, by the Occam penalty, in which every coefficient counts by what it
+could have fitted (``occam_penalty``). A test's threshold alone would favour effects of few coefficients.
 """
 
 from __future__ import annotations
@@ -15,100 +15,103 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.search.effect_prior import EffectPrior
-from mbcacq.diagnosis.search.effect_set import Members
-from mbcacq.diagnosis.search.hyperparameters import values
+from mbcacq.diagnosis.search.effect_set import SelectedEffects
+from mbcacq.diagnosis.search.hyperparameters import independent_values
 from mbcacq.effects.effect import Candidate
 
-FALSE_ALARM = 0.015  # over all places together, were the noise known; it is estimated, and about 2 % of clean recordings have one
-FEWEST = 50.0  # shares into which it is cut at least: few candidates do not take all of it
-FLATTER = 0.6  # power of the number of coefficients by which a share falls: more of them lose less by a rarer test
-FAMILIES = 20
-FURTHER = 4.0  # a further effect is less likely than the first, by a factor of seven
-EXPECTED = 5.0  # times as likely as otherwise is an effect at another joint where one is
+FALSE_ALARM_RATE = 0.015  # of a clean recording, were the noise known; it is estimated, and about 2 % of them have one (challenge.md)
+FEWEST_SHARES = 50.0  # into which that rate is cut at least: few candidates do not take all of it
+SHARE_POWER = 0.6  # of the number of coefficients by which a share falls: more of them lose less by a rarer test
+KINDS = 20  # of effects that are equally probable beforehand
+FURTHER_EFFECT = 4.0  # a further effect is less likely than the first, by a factor of seven
+COMPANION_FACTOR = 5.0  # times as likely as otherwise is an effect at another joint where one is
 COMPANIONS = ("joint_compliance", "gear_transmission_error", "backlash", "thermal_growth", "joint_scale")  # of which that holds
 
 
 class SelectionCriteria:
-    """Of the candidates of one recording. ``present``: the candidates that are in the model already."""
+    """Of the candidates of one recording. ``present``: the candidates that are in the set already."""
 
     def __init__(self, candidates: Collection[Candidate]):
-        self._places = Counter(c.name for c in candidates)
-        self._sight: defaultdict[str, float] = defaultdict(float)
+        self._locations = Counter(c.name for c in candidates)
+        self._detectability: defaultdict[str, float] = defaultdict(float)
         for c in candidates:
-            self._sight[c.name] += c.detectability
-        self._level = FALSE_ALARM / max(sum(share(c) for c in candidates), FEWEST)
+            self._detectability[c.name] += c.detectability
+        self._rate = FALSE_ALARM_RATE / max(sum(false_alarm_share(c) for c in candidates), FEWEST_SHARES)
 
-    def level(self, candidate: Candidate) -> float:
-        """How often chance may let the best of a candidate's kind pass. Every place of every kind has its share, so that wherever and
+    def false_alarm_rate(self, candidate: Candidate) -> float:
+        """Share of the false-alarm rate given to a candidate's kind. Every location of every kind has its share, so that wherever and
         whatever an effect is, it is found at the same multiple of the strength that a test needs which knows it.
         """
-        return self._level * share(candidate) * max(self._places[candidate.name], 1)
+        return self._rate * false_alarm_share(candidate) * max(self._locations[candidate.name], 1)
 
-    def tries(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate] = ()) -> float:
-        """Number of independent chances that a candidate of this kind has: places (those that see little count, and get, little) times
-        values of the hyper-parameter; where the same joint errs so already (a wheel and its mesh) the place is given. Half a chance
-        where the sign is known: nothing yields backwards.
+    def independent_trials(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate] = ()) -> float:
+        """Number of independent trials that a candidate of this kind has: locations (by their detectability) times values of the
+        hyper-parameter; where the same joint errs so already (a wheel and its mesh) the location is given. Half a trial where the sign is
+        known: nothing yields backwards.
         """
         here = any(c.name == candidate.name and c.where == candidate.where for c in present)
-        places = 1.0 if here else max(self._sight[candidate.name] / candidate.detectability, 1.0)
+        locations = 1.0 if here else max(self._detectability[candidate.name] / candidate.detectability, 1.0)
         if candidate.positive:
-            places *= 0.5
-        return places if candidate.hyper is None else places * values(candidate.hyper, hyper in candidate.hyper.preferred)
+            locations *= 0.5
+        if candidate.hyper is None:
+            return locations
+        return locations * independent_values(candidate.hyper, hyper in candidate.hyper.preferred)
 
     def threshold(
         self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], dof: float | None = None, rarer: float = 1.0
     ) -> float:
-        """chi2 that chance alone gives to the best of all candidates of this kind in the share of cells that it may (``level``).
+        """chi2 that noise alone gives to the best of all candidates of this kind at its share of the false-alarm rate.
 
-        dof: of the test's statistic, where not every coefficient is seen. rarer: times as many cells.
+        dof: of the test's statistic, where not every coefficient is determined. rarer: divides the rate.
         """
-        log_tries = round(np.log(rarer * self.tries(candidate, hyper, present)), 1)
+        log_trials = round(np.log(rarer * self.independent_trials(candidate, hyper, present)), 1)
         dof = round(dof, 1) if dof else float(candidate.k)
-        level = self.level(candidate) * (EXPECTED if expected(candidate, present) else 1.0)
-        return _threshold(dof, log_tries, level) + further(candidate, present)
+        rate = self.false_alarm_rate(candidate) * (COMPANION_FACTOR if is_companion(candidate, present) else 1.0)
+        return _threshold(dof, log_trials, rate) + further_effect_penalty(candidate, present)
 
-    def cost(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
-        """What the test takes off the gain: the threshold, and what was gained where hardly anything is seen.
+    def detection_threshold(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
+        """What the test takes off the gain: the threshold, and what was gained where the coefficients are hardly determined.
 
-        An effect may be strong just there (a pure turn of the scanner): a second test, ten times as rare by chance, counts all alike.
+        An effect may be strong just there (a pure turn of the scanner): a second test, at a tenth of the rate, counts all directions alike.
         """
         if candidate.k == 1:
             return self.threshold(candidate, hyper, present)
-        statistic, dof = own.test
+        statistic, dof = own.detection_statistic
         alike = self.threshold(candidate, hyper, present, rarer=10.0)
         return min(self.threshold(candidate, hyper, present, dof) + own.gain - statistic, alike)
 
-    def cost_together(self, members: Members, owns: Sequence[EffectPrior]) -> float:
+    def joint_detection_threshold(self, effects: SelectedEffects, owns: Sequence[EffectPrior]) -> float:
         """The same of several effects of one kind, tested as one: each alone may be too weak."""
-        kind, log_tries, dof, unseen = members[0][0], 0.0, 0.0, 0.0
-        if len(members) < 2 or kind.name not in COMPANIONS or any(c.name != kind.name for c, _ in members):
+        kind, log_trials, dof, undetermined = effects[0][0], 0.0, 0.0, 0.0
+        if len(effects) < 2 or kind.name not in COMPANIONS or any(c.name != kind.name for c, _ in effects):
             return np.inf
-        for j, ((candidate, hyper), own) in enumerate(zip(members, owns, strict=True)):
-            statistic, seen = own.test
-            log_tries += np.log(self.tries(candidate, hyper, [c for c, _ in members[:j]]) / (j + 1))
-            dof, unseen = dof + seen, unseen + own.gain - statistic
-        return _threshold(round(dof, 1), round(log_tries, 1), self.level(kind)) + unseen
+        for j, ((candidate, hyper), own) in enumerate(zip(effects, owns, strict=True)):
+            statistic, determined = own.detection_statistic
+            log_trials += np.log(self.independent_trials(candidate, hyper, [c for c, _ in effects[:j]]) / (j + 1))
+            dof, undetermined = dof + determined, undetermined + own.gain - statistic
+        return _threshold(round(dof, 1), round(log_trials, 1), self.false_alarm_rate(kind)) + undetermined
 
-    def price(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
-        """Twice the log of one over the candidate's share of what may be, and of what its coefficients could have fitted."""
-        share = 2 * np.log(self.tries(candidate, hyper, present) * (1.0 if expected(candidate, present) else FAMILIES))
-        return share + own.price + further(candidate, present)
-
-
-def share(candidate: Candidate) -> float:
-    """Of chance, to that of an effect of one coefficient."""
-    return float(candidate.k**-FLATTER)
+    def occam_penalty(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate], own: EffectPrior) -> float:
+        """Twice the log of one over the candidate's share of the prior, and of what its coefficients could have fitted."""
+        kinds = 1.0 if is_companion(candidate, present) else KINDS
+        share = 2 * np.log(self.independent_trials(candidate, hyper, present) * kinds)
+        return share + own.occam_penalty + further_effect_penalty(candidate, present)
 
 
-def expected(candidate: Candidate, present: Collection[Candidate]) -> bool:
-    """Whether what is there makes this one likely: many joints of an arm are of one make."""
+def false_alarm_share(candidate: Candidate) -> float:
+    """Share of the false-alarm rate given to one candidate, relative to that of an effect of one coefficient."""
+    return float(candidate.k**-SHARE_POWER)
+
+
+def is_companion(candidate: Candidate, present: Collection[Candidate]) -> bool:
+    """Whether what is present makes this one likely: many joints of an arm are of one make."""
     return candidate.name in COMPANIONS and any(c.name == candidate.name for c in present)
 
 
-def further(candidate: Candidate, present: Collection[Candidate]) -> float:
-    return FURTHER if present and not expected(candidate, present) else 0.0
+def further_effect_penalty(candidate: Candidate, present: Collection[Candidate]) -> float:
+    return FURTHER_EFFECT if present and not is_companion(candidate, present) else 0.0
 
 
 @lru_cache(maxsize=10000)
-def _threshold(dof: float, log_tries: float, level: float) -> float:
-    return float(chi2.isf(min(level / np.exp(log_tries), 0.2), dof))
+def _threshold(dof: float, log_trials: float, rate: float) -> float:
+    return float(chi2.isf(min(rate / np.exp(log_trials), 0.2), dof))

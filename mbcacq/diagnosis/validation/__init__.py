@@ -1,1 +1,1 @@
-"""Proof on held-out data: folds, predictive scores, worker processes."""
+"""Validation on held-out data: folds, predictive scores, worker processes."""

@@ -1,4 +1,4 @@
-"""One fold: the whole search repeated without it, and the model so found tried on it."""
+"""One fold: the whole search repeated without it, and the model so found evaluated on it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.model_fit import ModelFit, find
+from mbcacq.diagnosis.model_fit import ModelFit, fit_model
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import NOTHING, EffectSet
-from mbcacq.diagnosis.validation.predictive_score import EMPTY, PredictiveScore, judge
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
+from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
 
 
 @dataclass(frozen=True)
 class FoldResult:
-    """before, after: quality on the fold with geometry alone and with the model found without it; the same where the model may be judged
-    (``there``). without: the same with one effect left out, by its key. named: with the names alone. picks: names found.
+    """before, after: score on the fold with geometry alone and with the model found without it; the same where the model may be judged
+    (``there``). without: the same without one effect, by its key. parametric: without random effects. names: of the effects found.
     """
 
     before: PredictiveScore
@@ -25,46 +25,52 @@ class FoldResult:
     before_there: PredictiveScore
     after_there: PredictiveScore
     without: dict[str, PredictiveScore]
-    named: PredictiveScore
-    picks: tuple[str, ...]
+    parametric: PredictiveScore
+    names: tuple[str, ...]
 
 
 class Fold:
-    """What is found without one fold, and its trials on it. keys: effects to be left out in turn; everywhere: groups stand everywhere."""
+    """The model found without one fold, and its scores on it."""
 
-    def __init__(self, setup: DiagnosisProblem, full: ModelFit, test: np.ndarray, expected: bool):
+    def __init__(self, problem: DiagnosisProblem, full: ModelFit, test: np.ndarray, structure_expected: bool):
         """test: (P,) bool, the poses left out."""
-        linear = full.before.linear
+        linear = full.geometry_only.linear
         self.linear, self.noise = linear, full.noise
         self.train, self.test = linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose]
-        name_expected = bool(full.model.members) and full.smooth is None
-        self.found = find(setup.at(linear), self.train, expected=expected, name_expected=name_expected)
+        effect_expected = bool(full.model.effects) and full.smooth is None
+        self.found = fit_model(
+            problem.with_linearization(linear), self.train, structure_expected=structure_expected, effect_expected=effect_expected
+        )
 
-    def judge(self, model: EffectSet, rest: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
-        return judge(self.linear, self.train, self.test if test is None else test, model, rest, self.noise)
+    def score(self, model: EffectSet, smooth: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
+        return held_out_score(self.linear, self.train, self.test if test is None else test, model, smooth, self.noise)
 
-    def answer(self, keys: tuple[str, ...], elsewhere: np.ndarray, everywhere: bool) -> FoldResult:
-        """elsewhere: (M,) bool of the centres by which the model may be judged."""
-        model, rest = self.found.model, self.found.smooth
-        before, after = self.judge(NOTHING, None), self.judge(model, rest)
+    def evaluate(self, keys: tuple[str, ...], elsewhere: np.ndarray, everywhere: bool) -> FoldResult:
+        """keys: effects to be left out in turn; elsewhere: (M,) bool of the centres by which the model may be judged; everywhere: random
+        effects stand at all locations.
+        """
+        model, smooth = self.found.model, self.found.smooth
+        before, after = self.score(NO_EFFECTS, None), self.score(model, smooth)
         there = self.test & elsewhere
         partly = there.any() and not elsewhere.all()
-        before_there, after_there = (self.judge(NOTHING, None, there), self.judge(model, rest, there)) if partly else (EMPTY, EMPTY)
-        whole = self.judge(model, None) if everywhere else after
+        before_there, after_there = NO_CENTRES, NO_CENTRES
+        if partly:
+            before_there, after_there = self.score(NO_EFFECTS, None, there), self.score(model, smooth, there)
+        whole = self.score(model, None) if everywhere else after
         without = {}
         for key in keys:
-            other, others = less(replace(self.found, smooth=None) if everywhere else self.found, key)
-            same = other is model and (everywhere or others is rest)
-            without[key] = whole if same else self.judge(other, others)
-        return FoldResult(before, after, before_there, after_there, without, whole if everywhere else EMPTY, model.names)
+            other, others = without_effect(replace(self.found, smooth=None) if everywhere else self.found, key)
+            same = other is model and (everywhere or others is smooth)
+            without[key] = whole if same else self.score(other, others)
+        return FoldResult(before, after, before_there, after_there, without, whole if everywhere else NO_CENTRES, model.names)
 
     def without(self, names: tuple[str, ...]) -> PredictiveScore:
-        """With these names left out of the model."""
-        return self.judge(self.found.model.without(names), self.found.smooth)
+        """Score of the model without these effects."""
+        return self.score(self.found.model.without(names), self.found.smooth)
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose. Stations go whole; a single station is cut into blocks of its order of measurement."""
+    """(P,) fold of each pose, and what was left out. Stations go whole; a single station is cut into blocks of its order of measurement."""
     obs = linear.obs
     stations = np.unique(obs.station)
     if len(stations) >= 3:
@@ -79,10 +85,10 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def less(part: ModelFit, key: str) -> tuple[EffectSet, RandomEffectsModel | None]:
+def without_effect(found: ModelFit, key: str) -> tuple[EffectSet, RandomEffectsModel | None]:
     """A fold's model without one effect."""
     if key.startswith("unknown:"):
-        at = key.removeprefix("unknown:")
-        there = part.smooth is not None and any(g.at == at for g in part.smooth.groups)
-        return part.model, part.smooth.without(at) if there else part.smooth
-    return part.model.without((key,)), part.smooth
+        location = key.removeprefix("unknown:")
+        there = found.smooth is not None and any(g.location == location for g in found.smooth.groups)
+        return found.model, found.smooth.without(location) if found.smooth is not None and there else found.smooth
+    return found.model.without((key,)), found.smooth

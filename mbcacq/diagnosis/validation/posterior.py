@@ -1,4 +1,4 @@
-"""What some centres say of the coefficients of everything, and how probable that makes other centres."""
+"""Posterior of the coefficients of everything, given some centres, and the predictive density of other centres."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 
 @dataclass(frozen=True)
 class Posterior:
-    """sigma: prior of the coefficients (z,). information (z, z), right (z,): of the centres, without the prior."""
+    """sigma: prior of the coefficients (z,). information (z, z), right (z,): normal equations of the centres, without the prior."""
 
     sigma: np.ndarray
     information: np.ndarray
@@ -35,22 +35,22 @@ class Posterior:
     def solution(self) -> np.ndarray:
         return self.sigma * np.linalg.solve(self.normal, self.sigma * self.right)
 
-    def sized(self, model: EffectSet, parts: list[slice]) -> Posterior:
-        """With the members' coefficients, at these parts, believed to be of the size that is most probable by these centres: what is hardly
-        seen stays near zero.
+    def with_estimated_prior(self, model: EffectSet, slices: list[slice]) -> Posterior:
+        """With the effects' coefficients, at these slices, given the prior size that is most probable by these centres (empirical Bayes):
+        what is hardly determined stays near zero.
         """
-        if not parts:
+        if not slices:
             return self
         covariance = self.sigma[:, None] * np.linalg.inv(self.normal) * self.sigma
         sigma = self.sigma.copy()
-        for (candidate, _), p in zip(model.members, parts, strict=True):
+        for (candidate, _), p in zip(model.effects, slices, strict=True):
             own = EffectPrior.of(candidate, self.solution[p], covariance[p, p])
             sigma[p] = np.minimum(sigma[p], own.scale * candidate.typical)
         return replace(self, sigma=sigma)
 
-    def surprise(self, whiten: Whitener, columns: np.ndarray, residual: np.ndarray) -> float:
-        """Of other centres, minus twice the log of their probability density up to a constant: by the chain rule, what all of them are less
-        probable than these alone.
+    def negative_log_predictive_density(self, whiten: Whitener, columns: np.ndarray, residual: np.ndarray) -> float:
+        """Minus twice the log of the density of other centres given these, up to a constant: by the chain rule, the density of all of them
+        over that of these alone.
         """
         Z, r = whiten(columns) * self.sigma, whiten(residual)
         normal, right = self.normal + Z.T @ Z, self.sigma * self.right + Z.T @ r

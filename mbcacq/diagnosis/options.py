@@ -1,0 +1,84 @@
+"""The numbers that tune the diagnosis, each with its reason and, where there was one, the study that set it.
+
+The numbers of the selection criteria, of the beam search and of the comparison of models stand in their own files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DiagnosisOptions:
+    """Tuning of a diagnosis. ``benchmarks/challenge.md`` measures all of it together; no field was fitted to a single recording."""
+
+    # Size of the recording
+    fewest_poses: int = 12  # fewer determine geometry and stations but no effect
+    many_poses: int = 350  # a longer recording is searched with a narrower beam, and is modelled at all locations (time: diagnosis.md)
+    most_poses: int = 4000  # a longer recording is thinned, so that memory stays below 2 GiB (ur10-tracker-a, benchmarks/diagnosis.md)
+    searched_poses: int = 800  # poses of a long recording in which parametric effects are searched; periodic errors need no more
+
+    # Geometry: prior sigma, wider than the error of any real arm, mount or station
+    geometry_prior: tuple[float, ...] = (0.02, 3.0, 3.0, 0.02, 0.02)  # theta rad, d mm, a mm, alpha rad, beta rad
+    mount_prior: tuple[float, ...] = (500.0, 500.0, 500.0, 2.0, 2.0, 2.0)  # mm, rad
+    station_prior: tuple[float, ...] = (1e4, 1e4, 1e4, 3.0, 3.0, 3.0)  # mm, rad
+    wrong_robot_mm: float = 5.0  # median residual that no arm has once its geometry is free: the recording is another robot's
+    structural_share: float = 0.4  # share of a station's centres that are off from which the station is wrong as a whole
+    structural_centres: int = 8  # and their number: of fewer centres no majority can be trusted
+    station_step: tuple[float, ...] = (1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2)  # mm, rad: typical size of a station's displacement
+
+    # Noise: log-normal priors of the standard deviations, as standard deviations of their logarithms
+    log_sd_stated: float = 0.3  # a stated instrument noise is right within a third
+    log_sd_guessed: float = 1.5  # of an instrument of which nothing is stated, only the order of magnitude is known
+    log_sd_axis: float = 0.35  # the axes of one instrument differ little, or one of them could hide a mismatch
+    log_sd_common: float = 1.0  # the level that all joints of one arm share
+    log_sd_joint: float = 0.35  # deviation of a joint from that level
+    worst_point: float = 3.0  # no instrument is taken to be worse than this many times its stated noise
+    worst_stated: float = 8.0  # nor a joint than this many times a stated repeatability, or it would absorb a strong effect
+    worst_joint: float = 10.0  # the same in a long recording, where unmodelled structure must not pass for the noise of a joint
+    initial_point_mm: float = 0.02  # instrument noise of a scanner of which nothing is stated
+    initial_repeatability_mm: float = 0.06  # repeatability of an arm of which nothing is stated
+    outlier_level: float = 1e-7  # false-alarm rate at which a centre is an outlier with the model in place
+    most_outliers: float = 0.05  # share of outliers beyond which they are structure, and stay
+
+    # Candidates
+    typical_multiple: float = 30.0  # prior sigma of a coefficient in typical sizes: an effect thirty times as large is not believed
+    smallest_share: float = 1e-6  # of a column's square that must survive the projection; less is rounding
+    refinement_gain: float = 1.3  # a scanned candidate gains at most this many times its best grid value between the values
+    preferred_share: float = 0.8  # prior probability of the preferred values of a hyper-parameter (orders of a gear)
+    detectable_chi2: float = 4.0  # chi2 of an effect that can just be detected: two standard deviations
+    least_detectability: float = 0.1  # of a location where nothing is seen: sizes may be far from typical (challenge.md, code 316787e)
+
+    # Basis functions of unmodelled effects
+    harmonics: int = 4  # periods a turn, of any joint's angle at any location
+    own_harmonics: int = 9  # periods a turn, of the joint at, or before, the location
+    cosines: int = 5  # smooth functions over the range of a covariate
+    narrow_cosines: int = 16  # of a joint's own angle: narrow enough for a local bump
+    fading_reaches: tuple[float, ...] = (0.1, 0.3, 1.0)  # rad of travel over which lost motion fades: grease, wind-up, pre-sliding
+    standing_rad: float = 1e-4  # less travel is no motion; what was before it lasts
+    parallel_cosine: float = 0.99  # from which two axes count as one, so that a link's turn is left to the next joint
+    shortest_period_mm: float = 8.0  # of periodic errors in the field of view; balls are about that large
+    most_harmonics: int = 16  # of periodic errors over the width of the field
+    harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
+
+    # Random effects
+    own_order: float = 45.0  # periods a turn of a joint's own error in a long recording: gear meshes are below
+    other_order: float = 9.0  # periods a turn of what a joint's angle does elsewhere: bearings and couplings are smooth
+    initial_size_mm: float = 0.02  # size of a group of coefficients at the start of the fixed-point iteration
+    smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
+
+    # Search and proof
+    most_passes: int = 4  # turns of search and noise; the set of effects stands still after two or three
+    known_effect_reduction: float = 10.0  # chi2 by which a first effect may miss its threshold in a fold, where one is known to exist
+    few_stations: int = 6  # up to which each is left out alone
+    usual_folds: int = 4  # of a recording of more stations
+    weak_folds: int = 8  # for an effect that three quarters of the data might not show
+    long_folds: int = 3  # of a recording of many poses
+    longest_folds: int = 2  # and of one of more than ``longest_from`` poses: a third fit would take too long
+    longest_from: int = 2000
+    deciding_share: float = 0.8  # share of the centres that must be at other stations for these alone to decide about a model
+    noise_like_chi2: float = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
+    most_workers: int = 8  # processes beyond which memory, not time, is the limit
+
+
+OPTIONS = DiagnosisOptions()
