@@ -6,7 +6,7 @@ import made
 import numpy as np
 from scipy.stats import chi2, kstest
 
-from mbcacq.challenge.power import estimated, likelihood_ratio
+from mbcacq.challenge.power import likelihood_ratio, with_estimated_hypers
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -39,7 +39,7 @@ def test_one_that_estimates_order_or_moment_counts_how_many_it_could_have_chosen
         setup = prepare(made.observe(plan, 920 + seed))
         for key in ("gear_transmission_error:A3:q3:", "mount_shift:mount:pose:"):
             candidate = next(c for c in setup.candidates if c.key == key)
-            best, choices = estimated(setup, EffectSet(((candidate, 60.0),)))
+            best, choices = with_estimated_hypers(setup, EffectSet(((candidate, 60.0),)))
             tail.append(choices * chi2.sf(max(likelihood_ratio(setup, best), 0.0), candidate.k))
 
     assert best.effects[0][1] != 60.0

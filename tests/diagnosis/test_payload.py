@@ -1,11 +1,11 @@
-"""A tool heavier than declared, concealed by the fake cell's own physics, is told from elastic joints that carry what is declared."""
+"""A tool heavier than declared, injected by the fake cell's own physics, is told from elastic joints that carry what is declared."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mbcacq.challenge import simulated_cells as concealed
+from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.linearized import geometry_fit
@@ -25,7 +25,7 @@ def seeing():
 
 
 def observed(seeing, seed, hidden):
-    return concealed.observe(*seeing, Scenario(0, "payload", seed, ("payload",), 1, 1.0), [hidden])[0]
+    return simulated_cells.observe(*seeing, Scenario(0, "payload", seed, ("payload",), 1, 1.0), [hidden])[0]
 
 
 def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
