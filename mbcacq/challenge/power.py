@@ -95,9 +95,11 @@ def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[Ef
     for j, (candidate, _) in enumerate(members):
         if candidate.hyper is not None:
             others = screen.conditioned_on([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
-            members[j] = candidate, best_hyper(others, candidate).hyper
+            best = best_hyper(others, candidate)
+            assert best is not None, "an effect with a hyper-parameter has values to try"
+            members[j] = candidate, best.hyper
             same = sum(c.key == candidate.key for c, _ in members[: j + 1])
-            choices *= max(hyperparameters.independent_values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
+            choices *= max(hyperparameters.independent_values(candidate.hyper, best.hyper in candidate.hyper.preferred) / same, 1.0)
     return EffectSet(tuple(members)), choices
 
 
