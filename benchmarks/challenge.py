@@ -1,4 +1,4 @@
-"""Score table of the diagnosis: effects concealed in made cells, told blind. Writes benchmarks/challenge.md.
+"""Score table of the diagnosis: effects injected in simulated cells, diagnosed without knowledge of them. Writes benchmarks/challenge.md.
 
     OMP_NUM_THREADS=1 python benchmarks/challenge.py                   everything, in two processes (hours)
     OMP_NUM_THREADS=1 python benchmarks/challenge.py --share 0.3       a third of it
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.challenge.power import PowerCell, ninety, with_interval
+from mbcacq.challenge.power import PowerCell, ninety_percent_point, with_interval
 from mbcacq.challenge.run import _begin, _take
 from mbcacq.challenge.scenarios import draw, kinds
 from mbcacq.challenge.score import Score
@@ -31,7 +31,7 @@ PLAN = HERE.parent / "plans" / "seeing.yaml"
 PARTS = {
     "catalogue": ("Effects of the catalogue", 3700, "catalogue", 304, 0.0, ()),
     "outside": ("Effects outside the catalogue", 3800, "outside", 64, 0.0, ()),
-    "clean": ("Cells with nothing concealed", 7900, "none", 300, 0.0, ()),
+    "clean": ("Cells with nothing injected", 7900, "none", 300, 0.0, ()),
     "outliers": ("1 % gross outliers", 4000, "catalogue,none", 51, 0.01, ()),
     "missing": ("No times, temperatures, senses of motion", 4100, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
     "two": ("Two effects at once", 4200, "two", 32, 0.0, ()),
@@ -40,10 +40,10 @@ POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error
 MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
 CELLS = 40
 POWER_TEXT = """
-Share of cells in which the diagnosis, proof included, names the effect at its place (or as one of two that it cannot tell apart), and in
-brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and place and estimate
-the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples of that at
-which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative normal), the
+Share of cells in which the diagnosis, proof included, names the effect at its location (or as one of two that it cannot tell apart), and
+in brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and location and
+estimate the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples of that
+at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative normal), the
 ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with
 2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
 INTRODUCTION = """# Challenges
@@ -64,7 +64,7 @@ def measure(part: str, share: float, jobs: int, kept: list[dict], file: Path) ->
     todo = [e for e in draw(seed, wanted, names, outliers, missing) if e.number not in done]
     with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
         for outcome in pool.map(_take, todo):
-            add(kept, file, {"part": part, "number": outcome.envelope.number, "seconds": outcome.seconds, "score": outcome.score.to_dict()})
+            add(kept, file, {"part": part, "number": outcome.scenario.number, "seconds": outcome.seconds, "score": outcome.score.to_dict()})
 
 
 def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None:
@@ -78,15 +78,15 @@ def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None
 
 def _power(job: tuple[str, int]) -> PowerCell:
     from mbcacq.challenge import run
-    from mbcacq.challenge.power import tried
+    from mbcacq.challenge.power import try_cell
 
-    return tried(run._challenger, *job, MULTIPLES)
+    return try_cell(run._challenger, *job, MULTIPLES)
 
 
 def code() -> str:
     """Commit of the code that is measured, where it is a checkout."""
-    told = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True, check=False)
-    return told.stdout.strip() or "unknown"
+    answer = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True, check=False)
+    return answer.stdout.strip() or "unknown"
 
 
 CODE = code()
@@ -138,12 +138,12 @@ def failures(records: list[dict], scores: list[Score]) -> list[str]:
     ]
     if not bad:
         return []
-    told = [
-        f"- number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was told as "
-        f"{', '.join(s.told) or 'nothing'}, {s.verdict}"
+    wrong = [
+        f"- number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was reported as "
+        f"{', '.join(s.reported) or 'nothing'}, {s.verdict}"
         for r, s in bad
     ]
-    return ["Not right:", "", *told, ""]
+    return ["Not right:", "", *wrong, ""]
 
 
 def power_lines(kept: list[dict]) -> list[str]:
@@ -166,16 +166,18 @@ def power_lines(kept: list[dict]) -> list[str]:
         rates = zip(*(100 * each.mean(axis=0) for each in (found, *known)), strict=True)
         shown = " | ".join(f"{a:.0f} % ({b:.0f}, {c:.0f})" for a, b, c in rates)
         ratios = " | ".join(against(found, each) for each in known)
-        least = np.median([r["searched"] for r in cells])
-        lines.append(f"| {name} | {len(cells)} | {shown} | {ninety(MULTIPLES, found):.2f} | {ratios} | {least:.2f} |")
+        least = np.median([r["needed_multiple"] for r in cells])
+        lines.append(f"| {name} | {len(cells)} | {shown} | {ninety_percent_point(MULTIPLES, found):.2f} | {ratios} | {least:.2f} |")
     return [*lines, ""]
 
 
 def against(found: np.ndarray, known: np.ndarray) -> str:
     """Where a test that knows more finds nine in ten, and the ratio to it."""
     # who must estimate the noise cannot need less than who knows it
-    ratio, low, high = with_interval(lambda cells: ninety(MULTIPLES, found[cells]) / max(ninety(MULTIPLES, known[cells]), 1.0), len(found))
-    return f"{max(ninety(MULTIPLES, known), 1.0):.2f} | {ratio:.2f} ({low:.2f} to {high:.2f})"
+    ratio, low, high = with_interval(
+        lambda cells: ninety_percent_point(MULTIPLES, found[cells]) / max(ninety_percent_point(MULTIPLES, known[cells]), 1.0), len(found)
+    )
+    return f"{max(ninety_percent_point(MULTIPLES, known), 1.0):.2f} | {ratio:.2f} ({low:.2f} to {high:.2f})"
 
 
 def main() -> None:

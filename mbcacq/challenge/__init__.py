@@ -1,1 +1,1 @@
-"""Challenges: effects concealed in the fake cell, recorded, diagnosed blind, then scored against what was concealed."""
+"""Challenges: effects injected in the fake cell, recorded, diagnosed without knowledge of them, then scored against what was injected."""

@@ -1,4 +1,4 @@
-"""What could be achieved: the true effect alone, its place and its order or moment known, fitted as the diagnosis fits."""
+"""What could be achieved: the true effect alone, with its location and its order or moment known, fitted as the diagnosis fits."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ class Achievable:
 
     @property
     def adds(self) -> tuple[float, ...]:
-        """Share of the held-out chi2 that each of several effects takes away beside the others."""
+        """Share of the held-out chi2 that each of several effects takes away in addition to the others."""
         return tuple(1.0 - self.after / without for without in self.less)
 
 
 def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achievable:
-    """truth: the opened envelope's effects, as the fake cell tells them."""
+    """truth: the injected effects, as the fake cell states them after the recording."""
     setup = prepare(observations)
     each = [true_members(setup, effect) for effect in truth]
-    beside = [m for effect in truth for m in elastic(setup, effect)]
+    companions = [m for effect in truth for m in elastic(setup, effect)]
     known = bool(truth) and all(each)
-    model, rest = EffectSet((*beside, *chain.from_iterable(each))), EffectSet(tuple(beside))
+    model, rest = EffectSet((*companions, *chain.from_iterable(each))), EffectSet(tuple(companions))
     linear = setup.linear
     sigma = noise_with(linear, model, None, setup.prior_noise, setup.prior_noise)
     better = kept_centres(CandidateScoring.of(linear, sigma), model)
@@ -59,19 +59,19 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
         linear = linear.restricted(better)
         sigma = noise_with(linear, model, None, sigma, setup.prior_noise)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
-    others = [EffectSet((*beside, *chain.from_iterable(each[:j] + each[j + 1 :]))) for j in range(len(each))] if len(each) > 1 else []
+    others = [EffectSet((*companions, *chain.from_iterable(each[:j] + each[j + 1 :]))) for j in range(len(each))] if len(each) > 1 else []
     before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
     return Achievable(before, after, known, tuple(less))
 
 
 def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
-    """The catalogue's candidates that are the concealed effect; of several variants the one that fits best for its size."""
+    """The catalogue's candidates that are the injected effect; of several variants the one that fits best for its size."""
     if effect["name"] == "payload":
         stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
-        return [(c, None) for c in payload.beside(setup.context, stiffness)]
+        return [(c, None) for c in payload.correction_for(setup.context, stiffness)]
     chosen = []
     screen = CandidateScoring.of(setup.linear, setup.prior_noise)
-    for group in wanted(effect):
+    for group in location_sets(effect):
         fitting = [c for c in setup.candidates if c.name == effect["name"] and set(c.where) == group]
         scored = []
         for candidate in fitting:
@@ -86,15 +86,15 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
 
 
 def elastic(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
-    """The elastic joints through which alone a wrong tool shows: they are no part of what it adds."""
+    """The elastic joints through which alone a wrong payload shows: they are no part of what it adds."""
     if effect["name"] != "payload":
         return []
     joints = {f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
     return [(c, None) for c in setup.candidates if c.name == "joint_compliance" and c.where[0] in joints]
 
 
-def wanted(effect: dict[str, Any]) -> list[set[str]]:
-    """Places of the candidates: several joints of one effect are one candidate each, a coupling is one of two joints."""
+def location_sets(effect: dict[str, Any]) -> list[set[str]]:
+    """Locations of the candidates: several joints of one effect are one candidate each, a coupling is one of two joints."""
     where = effect["where"]
     return [set(where)] if effect["name"] == "wrist_coupling" else [{w} for w in where]
 
@@ -112,7 +112,7 @@ def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str,
 
 
 def without_effect(with_it: Observations, without_it: Observations) -> Achievable:
-    """For an effect without a name: held-out chi2 of the geometry alone, and in the same cell had nothing been concealed."""
+    """For an effect outside the catalogue: held-out chi2 of the geometry alone, and in the same cell had nothing been injected."""
     clean = prepare(without_it)
     sigma = noise_with(clean.linear, NO_EFFECTS, None, clean.prior_noise, clean.prior_noise)
     return Achievable(held_out(prepare(with_it).linear, NO_EFFECTS, sigma), held_out(clean.linear, NO_EFFECTS, sigma), False)

@@ -13,14 +13,15 @@ from scipy.stats import chi2, ncx2, norm
 
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.oracle import true_members
-from mbcacq.challenge.run import Challenger, plain
+from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
-from mbcacq.challenge.score import at_place
+from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.nonparametric.model_comparison import log_restricted_likelihood
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
+from mbcacq.diagnosis.result import plain
 from mbcacq.diagnosis.search import hyperparameters
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
@@ -28,75 +29,82 @@ from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM_RATE, SelectionCriteria
 
-LEVEL = 0.01  # of the test that knows: the rate of false alarms that the diagnosis as a whole is made for
-ALLOWED = 0.02  # rate of false alarms over the whole catalogue
-WANTED = 0.9
+INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole
+CATALOGUE_LEVEL = 0.02  # false-alarm rate of a search over the whole catalogue
+WANTED_POWER = 0.9  # share of the cells in which an effect has to be found
 
 
-def least_gain(k: int, level: float = LEVEL) -> float:
+def least_gain(k: int, level: float = INFORMED_LEVEL) -> float:
     """Non-centrality at which a test of this level finds an effect of k coefficients nine times in ten."""
     limit = chi2.isf(level, k)
-    return float(brentq(lambda gain: ncx2.sf(limit, k, gain) - WANTED, 1e-3, 1e4))
+    root = brentq(lambda gain: ncx2.sf(limit, k, gain) - WANTED_POWER, 1e-3, 1e4)
+    return float(root)  # pyright: ignore[reportArgumentType]  # the stubs do not know that the full output was not asked for
 
 
-def searched(k: int, share: float) -> float:
-    """Multiple of that strength which the best test needs that does not know: one false alarm in fifty cells, of which this is the share
-    of one effect at one place and value.
+def search_multiple(k: int, share: float) -> float:
+    """Multiple of the strength for the informed test that a search over the catalogue needs.
+
+    share: of the false-alarm rate, given to one effect at one location and value of its hyper-parameter.
     """
-    return float(np.sqrt(least_gain(k, ALLOWED * share) / least_gain(k)))
+    return float(np.sqrt(least_gain(k, CATALOGUE_LEVEL * share) / least_gain(k)))
 
 
 @dataclass(frozen=True)
 class PowerCell:
-    """One cell with one drawn effect: found at each strength by the diagnosis, by the test that knows everything of it but its size and the
-    noise (``informed``), and by one that knows name and place and estimates order or moment as well (``estimating``). searched: see there.
+    """One cell with one drawn effect, at several strengths.
+
+    found: whether the diagnosis reports it. informed: whether a likelihood-ratio test finds it that knows everything but its size and
+    the noise. estimating: the same for a test that knows name and location, and estimates order or moment too. needed_multiple: of the
+    strength for the informed test that a search over the catalogue needs.
     """
 
     found: list[bool]
     informed: list[bool]
     estimating: list[bool]
-    searched: float
+    needed_multiple: float
 
 
-def tried(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> PowerCell:
-    """The whole diagnosis, proof included, and the tests that know which effect it is and where, on the same recordings, at these multiples
-    of the strength that such a test would need if it knew the noise too.
+def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> PowerCell:
+    """The whole diagnosis, cross-validation included, and the two tests on the same recordings, at these multiples of the strength that
+    the informed test would need if it knew the noise too.
 
-    One cell, one drawn place and shape of the effect, noise as in any challenge.
+    There is one cell, with one drawn location and shape of the effect, and noise as in any challenge.
     """
-    envelope = Scenario(0, name, seed, (name,), seed + 1, 1.0)
+    scenario = Scenario(0, name, seed, (name,), seed + 1, 1.0)
     gauge, one = challenger.gauge, {"name": name, "strength": 1.0, "seed": seed + 1}
-    gain = gauge.gain(envelope, [one])
-    k, share = sought(challenger, envelope, one)
+    gain = gauge.gain(scenario, [one])
+    k, share = search_space(challenger, scenario, one)
     found, informed, estimating = [], [], []
     for multiple in multiples:
-        plainly = replace(envelope, seed=seed + int(1000 * multiple))
+        drawn = replace(scenario, seed=seed + int(1000 * multiple))
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
-        observations, told = simulated_cells.observe(challenger.loaded, challenger.poses, plainly, [{**one, "strength": strength}])
-        truth = plain(told["effects"][0])
-        found.append(bool(tells(diagnose(observations).as_json(), truth)))
+        observations, stated = simulated_cells.observe(challenger.loaded, challenger.poses, drawn, [{**one, "strength": strength}])
+        truth = plain(stated["effects"][0])
+        found.append(bool(reports(diagnose(observations).to_json(), truth)))
         setup = prepare(observations)
         model = EffectSet(tuple(true_members(setup, truth)))
-        informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(LEVEL, k)))
-        best, values = estimated(setup, model)
-        estimating.append(bool(likelihood_ratio(setup, best) > chi2.isf(LEVEL / values, k)))
-    return PowerCell(found, informed, estimating, searched(k, share))
+        informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(INFORMED_LEVEL, k)))
+        best, values = with_estimated_hypers(setup, model)
+        estimating.append(bool(likelihood_ratio(setup, best) > chi2.isf(INFORMED_LEVEL / values, k)))
+    return PowerCell(found, informed, estimating, search_multiple(k, share))
 
 
-def estimated(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, float]:
+def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, float]:
     """The model with orders and moments as these data would have them, and the number of independent choices of all of them."""
-    screen, members, choices = CandidateScoring.of(setup.linear, plain_noise(setup)), list(model.effects), 1.0
+    screen, members, choices = CandidateScoring.of(setup.linear, geometry_noise(setup)), list(model.effects), 1.0
     for j, (candidate, _) in enumerate(members):
         if candidate.hyper is not None:
             others = screen.conditioned_on([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
-            members[j] = candidate, best_hyper(others, candidate).hyper
+            best = best_hyper(others, candidate)
+            assert best is not None, "an effect with a hyper-parameter has values to try"
+            members[j] = candidate, best.hyper
             same = sum(c.key == candidate.key for c, _ in members[: j + 1])
-            choices *= max(hyperparameters.independent_values(candidate.hyper, members[j][1] in candidate.hyper.preferred) / same, 1.0)
+            choices *= max(hyperparameters.independent_values(candidate.hyper, best.hyper in candidate.hyper.preferred) / same, 1.0)
     return EffectSet(tuple(members)), choices
 
 
-def plain_noise(setup: DiagnosisProblem) -> NoiseEstimate:
-    """With geometry alone."""
+def geometry_noise(setup: DiagnosisProblem) -> NoiseEstimate:
+    """The noise of a model of the geometry alone."""
     return noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise)
 
 
@@ -105,44 +113,44 @@ def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
     is no such effect.
     """
     linear = setup.linear
-    plainly = CandidateScoring.of(linear, plain_noise(setup))
-    there = CandidateScoring.of(linear, noise_with(linear, model, None, plainly.noise, setup.prior_noise))
+    geometry_only = CandidateScoring.of(linear, geometry_noise(setup))
+    there = CandidateScoring.of(linear, noise_with(linear, model, None, geometry_only.noise, setup.prior_noise))
     return log_restricted_likelihood(there, conditioned_on_effects(there, model), setup.prior_noise) - log_restricted_likelihood(
-        plainly, plainly, setup.prior_noise
+        geometry_only, geometry_only, setup.prior_noise
     )
 
 
-def tells(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
-    """By name and at its place, or as one of two that these data cannot tell apart."""
-    if any(e["name"] == truth["name"] and at_place(e, truth) for e in diagnosis["effects"]):
+def reports(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
+    """Whether the effect is reported at its location, or as one of two that these data cannot tell apart."""
+    if any(e["name"] == truth["name"] and at_location(e, truth) for e in diagnosis["effects"]):
         return True
     apart = [label.split(":") for pair in diagnosis["not_separable"] for label in pair["effects"]]
     return any(name == truth["name"] and set(where.split("+")) <= set(truth["where"]) for name, where in apart)
 
 
-def sought(challenger: Challenger, envelope: Scenario, one: dict) -> tuple[int, float]:
+def search_space(challenger: Challenger, scenario: Scenario, one: dict) -> tuple[int, float]:
     """Coefficients of the true model, and its share of all that may be: all places of all effects alike, of several joints or orders their
     choices.
     """
-    observations, told = simulated_cells.observe(challenger.loaded, challenger.poses, envelope, [one])
+    observations, stated = simulated_cells.observe(challenger.loaded, challenger.poses, scenario, [one])
     setup = prepare(observations)
-    members = true_members(setup, plain(told["effects"][0]))
-    prices, present, tries = SelectionCriteria(setup.candidates), [], 1.0
+    members = true_members(setup, plain(stated["effects"][0]))
+    criteria, present, tries = SelectionCriteria(setup.candidates), [], 1.0
     for candidate, hyper in members:
-        tries *= prices.independent_trials(candidate, hyper, present)
+        tries *= criteria.independent_trials(candidate, hyper, present)
         present.append(candidate)
-    kind = prices.false_alarm_rate(members[0][0]) / FALSE_ALARM_RATE if members else 1.0
+    kind = criteria.false_alarm_rate(members[0][0]) / FALSE_ALARM_RATE if members else 1.0
     return max(sum(c.k for c in present), 1), kind / max(tries / factorial(len(members)), 1.0)
 
 
-def ninety(multiples: Sequence[float], found: np.ndarray) -> float:
+def ninety_percent_point(multiples: Sequence[float], found: np.ndarray) -> float:
     """The multiple at which nine in ten are found: the most likely cumulative normal through found (cells, multiples), bool."""
     rate, count = np.mean(found, axis=0, dtype=float), len(found)
     middle, width = np.meshgrid(np.linspace(0.3, 2.5, 221), np.geomspace(0.05, 0.6, 40), indexing="ij")
     p = np.clip(norm.cdf((np.asarray(multiples) - middle[..., None]) / width[..., None]), 1e-6, 1 - 1e-6)
     score = np.sum(count * (rate * np.log(p) + (1 - rate) * np.log(1 - p)), axis=-1)
     best = np.unravel_index(np.argmax(score), score.shape)
-    return float(middle[best] + norm.isf(1 - WANTED) * width[best])
+    return float(middle[best] + norm.isf(1 - WANTED_POWER) * width[best])
 
 
 def with_interval(figure: Callable[[np.ndarray], float], cells: int, draws: int = 200) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""One challenge from its envelope to its score, and many of them."""
+"""One challenge from its scenario to its score, and many of them."""
 
 from __future__ import annotations
 
@@ -16,28 +16,31 @@ from mbcacq.challenge.scenarios import OUTSIDE, Scenario
 from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.result import plain
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """envelope as drawn, what was concealed as the fake cell was told, the truth it told afterwards, the diagnosis and its score."""
+    """scenario: as drawn. injected: as a plan's ``fake: hidden`` states it. truth: the injected effects with their parameters, as the fake
+    cell states them after the recording. diagnosis: as its JSON object.
+    """
 
-    envelope: Scenario
-    concealed: list[dict[str, Any]]
+    scenario: Scenario
+    injected: list[dict[str, Any]]
     truth: list[dict[str, Any]]
     diagnosis: dict[str, Any]
     score: Score
     seconds: float
 
     def to_dict(self, full: bool = False) -> dict[str, Any]:
-        out = {"envelope": self.envelope.to_dict(), "concealed": self.concealed, "score": self.score.to_dict(), "diagnosis_s": self.seconds}
+        out = {"scenario": self.scenario.to_dict(), "injected": self.injected, "score": self.score.to_dict(), "diagnosis_s": self.seconds}
         return out | ({"truth": self.truth, "diagnosis": self.diagnosis} if full else {})
 
 
 @dataclass(frozen=True)
 class Challenger:
-    """Everything that one plan's challenges share. folder: where recordings and opened envelopes are kept, None for nowhere."""
+    """Everything that one plan's challenges share. folder: where recordings and scenarios are kept, None for nowhere."""
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
@@ -52,61 +55,53 @@ class Challenger:
         poses = expand(loaded)
         return cls(loaded, poses, Gauge(loaded, poses), protocols, folder)
 
-    def take(self, envelope: Scenario) -> Outcome:
-        """Conceal, record, diagnose without looking, open, score."""
-        concealed = self.gauge.conceal(envelope)
-        observations, told = self._record(envelope, concealed)
+    def take(self, scenario: Scenario) -> Outcome:
+        """Inject the effects, record, diagnose the recording without knowledge of them, and score."""
+        injected = self.gauge.inject(scenario)
+        observations, stated = self._record(scenario, injected)
         start = perf_counter()
-        diagnosis = diagnose(observations).as_json()
+        diagnosis = diagnose(observations).to_json()
         seconds = perf_counter() - start
-        truth = [with_places(plain(effect)) for effect in told["effects"]]
-        outside = any(name in OUTSIDE for name in envelope.names)
+        truth = [with_observable_locations(plain(effect)) for effect in stated["effects"]]
+        outside = any(name in OUTSIDE for name in scenario.names)
         if outside:
-            clean, _ = simulated_cells.observe(self.loaded, self.poses, envelope, [])
-            fast = observations if not self.protocols else simulated_cells.observe(self.loaded, self.poses, envelope, concealed)[0]
+            clean, _ = simulated_cells.observe(self.loaded, self.poses, scenario, [])
+            fast = observations if not self.protocols else simulated_cells.observe(self.loaded, self.poses, scenario, injected)[0]
             possible = oracle.without_effect(fast, clean)
         else:
             possible = oracle.achievable(observations, truth)
             truth = [{**t, **({"adds": possible.adds[j]} if possible.adds else {})} for j, t in enumerate(truth)]
-        result = score(envelope.kind, truth, diagnosis, possible.improvement if truth else 0.0, catalogued=not outside)
-        outcome = Outcome(envelope, concealed, truth, diagnosis, result, seconds)
+        result = score(scenario.kind, truth, diagnosis, possible.improvement if truth else 0.0, catalogued=not outside)
+        outcome = Outcome(scenario, injected, truth, diagnosis, result, seconds)
         if self.folder is not None:
             self._keep(outcome, observations)
         return outcome
 
-    def _record(self, envelope: Scenario, concealed: list[dict[str, Any]]):
+    def _record(self, scenario: Scenario, injected: list[dict[str, Any]]):
         if not self.protocols:
-            return simulated_cells.observe(self.loaded, self.poses, envelope, concealed)
+            return simulated_cells.observe(self.loaded, self.poses, scenario, injected)
         if self.folder is not None:
-            return simulated_cells.run(self.loaded, self.poses, envelope, concealed, self.folder / f"{envelope.number:03d}" / "run")
+            return simulated_cells.run(self.loaded, self.poses, scenario, injected, self.folder / f"{scenario.number:03d}" / "run")
         with TemporaryDirectory(prefix="mbcacq-challenge-") as temporary:
-            return simulated_cells.run(self.loaded, self.poses, envelope, concealed, Path(temporary))
+            return simulated_cells.run(self.loaded, self.poses, scenario, injected, Path(temporary))
 
     def _keep(self, outcome: Outcome, observations) -> None:
         from mbcacq.recording import write_observation_set
 
-        place = self.folder / f"{outcome.envelope.number:03d}"
+        assert self.folder is not None, "only called where a folder is given"
+        place = self.folder / f"{outcome.scenario.number:03d}"
         place.mkdir(parents=True, exist_ok=True)
         if not self.protocols:
             write_observation_set(observations, place / "observations")
         (place / "diagnosis.json").write_text(json.dumps(outcome.diagnosis, indent=1), encoding="utf-8")
-        (place / "envelope.json").write_text(json.dumps(outcome.to_dict(full=True), indent=1), encoding="utf-8")
+        (place / "scenario.json").write_text(json.dumps(outcome.to_dict(full=True), indent=1), encoding="utf-8")
 
 
-def with_places(effect: dict[str, Any]) -> dict[str, Any]:
-    """A wrong tool moves the elastic joints: that is where it is first seen."""
+def with_observable_locations(effect: dict[str, Any]) -> dict[str, Any]:
+    """A wrong payload moves the elastic joints: that is where it is first observable."""
     if effect["name"] != "payload":
         return effect
-    return {**effect, "seen_at": [f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0]}
-
-
-def plain(value: Any) -> Any:
-    """Arrays as lists, so that an envelope can be written down."""
-    if isinstance(value, dict):
-        return {k: plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    return value.tolist() if hasattr(value, "tolist") else value
+    return {**effect, "observable_at": [f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0]}
 
 
 _challenger: Challenger | None = None
@@ -117,31 +112,31 @@ def _begin(plan: Path, protocols: bool, folder: Path | None) -> None:
     _challenger = Challenger.of(plan, protocols, folder)
 
 
-def _take(envelope: Scenario) -> Outcome:
+def _take(scenario: Scenario) -> Outcome:
     assert _challenger is not None
-    return _challenger.take(envelope)
+    return _challenger.take(scenario)
 
 
 def take_all(
     plan: Path,
-    envelopes: Sequence[Scenario],
+    scenarios: Sequence[Scenario],
     protocols: bool = False,
     folder: Path | None = None,
     jobs: int = 1,
     progress: Callable[[Outcome], None] = lambda outcome: None,
 ) -> list[Outcome]:
-    """All challenges, in the order of their envelopes; in ``jobs`` processes. Raises what stopped one."""
+    """All challenges, in the order of their scenarios; in ``jobs`` processes. Raises what stopped one."""
     out = []
-    for outcome in _each(plan, envelopes, protocols, folder, jobs):
+    for outcome in _each(plan, scenarios, protocols, folder, jobs):
         progress(outcome)
         out.append(outcome)
     return out
 
 
-def _each(plan: Path, envelopes: Sequence[Scenario], protocols: bool, folder: Path | None, jobs: int) -> Iterator[Outcome]:
+def _each(plan: Path, scenarios: Sequence[Scenario], protocols: bool, folder: Path | None, jobs: int) -> Iterator[Outcome]:
     if jobs == 1:
         challenger = Challenger.of(plan, protocols, folder)
-        yield from map(challenger.take, envelopes)
+        yield from map(challenger.take, scenarios)
         return
     with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(plan, protocols, folder)) as pool:
-        yield from pool.map(_take, envelopes)
+        yield from pool.map(_take, scenarios)

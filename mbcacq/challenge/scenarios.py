@@ -1,4 +1,4 @@
-"""Envelopes: which effect is concealed in which made cell, and how strong. Closed until the diagnosis has been made."""
+"""Scenarios: which effect is injected in which made cell, and how strong. Closed until the diagnosis has been made."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Scenario:
 
 
 def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, missing: Sequence[str] = ()) -> list[Scenario]:
-    """``count`` envelopes, the kinds in turn (so that each occurs equally often), all else at random from ``seed``."""
+    """``count`` scenarios, the kinds in turn (so that each occurs equally often), all else at random from ``seed``."""
     rng = np.random.default_rng([seed, 20])
     order = [kinds[i % len(kinds)] for i in range(count)]
     out = []
@@ -88,12 +88,12 @@ def kinds(text: str, missing: Sequence[str] = ()) -> list[str]:
     for word in text.split(","):
         if word.strip() not in groups and word.strip() not in (*CATALOGUED, *OUTSIDE, NONE, TWO):
             raise ConfigError(
-                f"there is no effect '{word.strip()}' to conceal (known: {', '.join(groups)}, none, two, "
+                f"there is no effect '{word.strip()}' to inject (known: {', '.join(groups)}, none, two, "
                 f"{', '.join((*CATALOGUED, *OUTSIDE))}); correct --effects"
             )
         out += groups.get(word.strip(), (word.strip(),))
     impossible = {name for column in missing for name in NEEDS[column]}
     left = [k for k in dict.fromkeys(out) if k not in impossible]
     if not left:
-        raise ConfigError(f"without {' and '.join(missing)} none of the effects '{text}' can be told; conceal others")
+        raise ConfigError(f"without {' and '.join(missing)} none of the effects '{text}' can be told; inject others")
     return left

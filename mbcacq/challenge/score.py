@@ -1,4 +1,4 @@
-"""The opened envelope against the diagnosis: both are plain data, the diagnosis as its JSON says it."""
+"""Scores of a diagnosis against the effects that were injected; both are JSON objects."""
 
 from __future__ import annotations
 
@@ -10,23 +10,26 @@ import numpy as np
 
 from mbcacq.challenge.scenarios import COMPANIONS
 
-WITHIN = 3.0
-ORDER_TOLERANCE = 0.1
+WITHIN = 3.0  # stated standard deviations within which a parameter counts as right
+ORDER_TOLERANCE = 0.1  # periods a turn within which a reported order is the injected one
 
 
 @dataclass(frozen=True)
 class Score:
-    """One challenge. achievable: share of the held-out chi2 that the true model takes away; counts: whether that is worth naming.
+    """The score of one challenge.
 
-    named, placed: every concealed effect (of several: each that adds something) is told, before any other, by its name and at its place.
-    located: the first entry of ``mismatch`` is a place of a concealed effect. extra: named effects that were not concealed. share: of the
-    achievable improvement (None for an effect of one station, of which others know nothing, and where another effect goes with it).
-    sigmas: errors of the parameters in units of their stated sigma. confident: a wrong name with the verdict 'explained'.
+    truth, reported: effects as ``name:where``. achievable: share of the held-out chi2 that the true model removes. counts: whether that
+    is enough for the challenge to count. detected: whether the verdict is any but ``none``.
+    named, placed: every injected effect (of several: each that adds something) is reported, before any other, by its name, and at its
+    location. located: the first entry of ``mismatch`` is at the location of an injected effect. confident: a wrong name with the verdict
+    ``explained``. extra: reported names that were not injected.
+    share: of the achievable improvement; None for an effect of one station, of which others know nothing, and where another effect goes
+    with it. sigmas: errors of the parameters in units of their stated standard deviation.
     """
 
     kind: str
     truth: list[str]
-    told: list[str]
+    reported: list[str]
     verdict: str
     achievable: float
     counts: bool
@@ -41,73 +44,99 @@ class Score:
     improvement: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
+        """The fields by their names."""
         return asdict(self)
 
 
 def score(
-    kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], achievable: float, worth: float = 0.1, catalogued: bool = True
+    kind: str, truth: list[dict[str, Any]], diagnosis: dict[str, Any], achievable: float, least: float = 0.1, catalogued: bool = True
 ) -> Score:
-    """truth: the concealed effects with name, where and parameters; of several each with what it ``adds`` to the others. achievable, worth,
-    adds: shares of the held-out chi2.
+    """The score of a diagnosis, as its JSON object, against the injected effects.
+
+    truth: with name, where and parameters; of several effects each with what it ``adds`` to the others. achievable, least, adds: shares
+    of the held-out chi2; what removes less than ``least`` need not be reported. catalogued: whether the catalogue has the effect.
     """
-    effects, mismatch = diagnosis["effects"], diagnosis["mismatch"]
+    effects, verdict = diagnosis["effects"], diagnosis["verdict"]
     names = {t["name"] for t in truth}
-    beside = {c for name in names for c in COMPANIONS.get(name, ())} - names
-    claimed = [e for e in effects if e["name"] not in ("unknown", *beside)]
-    must = {t["name"] for t in truth if t.get("adds", worth) >= worth}
-    first = list(takewhile(lambda e: e["name"] in names, (e for e in effects if e["name"] not in beside)))
-    named = bool(first) and must <= {e["name"] for e in first}
-    placed = named and all(at_place(e, next(t for t in truth if t["name"] == e["name"])) for e in first)
-    where = {w for t in truth for w in (*t["where"], *t.get("seen_at", ()))}
-    located = bool(mismatch) and mismatch[0]["at"] in where
-    wrong = [e["name"] for e in claimed if e["name"] not in names]
-    fit = diagnosis["fit"]["held_out"]
-    improvement = 1.0 - fit["after_chi2_dof"] / fit["before_chi2_dof"] if fit["before_chi2_dof"] else 0.0
-    alone = any(w.startswith("station") for w in where)  # on other stations than its own such an effect improves nothing
-    sigmas = {}
-    for t in truth:
-        mine = next((e for e in claimed if e["name"] == t["name"] and at_place(e, t)), None)
-        if mine is not None:
-            sigmas |= {f"{t['name']}.{k}": v for k, v in parameter_errors(t, mine["parameters"]).items()}
+    companions = {c for name in names for c in COMPANIONS.get(name, ())} - names
+    claimed = [e for e in effects if e["name"] not in ("unknown", *companions)]
+    extra = [e["name"] for e in claimed if e["name"] not in names]
+    first = list(takewhile(lambda e: e["name"] in names, (e for e in effects if e["name"] not in companions)))
+    named = bool(first) and {t["name"] for t in truth if t.get("adds", least) >= least} <= {e["name"] for e in first}
+    placed = named and all(at_location(e, next(t for t in truth if t["name"] == e["name"])) for e in first)
+    improvement = held_out_improvement(diagnosis)
+    comparable = bool(truth) and achievable > 0 and not at_one_station(truth) and not companions
     return Score(
         kind=kind,
         truth=[label(t) for t in truth],
-        told=[label(e) for e in effects],
-        verdict=diagnosis["verdict"],
+        reported=[label(e) for e in effects],
+        verdict=verdict,
         achievable=achievable,
-        counts=bool(truth) and achievable >= worth,
-        detected=diagnosis["verdict"] != "none",
+        counts=bool(truth) and achievable >= least,
+        detected=verdict != "none",
         named=named and catalogued,
         placed=placed and catalogued,
-        located=located,
-        confident=diagnosis["verdict"] == "explained" and bool(wrong),
-        extra=wrong,
-        share=None if not truth or achievable <= 0 or alone or beside else improvement / achievable,
-        sigmas=sigmas,
+        located=located(diagnosis["mismatch"], truth),
+        confident=verdict == "explained" and bool(extra),
+        extra=extra,
+        share=improvement / achievable if comparable else None,
+        sigmas=errors_in_sigmas(truth, claimed),
         improvement=improvement,
     )
 
 
+def locations(truth: list[dict[str, Any]]) -> set[str]:
+    """Where the injected effects act, and where they are first observable if that is elsewhere."""
+    return {w for t in truth for w in (*t["where"], *t.get("observable_at", ()))}
+
+
+def located(mismatch: list[dict[str, Any]], truth: list[dict[str, Any]]) -> bool:
+    """Whether the largest mismatch is at the location of an injected effect."""
+    return bool(mismatch) and mismatch[0]["at"] in locations(truth)
+
+
+def at_one_station(truth: list[dict[str, Any]]) -> bool:
+    """Whether an effect happens at single stations: at others than these its model improves nothing."""
+    return any(w.startswith("station") for w in locations(truth))
+
+
+def held_out_improvement(diagnosis: dict[str, Any]) -> float:
+    """Share of the held-out chi2 per degree of freedom that the diagnosis removes."""
+    fit = diagnosis["fit"]["held_out"]
+    return 1.0 - fit["after_chi2_dof"] / fit["before_chi2_dof"] if fit["before_chi2_dof"] else 0.0
+
+
+def errors_in_sigmas(truth: list[dict[str, Any]], claimed: list[dict[str, Any]]) -> dict[str, float]:
+    """``name.parameter`` -> error of each parameter of the injected effects that are reported at their location."""
+    sigmas: dict[str, float] = {}
+    for t in truth:
+        mine = next((e for e in claimed if e["name"] == t["name"] and at_location(e, t)), None)
+        if mine is not None:
+            sigmas |= {f"{t['name']}.{k}": v for k, v in parameter_errors(t, mine["parameters"]).items()}
+    return sigmas
+
+
 def label(effect: dict[str, Any]) -> str:
+    """``name:where``."""
     return f"{effect['name']}:{'+'.join(effect['where'])}"
 
 
-def at_place(told: dict[str, Any], truth: dict[str, Any]) -> bool:
-    """No place but those concealed; a coupling needs both of its joints."""
-    there, true = set(told["where"]), set(truth["where"])
+def at_location(reported: dict[str, Any], truth: dict[str, Any]) -> bool:
+    """Whether an effect is reported at no location but those injected; a coupling needs both of its joints."""
+    there, true = set(reported["where"]), set(truth["where"])
     return there == true if truth["name"] == "wrist_coupling" else bool(there) and there <= true
 
 
-def parameter_errors(truth: dict[str, Any], told: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """Largest error of each parameter in units of its stated sigma. Parameters told without a sigma (an order from a grid) are left out."""
+def parameter_errors(truth: dict[str, Any], reported: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """Largest error of each parameter in units of its stated standard deviation; those reported without one are left out."""
     if truth["name"] == "gear_transmission_error":
-        return _orders(truth, told)
+        return _orders(truth, reported)
     out = {}
-    for key, entry in told.items():
-        place, _, name = key.rpartition(".")
+    for key, entry in reported.items():
+        location, _, name = key.rpartition(".")
         true = truth.get(name)
         if isinstance(true, dict):
-            true = true.get(place)
+            true = true.get(location)
         if true is None:
             continue
         value, std = np.atleast_1d(entry["value"]).astype(float), np.atleast_1d(entry["std"]).astype(float)
@@ -119,18 +148,18 @@ def parameter_errors(truth: dict[str, Any], told: dict[str, dict[str, Any]]) -> 
     return out
 
 
-def _orders(truth: dict[str, Any], told: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """Amplitude and phase of the told order that is nearest to each concealed one."""
+def _orders(truth: dict[str, Any], reported: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """Amplitude and phase of the reported order that is nearest to each injected one."""
     out = {}
-    place = truth["where"][0]
-    columns = {name: np.atleast_1d(told[f"{place}.{name}"]["value"]).astype(float) for name in ("order", "amplitude_deg", "phase_deg")}
-    std = {name: np.atleast_1d(told[f"{place}.{name}"]["std"]).astype(float) for name in ("amplitude_deg", "phase_deg")}
+    joint = truth["where"][0]
+    columns = {name: np.atleast_1d(reported[f"{joint}.{name}"]["value"]).astype(float) for name in ("order", "amplitude_deg", "phase_deg")}
+    std = {name: np.atleast_1d(reported[f"{joint}.{name}"]["std"]).astype(float) for name in ("amplitude_deg", "phase_deg")}
     for order, amplitude, phase in zip(truth["order"], truth["amplitude_deg"], truth["phase_deg"], strict=True):
         j = int(np.argmin(np.abs(columns["order"] - order)))
         if abs(columns["order"][j] - order) > ORDER_TOLERANCE:
             continue
-        turn = (columns["phase_deg"][j] - phase + 180) % 360 - 180
-        for name, error in (("amplitude_deg", columns["amplitude_deg"][j] - amplitude), ("phase_deg", turn)):
+        phase_error = (columns["phase_deg"][j] - phase + 180) % 360 - 180
+        for name, error in (("amplitude_deg", columns["amplitude_deg"][j] - amplitude), ("phase_deg", phase_error)):
             if std[name][j] > 0:
-                out[f"{place}.{name}[{order:g}]"] = float(abs(error) / std[name][j])
+                out[f"{joint}.{name}[{order:g}]"] = float(abs(error) / std[name][j])
     return out

@@ -14,16 +14,16 @@ from mbcacq.devices import load_driver
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 
-Concealed = list[dict[str, Any]]
+Injected = list[dict[str, Any]]
 
 
 def observe(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected
 ) -> tuple[Observations, dict[str, Any]]:
-    """What the run would record, as observations, and the truth. concealed: as in a plan's ``fake: hidden``."""
+    """What the run would record, as observations, and the truth. injected: as in a plan's ``fake: hidden``."""
     from mbcacq.workflow.run import solver_cell
 
-    recorded = load_driver("fakes", "recorded")(loaded.cell, poses, concealed, envelope.seed, outliers=envelope.outliers)
+    recorded = load_driver("fakes", "recorded")(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers)
     observations = Observations(
         cell=solver_cell(loaded),
         pose_id=np.array([p.number for p in poses]),
@@ -37,11 +37,11 @@ def observe(
         direction=recorded.direction.astype(int),
         temperatures={"air_C": recorded.air_C, "robot_C": recorded.robot_C},
     )
-    return without(observations, envelope.missing), recorded.truth
+    return without(observations, scenario.missing), recorded.truth
 
 
 def run(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed, folder: Path
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, folder: Path
 ) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.plan import path
@@ -49,12 +49,12 @@ def run(
     from mbcacq.recording import load_observations
     from mbcacq.workflow.run import Acquisition
 
-    secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": concealed}}))
+    secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": injected}}))
     folder.mkdir(parents=True, exist_ok=True)
-    with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=envelope.seed) as cell:
+    with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=scenario.seed) as cell:
         Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
         truth = cell.truth()
-    return without(load_observations(folder), envelope.missing), truth
+    return without(load_observations(folder), scenario.missing), truth
 
 
 def without(observations: Observations, missing: Sequence[str]) -> Observations:

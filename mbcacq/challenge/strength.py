@@ -1,4 +1,4 @@
-"""How strong a concealed effect must be for a wanted excess over the noise, once geometry and stations have absorbed what they can."""
+"""How strong a injected effect must be for a wanted excess over the noise, once geometry and stations have absorbed what they can."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.challenge.scenarios import Scenario
-from mbcacq.challenge.simulated_cells import Concealed, observe
+from mbcacq.challenge.simulated_cells import Injected, observe
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.plan import LoadedPlan, PlannedPose
 
-LARGEST = 30.0  # times its plain size: beyond this an effect that the plan cannot see stays weak
+LARGEST_STRENGTH = 30.0  # times its plain size: beyond this an effect that the plan cannot see stays weak
 # A tool cannot be any weight, and shows only on a soft arm.
-LIMITS = {"payload": 1.5}
-GIVEN: dict[str, dict[str, float]] = {"payload": {"compliance_rad_per_Nm": 6e-6}}
+STRENGTH_LIMITS = {"payload": 1.5}
+FIXED_OPTIONS: dict[str, dict[str, float]] = {"payload": {"compliance_rad_per_Nm": 6e-6}}
 TRUE_JOINT = 5e-6  # rad, the fake cell's default
 
 
@@ -42,21 +42,21 @@ class Gauge:
             LinearProblem.of(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint))
         )
 
-    def gain(self, envelope: Scenario, concealed: Concealed) -> float:
-        """chi2 that the concealed effects add beyond what geometry absorbs, against the same effects at strength nought."""
-        plain = replace(envelope, outliers=0.0, missing=())
-        with_it, _ = observe(self.loaded, self.poses, plain, concealed)
-        without_it, _ = observe(self.loaded, self.poses, plain, [{**one, "strength": 0.0} for one in concealed])
+    def gain(self, scenario: Scenario, injected: Injected) -> float:
+        """chi2 that the injected effects add beyond what geometry absorbs, against the same effects at strength nought."""
+        plain = replace(scenario, outliers=0.0, missing=())
+        with_it, _ = observe(self.loaded, self.poses, plain, injected)
+        without_it, _ = observe(self.loaded, self.poses, plain, [{**one, "strength": 0.0} for one in injected])
         moved = self.screen.whiten(with_it.xyz - without_it.xyz)
         taken = self.screen.Q.T @ moved
         return float(moved @ moved - taken @ taken)
 
-    def conceal(self, envelope: Scenario) -> Concealed:
-        """The effects of an envelope, each as strong as is wanted, as a plan's ``fake: hidden`` takes them."""
+    def inject(self, scenario: Scenario) -> Injected:
+        """The effects of an scenario, each as strong as is wanted, as a plan's ``fake: hidden`` takes them."""
         out = []
-        for i, name in enumerate(envelope.names):
-            one = {"name": name, "strength": 1.0, "seed": envelope.effect_seed + i, **GIVEN.get(name, {})}
-            gain = max(self.gain(envelope, [one]), 1e-9)
-            wanted = envelope.excess * self.screen.dof
-            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), LIMITS.get(name, LARGEST)))})
+        for i, name in enumerate(scenario.names):
+            one = {"name": name, "strength": 1.0, "seed": scenario.effect_seed + i, **FIXED_OPTIONS.get(name, {})}
+            gain = max(self.gain(scenario, [one]), 1e-9)
+            wanted = scenario.excess * self.screen.dof
+            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), STRENGTH_LIMITS.get(name, LARGEST_STRENGTH)))})
         return out

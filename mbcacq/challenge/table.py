@@ -85,4 +85,5 @@ def line(s: Score) -> str:
     else:
         judged = "right" if s.placed else "located" if s.located else "missed" if not s.detected else "WRONG"
         judged += "" if s.counts else ", too weak to count"
-    return f"{', '.join(s.truth) or 'nothing'} ({s.achievable:.0%} to gain): {s.verdict}, {', '.join(s.told) or 'nothing told'}; {judged}"
+    injected, reported = ", ".join(s.truth) or "nothing", ", ".join(s.reported) or "nothing reported"
+    return f"{injected} ({s.achievable:.0%} to gain): {s.verdict}, {reported}; {judged}"

@@ -64,7 +64,7 @@ def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: i
     if report is not None:
         from mbcacq.workflow.diagnosis_files import write_html
 
-        write_html(result, result.evidence, report)
+        write_html(result, report)
     if rrd is not None:
         from mbcacq.workflow.diagnosis_files import write_rrd
 
@@ -73,7 +73,7 @@ def diagnose_poses(data: Path, report: Path | None, rrd: Path | None, workers: i
         from mbcacq.workflow.diagnosis_files import keep_beside
 
         keep_beside(result, observations, data)
-    return result.as_json(), words(result)
+    return result.to_json(), words(result)
 
 
 def beside_motion(data: Path, content: dict, text: str) -> tuple[dict, str]:

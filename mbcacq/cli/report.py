@@ -76,4 +76,4 @@ def _diagnose(observations: Any, run: Path) -> dict[str, Any]:
     found = diagnose(observations, progress=lambda text: click.echo(f"{text} ...", err=True))
     if is_run(run):
         keep_beside(found, observations, run)
-    return {"diagnosis": found.as_json(), "pictures": pictures(found)}
+    return {"diagnosis": found.to_json(), "pictures": pictures(found)}

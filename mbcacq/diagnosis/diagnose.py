@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -47,8 +48,7 @@ def _diagnose(obs: Observations, folds: int | None, progress: Progress, workers:
         workers = 1  # each would need as much memory as all of them in turn
     validation = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
     result = conclude(problem, full, validation)
-    result.notes += notes
-    return result
+    return replace(result, notes=(*result.notes, *notes))
 
 
 def usual_folds(obs: Observations, full: ModelFit) -> int:

@@ -1,83 +1,219 @@
-"""The diagnosis as one object, and as the JSON that other programs read."""
+"""The diagnosis as typed objects, and as the JSON object (``mbcacq-diagnosis/1``) that other programs read.
+
+Every class here is plain data: it pickles, and its fields are the keys of the JSON object, in their order.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
 
+from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.errors import ConfigError
+
 FORMAT = "mbcacq-diagnosis/1"
 
 
-@dataclass
-class EffectFound:
-    name: str
-    where: list[str]
+@dataclass(frozen=True)
+class MismatchEntry:
+    """A location and covariate at which recording and simulation differ. share: of the excess of chi2 over the noise, 0 to 1."""
+
+    at: str
     depends_on: str
-    parameters: dict[str, dict[str, Any]]
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1."""
+
+    name: str
+    where: tuple[str, ...]
+    held_out_gain: float
+
+
+@dataclass(frozen=True)
+class EffectFound:
+    """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
+
+    parameters: by name, with the unit as its suffix. p_value: of the likelihood ratio on all data. held_out_gain: share of the
+    held-out excess over the noise floor that the effect removes, 0 to 1.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    parameters: Mapping[str, ParameterEstimate]
     p_value: float
     held_out_gain: float
-    alternatives: list[dict[str, Any]] = field(default_factory=list)
-
-    def as_json(self) -> dict[str, Any]:
-        out = {
-            "name": self.name,
-            "where": self.where,
-            "parameters": self.parameters,
-            "p_value": self.p_value,
-            "held_out_gain": self.held_out_gain,
-            "alternatives": self.alternatives,
-            "depends_on": self.depends_on,
-        }
-        return out
+    alternatives: tuple[Alternative, ...] = ()
+    depends_on: str = ""
 
 
-@dataclass
+@dataclass(frozen=True)
+class FitFigures:
+    """How well the geometry alone (before) and the model with its effects (after) agree with centres: rms of 3D distances in mm, and
+    chi2 per degree of freedom under the full noise model.
+    """
+
+    before_rms_mm: float
+    after_rms_mm: float
+    before_chi2_dof: float
+    after_chi2_dof: float
+
+
+@dataclass(frozen=True)
+class HeldOutFigures(FitFigures):
+    """The same figures on data that took no part in any choice or fit. split: ``station`` or ``block``, what was left out at a time."""
+
+    split: str
+
+
+@dataclass(frozen=True)
+class FitSummary:
+    """repeatability_floor_mm: 3D rms that the estimated noise alone makes at one centre."""
+
+    train: FitFigures
+    held_out: HeldOutFigures
+    repeatability_floor_mm: float
+
+
+@dataclass(frozen=True)
+class NotSeparable:
+    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain."""
+
+    effects: tuple[str, ...]
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
+
+    reason: str
+    poses_deg: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
-    """verdict as in the contract; dropped: effect -> what the recording lacks; notes: further sentences for people.
+    """The result of ``diagnose``.
 
-    evidence: what pictures are drawn from (``figures.Evidence``); not part of the JSON.
+    verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
+    effects that were not considered, with what the recording lacks for them. notes: further sentences for people. plot_data: an
+    ``output.plot_data.PlotData`` from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.
     """
 
     verdict: str
-    mismatch: list[dict[str, Any]]
-    effects: list[EffectFound]
-    fit: dict[str, Any]
-    not_separable: list[dict[str, Any]]
-    advice: list[dict[str, Any]]
-    dropped: dict[str, str]
-    notes: list[str]
-    evidence: Any = None
+    mismatch: tuple[MismatchEntry, ...]
+    effects: tuple[EffectFound, ...]
+    fit: FitSummary
+    not_separable: tuple[NotSeparable, ...] = ()
+    advice: tuple[Advice, ...] = ()
+    dropped: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    plot_data: object | None = field(default=None, compare=False)
 
-    def as_json(self) -> dict[str, Any]:
-        return plain(
-            {
-                "format": FORMAT,
-                "verdict": self.verdict,
-                "mismatch": self.mismatch,
-                "effects": [e.as_json() for e in self.effects],
-                "fit": self.fit,
-                "not_separable": self.not_separable,
-                "advice": self.advice,
-                "dropped": self.dropped,
-                "notes": self.notes,
-            }
+    def to_json(self) -> dict[str, Any]:
+        """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
+        return {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "plot_data"}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:
+        """The diagnosis that ``to_json`` wrote; a None becomes not-a-number, keys that the format does not have are left out.
+
+        Raises ConfigError where the object has another format or lacks a key.
+        """
+        if content.get("format") != FORMAT:
+            raise ConfigError(f"this is no diagnosis: its format is {content.get('format')!r}, and should be {FORMAT!r}")
+        try:
+            return _read_diagnosis(content)
+        except KeyError as error:
+            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --json") from error
+
+    def __repr__(self) -> str:
+        found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"
+        held = self.fit.held_out
+        return f"<Diagnosis {self.verdict}: {found}; held-out rms {held.before_rms_mm:.4f} -> {held.after_rms_mm:.4f} mm>"
+
+    def _repr_html_(self) -> str:
+        """A table of the effects for a notebook."""
+        held = self.fit.held_out
+        rows = [
+            (
+                e.name,
+                ", ".join(e.where),
+                "<br>".join(f"{escape(k)} = {escape(str(v))}" for k, v in list(e.parameters.items())[:8]),
+                f"{e.held_out_gain:.0%}",
+            )
+            for e in self.effects
+        ]
+        body = "".join(f"<tr><td>{escape(n)}</td><td>{escape(w)}</td><td>{p}</td><td>{g}</td></tr>" for n, w, p, g in rows)
+        table = f"<table><tr><th>effect</th><th>where</th><th>parameters</th><th>removes</th></tr>{body}</table>" if rows else ""
+        return (
+            f"<p><b>{escape(self.verdict)}</b>; held out: {held.before_rms_mm:.4f} mm before, {held.after_rms_mm:.4f} mm after; "
+            f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after</p>{table}"
         )
 
 
 def plain(value: Any) -> Any:
-    """Only what JSON has: numpy numbers become numbers, what is not finite becomes null."""
-    if isinstance(value, dict):
+    """Only what JSON has: dataclasses become dictionaries, numpy numbers become numbers, what is not finite becomes None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {f.name: getattr(value, f.name) for f in fields(value)}
+    elif isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
+    fit = content["fit"]
+    return Diagnosis(
+        verdict=content["verdict"],
+        mismatch=tuple(MismatchEntry(m["at"], m["depends_on"], _number(m["share"]), _number(m["p_value"])) for m in content["mismatch"]),
+        effects=tuple(_read_effect(e) for e in content["effects"]),
+        fit=FitSummary(
+            FitFigures(*_figures(fit["train"])),
+            HeldOutFigures(*_figures(fit["held_out"]), fit["held_out"]["split"]),
+            _number(fit["repeatability_floor_mm"]),
+        ),
+        not_separable=tuple(NotSeparable(tuple(p["effects"]), _number(p["correlation"])) for p in content["not_separable"]),
+        advice=tuple(Advice(a["reason"], tuple(tuple(_number(v) for v in q) for q in a["poses_deg"])) for a in content["advice"]),
+        dropped=dict(content.get("dropped", {})),
+        notes=tuple(content.get("notes", ())),
+    )
+
+
+def _read_effect(e: Mapping[str, Any]) -> EffectFound:
+    return EffectFound(
+        name=e["name"],
+        where=tuple(e["where"]),
+        parameters={k: ParameterEstimate(_numbers(p["value"]), _numbers(p["std"])) for k, p in e["parameters"].items()},
+        p_value=_number(e["p_value"]),
+        held_out_gain=_number(e["held_out_gain"]),
+        alternatives=tuple(Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"])) for a in e["alternatives"]),
+        depends_on=e.get("depends_on", ""),
+    )
+
+
+def _figures(part: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    return (
+        _number(part["before_rms_mm"]),
+        _number(part["after_rms_mm"]),
+        _number(part["before_chi2_dof"]),
+        _number(part["after_chi2_dof"]),
+    )
+
+
+def _numbers(value: float | Sequence[float] | None) -> float | tuple[float, ...]:
+    return tuple(_number(v) for v in value) if isinstance(value, Sequence) else _number(value)
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value

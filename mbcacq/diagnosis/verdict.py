@@ -1,113 +1,148 @@
-"""From what was found and proven to what is said."""
+"""The verdict: from the fitted model and its cross-validation to what is reported."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import next_measurements
-from mbcacq.diagnosis.output.alternatives import rivals, unseen
+from mbcacq.diagnosis.output.alternatives import Alternatives, Unobservable, alternatives, unobservable
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.output.effects_table import mismatch_list, named_effects, unknown_effects, where_it_is
-from mbcacq.diagnosis.output.plot_data import evidence_of
+from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
+from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
 
-# Share of the held-out excess that a name must remove to be told beside a mismatch without one: a larger, and a smaller one.
+# Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
+# unmodelled one is the larger of the two, and where it is the smaller.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
-WEAK = 20.0  # score up to which a name may be chance, and is proven with more of the data: it might not be found in three quarters of them
+WEAK = 20.0  # score up to which a name may be a false alarm, and is validated with more folds: it might not be found in three quarters
 
 
 def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
+    """The diagnosis of a fit whose cross-validation is ``proof``."""
     if proof.not_predictive:
         kept = full.model.without(proof.not_predictive)
         full = replace(full, model=BeamSearch(setup.candidates).solved(full.geometry_only, kept.effects))
-    before, left_before = training_score(full.geometry_only, NO_EFFECTS, None)
-    after, left_after = training_score(full.geometry_only, full.model, full.smooth)
-    worth = Contributions(full if full.cells else replace(full, smooth=None))  # groups at every place could do what names do
-    effects = named_effects(full, worth, proof)
-    verdict, places = verdict_of(full), mismatch_list(full, worth, before)
-    first, last = proof.decisive
-    useless = not predicts_better(last, first)
-    if useless:  # what predicts nothing better on data that took no part is not told; that there is something may be, where it was plain
-        effects, after, proof = [], before, replace(proof, after=proof.before)
-        weak = verdict == "explained" and full.model.penalised_gain < WEAK
-        verdict, places = ("none", []) if weak else ("none" if verdict == "none" else "unexplained", places)
-    if (first if useless else last).chi2_dof > OPTIONS.noise_like_chi2:
-        verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
-    if verdict == "unexplained" and not places:
-        places = mismatch_list(full, worth, before, anything=True)
-    effects = worth_telling(effects, verdict)
-    effects += [] if useless else unknown_effects(full, worth, proof)
-    if verdict == "unexplained" and not effects:
-        effects = where_it_is(places)
-    alternatives, inseparable, pairs = rivals(setup, full) if effects else ({}, [], [])
-    for effect in effects:
-        effect.alternatives = alternatives.get(effect.name, [])
-    hints = next_measurements.separate(setup.context, pairs)
-    if verdict == "explained" and inseparable:
+    before, residual_before = training_score(full.geometry_only, NO_EFFECTS, None)
+    after, residual_after = training_score(full.geometry_only, full.model, full.smooth)
+    judged = _judged(full, proof, before)
+    if not judged.predictive:
+        after, proof = before, replace(proof, after=proof.before)
+    found = alternatives(setup, full) if judged.effects else Alternatives()
+    advice = next_measurements.separating(setup.context, found.pairs)
+    verdict, not_separable = judged.verdict, found.not_separable
+    if verdict == "explained" and not_separable:
         verdict = "cannot_tell"
     if verdict == "none":
-        for candidate, seen, hopeless in unseen(setup, full):
-            hints.append(next_measurements.show(setup.context, candidate))
-            if hopeless:
-                verdict = "cannot_tell"
-                inseparable.append(
-                    {
-                        "effects": [f"{candidate.name}:{'+'.join(candidate.where)}", "geometry and station poses"],
-                        "correlation": float(np.sqrt(1 - seen)),
-                    }
-                )
-    fit = {
-        "train": in_words(before, after),
-        "held_out": {**in_words(proof.before, proof.after), "split": proof.split},
-        "repeatability_floor_mm": expected_rms(full, after.rms),
-    }
-    shown = evidence_of(setup, full, left_before, left_after)
-    return Diagnosis(verdict, places, effects, fit, inseparable, hints, setup.dropped, notes(setup, full), shown)
+        missed = unobservable(setup, full)
+        advice += [next_measurements.revealing(setup.context, m.candidate) for m in missed]
+        not_separable += tuple(_absorbed(m) for m in missed if m.even_strong)
+        if any(m.even_strong for m in missed):
+            verdict = "cannot_tell"
+    return Diagnosis(
+        verdict=verdict,
+        mismatch=tuple(judged.mismatch),
+        effects=tuple(replace(e, alternatives=found.by_name.get(e.name, ())) for e in judged.effects),
+        fit=FitSummary(
+            train=FitFigures(*_figures(before, after)),
+            held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),
+            repeatability_floor_mm=expected_rms(full, after.rms),
+        ),
+        not_separable=not_separable,
+        advice=tuple(advice),
+        dropped=setup.dropped,
+        notes=tuple(notes(setup, full)),
+        plot_data=plot_data(setup, full, residual_before, residual_after),
+    )
 
 
-def worth_telling(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
-    """What describes next to nothing of a mismatch is no name for it."""
+@dataclass(frozen=True)
+class _Judged:
+    """What is reported of a fit. predictive: whether the model predicts data that took no part better than the geometry alone does."""
+
+    verdict: str
+    mismatch: list[MismatchEntry]
+    effects: list[EffectFound]
+    predictive: bool
+
+
+def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
+    # Groups that act at every location could do what parametric effects do: they take no part in the contributions then.
+    contributions = Contributions(full if full.cells else replace(full, smooth=None))
+    verdict, mismatch = verdict_of(full), mismatch_table(full, contributions, before)
+    geometry_alone, with_effects = proof.decisive
+    predictive = bool(predicts_better(with_effects, geometry_alone))
+    if not predictive and verdict != "none":  # effects that predict nothing are not reported; that something is there may be, if not weak
+        weak = verdict == "explained" and full.model.penalised_gain < WEAK
+        verdict, mismatch = ("none", []) if weak else ("unexplained", mismatch)
+    if (with_effects if predictive else geometry_alone).chi2_dof > OPTIONS.noise_like_chi2:
+        verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
+    if verdict == "unexplained" and not mismatch:
+        mismatch = mismatch_table(full, contributions, before, anything=True)
+    effects = []
+    if predictive:
+        effects = reportable(parametric_effects(full, contributions, proof), verdict) + unmodelled_effects(full, contributions, proof)
+    if verdict == "unexplained" and not effects:
+        effects = suspected_effect(mismatch)
+    return _Judged(verdict, mismatch, effects, predictive)
+
+
+def reportable(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
+    """The parametric effects without those that remove next to nothing of a mismatch that is not explained."""
     return [e for e in effects if e.held_out_gain >= LEAST.get(verdict, -np.inf)]
 
 
-def in_words(before: PredictiveScore, after: PredictiveScore) -> dict[str, float]:
-    return {"before_rms_mm": before.rms, "after_rms_mm": after.rms, "before_chi2_dof": before.chi2_dof, "after_chi2_dof": after.chi2_dof}
+def _absorbed(missed: Unobservable) -> NotSeparable:
+    candidate = missed.candidate
+    label = f"{candidate.name}:{'+'.join(candidate.where)}"
+    return NotSeparable((label, "geometry and station poses"), float(np.sqrt(1 - missed.share)))
+
+
+def _figures(before: PredictiveScore, after: PredictiveScore) -> tuple[float, float, float, float]:
+    return before.rms, after.rms, before.chi2_dof, after.chi2_dof
 
 
 def expected_rms(full: ModelFit, fallback: float) -> float:
-    """3D rms (mm) that the estimated noise alone makes at one centre."""
+    """3D rms (mm) that the estimated noise alone makes at one centre; fallback: where no centre was kept."""
     linear, noise = full.geometry_only.linear, full.noise
     joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
 def verdict_of(full: ModelFit) -> str:
-    """Names that survive beside what has no name explain in part, if they explain most of it."""
+    """The verdict on the data of the fit: parametric effects that are selected although unmodelled ones are there explain partly, if they
+    explain more than the unmodelled ones do.
+    """
     structure = full.smooth is not None or (full.residual_tests is not None and full.residual_tests.structure and not full.cells)
     if not full.model.effects:
         return "unexplained" if structure else "none"
     if not structure:
         return "explained"
-    worth = Contributions(full)
+    return "partly_explained" if _mostly_parametric(full) else "unexplained"
+
+
+def _mostly_parametric(full: ModelFit) -> bool:
+    contributions = Contributions(full)
     if full.smooth is None:
+        assert full.residual_tests is not None, "without unmodelled effects only the residual tests can find structure"
         rest = full.residual_tests.evidence.best()
-        return "partly_explained" if full.model.gain > max(rest.gain - rest.used, 0.0) else "unexplained"
-    names, groups = list(range(worth.effects)), list(range(worth.effects, len(worth.parts)))
-    if not full.cells:  # a long recording: groups stand everywhere and could do what names do, which were there first
-        return "partly_explained" if full.model.gain > 0.5 * worth.total else "unexplained"
-    return "partly_explained" if worth.of(names) > worth.of(groups) else "unexplained"
+        return full.model.gain > max(rest.gain - rest.used, 0.0)
+    count = contributions.effects
+    if not full.cells:  # a long recording: groups act everywhere and could do what parametric effects do, which were selected first
+        return full.model.gain > 0.5 * contributions.total
+    return contributions.of(list(range(count))) > contributions.of(list(range(count, len(contributions.parts))))
 
 
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
+    """Sentences on what was left out of the diagnosis."""
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
     keep = full.geometry_only.linear.keep
     dropped = int(np.sum(~keep))

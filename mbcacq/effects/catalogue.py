@@ -1,4 +1,4 @@
-"""Finds the effect files in ``pose/``: every module with a NAME and ``candidates(situation)``."""
+"""The catalogue of effects at standstill: every module in ``pose/`` with a NAME and ``candidates(context)``."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def effects() -> dict[str, ModuleType]:
     return found
 
 
-def candidates(situation: Context) -> tuple[list[Candidate], dict[str, str]]:
-    """All candidates that these data allow, and the effects dropped: name -> what is missing."""
+def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:
+    """All candidates that these data allow, and the effects that they do not allow: name -> what is missing."""
     out, dropped = [], {}
     for name, module in effects().items():
         try:
-            out += module.candidates(situation)
+            out += module.candidates(context)
         except Missing as reason:
             dropped[name] = str(reason)
     return out, dropped

@@ -1,4 +1,4 @@
-"""What effects are functions of: gravity torque, order and time of the poses, temperatures, places in the field of view."""
+"""What effects are functions of: gravity torque, order and time of the poses, temperatures, positions in the field of view."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True)
 class Context:
-    """Observations with the geometry fitted to them."""
+    """Observations with the geometry that was fitted to them, and the prediction by that geometry."""
 
     obs: Observations
     state: CellState
@@ -24,27 +24,33 @@ class Context:
 
     @property
     def n(self) -> int:
+        """The number of joints."""
         return self.obs.cell.robot.n
 
     @property
     def scanner_on_flange(self) -> bool:
+        """False for an external instrument that measures a target on the flange."""
         return self.obs.cell.measurement != TARGET_IN_BASE
 
     @cached_property
     def masses_known(self) -> bool:
+        """Whether any mass of the links or of the payload is given."""
         robot = self.obs.cell.robot
         return bool(np.any(robot.mass > 0) or robot.payload_mass > 0)
 
     @cached_property
     def payload_mass(self) -> np.ndarray:
-        """(P,) kg, from the poses where recorded."""
+        """(P,) kg: as recorded with each pose, or as declared for the robot."""
         if self.obs.payload_kg is not None:
             return np.asarray(self.obs.payload_kg, dtype=float)
         return np.full(self.obs.n_poses, self.obs.cell.robot.payload_mass)
 
     @cached_property
     def links(self) -> tuple[np.ndarray, np.ndarray]:
-        """Masses (n,) and centres of mass (n, 3); where none are given, one kg halfway along each link: the shape is right."""
+        """Masses (n,) and centres of mass (n, 3); where none are given, one kg halfway along each link.
+
+        Torques of these are proportional to the true ones only roughly, and their size is not meaningful.
+        """
         robot = self.obs.cell.robot
         if self.masses_known:
             return robot.mass, robot.com
@@ -53,7 +59,7 @@ class Context:
 
     @cached_property
     def gravity_torque(self) -> np.ndarray:
-        """(P, n) N m about each joint in the controller's sense; of the assumed unit masses where none are given."""
+        """(P, n) N m about each joint, in the direction in which the controller counts its angle; of the masses in ``links``."""
         robot = self.obs.cell.robot
         mass, com = self.links
         payload = self.payload_mass if self.masses_known else 1.0
@@ -82,7 +88,7 @@ class Context:
     @cached_property
     def order(self) -> np.ndarray:
         """(P,) rank of each pose in time (by time where recorded, else as listed)."""
-        return in_time(self.obs)
+        return rank_in_time(self.obs)
 
     @property
     def time(self) -> np.ndarray:
@@ -91,17 +97,8 @@ class Context:
             raise Missing("no times recorded")
         return self.obs.time_s - self.obs.time_s.min()
 
-    @cached_property
-    def place(self) -> np.ndarray:
-        """(M, 3) mm place of each measured centre in the field of view."""
-        return self.obs.xyz
 
-    @cached_property
-    def pose_of_centre(self) -> np.ndarray:
-        return self.obs.pose
-
-
-def in_time(obs: Observations) -> np.ndarray:
+def rank_in_time(obs: Observations) -> np.ndarray:
     """(P,) rank of each pose in time (by time where recorded, else as listed)."""
     key = obs.time_s if obs.time_s is not None else np.arange(obs.n_poses)
     return np.argsort(np.argsort(key, kind="stable"), kind="stable")

@@ -1,20 +1,22 @@
-"""The one shape of every physical effect: places that move, functions of the situation that say how much, and a report.
+"""The one form of every effect at standstill: locations of the cell that move, functions that say by how much, and a report.
 
-A candidate displaces one or several places of the cell. Its columns are the products (component of a place) x (function of
-the pose or of the centre), each with a coefficient to be estimated; functions may depend on one hyper-parameter (an order, a
-time constant, the moment of a step), whose values to try are given.
+A candidate displaces one or several locations of the cell. Its columns are the products (component of a location) x (function of
+the pose or of the centre), each with a coefficient to be estimated; the functions may depend on one hyper-parameter (an order, a
+time constant, the moment of a step), for which the values to try are given.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.estimation.terms import Part
 
-__all__ = ["Candidate", "Hyperparameter", "Missing", "Parameters", "Part", "number", "scalar_report", "vector"]
+__all__ = [
+    "Candidate", "Hyperparameter", "Missing", "ParameterEstimate", "Parameters", "Part", "number", "scalar_report", "vector"
+]  # fmt: skip
 
 
 class Missing(Exception):
@@ -23,7 +25,11 @@ class Missing(Exception):
 
 @dataclass(frozen=True)
 class Hyperparameter:
-    """A bounded non-linear parameter: values to try first, their scale for refinement, effective number of independent values."""
+    """A bounded parameter in which an effect is not linear.
+
+    values: to try first, (H,). independent: the number of statistically independent choices among all values. refine: whether the best
+    of the values is a start for a continuous search. preferred: values that are more probable beforehand than all others.
+    """
 
     name: str
     values: np.ndarray
@@ -32,27 +38,47 @@ class Hyperparameter:
     preferred: tuple[float, ...] = ()
 
 
-Parameters = dict[str, dict[str, float | list[float]]]
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A reported parameter and its standard deviation, in the unit that its name ends with; tuples where it has several components."""
+
+    value: float | tuple[float, ...]
+    std: float | tuple[float, ...]
+
+    def __str__(self) -> str:
+        return f"{in_digits(self.value)} +- {in_digits(self.std)}"
+
+
+def in_digits(value: float | tuple[float, ...]) -> str:
+    """Four significant digits of a number, or of each component in brackets."""
+    return f"[{', '.join(in_digits(v) for v in value)}]" if isinstance(value, tuple) else f"{value:.4g}"
+
+
+Parameters = Mapping[str, ParameterEstimate]
+Report = Callable[[np.ndarray, np.ndarray, float | None], Parameters]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one place, ready to be tested.
+    """One effect at one location, ready to be tested.
 
-    build(hyper value or None) -> parts. report(coefficients (k,), covariance (k, k), hyper value) -> parameters in contract units.
-    separable: (place, index, component) of its components where every component is multiplied by the same functions(values (H,)) ->
-    (H, P, f); coefficients are ordered component-major. positive: physics demands a positive first coefficient.
-    typical: size of the coefficients in a real cell (k,): whether the poses could see it, and how probable one size of them is beside the
-    others. variant: tells candidates of one effect at one place apart; only one of them is ever chosen. several: the same place may have it
-    several times (several orders). detectability: how well these poses show a typical size of it, relative to the same effect at other
-    locations; 1: fully.
+    build(value of the hyper-parameter or None) -> parts. report(coefficients (k,), covariance (k, k), value of the hyper-parameter) ->
+    parameters by name.
+    typical: (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable
+    each size of it is.
+    separable: the (place, index, component) of its components, where every component is multiplied by the same
+    functions(values (H,)) -> (H, P, f); coefficients are then ordered component by component.
+    positive: the first coefficient can only be positive.
+    several: one location may have the effect several times, each with its own value of the hyper-parameter (several orders).
+    variant: tells candidates of one effect at one location apart, of which at most one is selected.
+    detectability: how well these poses observe an effect of typical size here, relative to the same effect at other locations; 1 is best.
     """
 
     name: str
     where: tuple[str, ...]
     depends_on: str
     build: Callable[[float | None], list[Part]]
-    report: Callable[[np.ndarray, np.ndarray, float | None], Parameters]
+    report: Report
     typical: np.ndarray
     hyper: Hyperparameter | None = None
     separable: tuple[tuple[str, int, int], ...] = ()
@@ -64,21 +90,25 @@ class Candidate:
 
     @property
     def k(self) -> int:
+        """The number of coefficients."""
         return len(self.typical)
 
     @property
     def key(self) -> str:
+        """Identifies the candidate among all of a recording."""
         return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
 
 
-def number(value: float, std: float) -> dict[str, float]:
-    return {"value": float(value), "std": float(std)}
+def number(value: float, std: float) -> ParameterEstimate:
+    """A parameter of one component."""
+    return ParameterEstimate(float(value), float(std))
 
 
-def vector(values: np.ndarray, covariance: np.ndarray) -> dict[str, list[float]]:
-    return {"value": [float(v) for v in values], "std": [float(s) for s in np.sqrt(np.diag(covariance))]}
+def vector(values: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
+    """A parameter of several components, from its values (k,) and their covariance (k, k)."""
+    return ParameterEstimate(tuple(float(v) for v in values), tuple(float(s) for s in np.sqrt(np.diag(covariance))))
 
 
-def scalar_report(name: str, scale: float = 1.0) -> Callable[[np.ndarray, np.ndarray, float | None], Parameters]:
-    """Report of a single coefficient, converted by ``scale`` to the unit in the name."""
+def scalar_report(name: str, scale: float = 1.0) -> Report:
+    """The report of an effect with a single coefficient, which ``scale`` converts to the unit that the name ends with."""
     return lambda c, v, _: {name: number(scale * c[0], abs(scale) * np.sqrt(v[0, 0]))}

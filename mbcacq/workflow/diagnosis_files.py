@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from mbcacq.diagnosis.output.figures import PlotData, pictures
+from mbcacq.diagnosis.output.figures import pictures
 from mbcacq.diagnosis.output.text import words
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import RecordingError
@@ -16,10 +16,10 @@ from mbcacq.report import write_diagnosis_page
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
 
-def write_html(diagnosis: Diagnosis, evidence: PlotData, path: Path) -> None:
+def write_html(diagnosis: Diagnosis, path: Path) -> None:
     """The diagnosis as a page of its own, one self-contained file."""
 
-    write_diagnosis_page(diagnosis.as_json(), pictures(diagnosis), path)
+    write_diagnosis_page(diagnosis.to_json(), pictures(diagnosis), path)
 
 
 def write_rrd(diagnosis: Diagnosis, observations: Observations, path: Path) -> None:
@@ -36,7 +36,7 @@ def keep_beside(diagnosis: Diagnosis, observations: Observations, run: Path) -> 
 
     drawn = pictures(diagnosis)
     try:
-        (run / DIAGNOSIS_JSON).write_text(json.dumps(diagnosis.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        (run / DIAGNOSIS_JSON).write_text(json.dumps(diagnosis.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
         (run / PICTURES_JSON).write_text(json.dumps(drawn, allow_nan=False), encoding="utf-8")
     except OSError as error:
         raise RecordingError(f"the diagnosis cannot be kept in {run}: {error.strerror}; free the disk, or make it writable") from error

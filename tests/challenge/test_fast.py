@@ -1,4 +1,4 @@
-"""One challenge from envelope to score, and the twin; made recordings, no servers."""
+"""One challenge from scenario to score, and the twin; made recordings, no servers."""
 
 import json
 from dataclasses import replace
@@ -34,15 +34,15 @@ def quick():
 
 
 def test_strength_is_chosen_for_the_wanted_excess(challenger):
-    envelope = Scenario(0, "joint_scale", 11, ("joint_scale",), 12, excess=2.0)
-    concealed = challenger.gauge.conceal(envelope)
-    gain = challenger.gauge.gain(envelope, concealed)
+    scenario = Scenario(0, "joint_scale", 11, ("joint_scale",), 12, excess=2.0)
+    injected = challenger.gauge.inject(scenario)
+    gain = challenger.gauge.gain(scenario, injected)
     assert gain == pytest.approx(2.0 * challenger.gauge.screen.dof, rel=0.01)
 
 
 def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
-    envelope = Scenario(0, "ball_shift", 11, ("ball_shift",), 12, excess=2.0)
-    outcome = replace(challenger, folder=tmp_path).take(envelope)
+    scenario = Scenario(0, "ball_shift", 11, ("ball_shift",), 12, excess=2.0)
+    outcome = replace(challenger, folder=tmp_path).take(scenario)
     s = outcome.score
     assert s.counts
     assert 0.4 < s.achievable < 0.9
@@ -50,7 +50,7 @@ def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
     assert s.share > 0.9
     assert s.sigmas
     assert max(s.sigmas.values()) < 5
-    opened = json.loads((tmp_path / "000" / "envelope.json").read_text())
+    opened = json.loads((tmp_path / "000" / "scenario.json").read_text())
     assert opened["truth"][0]["name"] == "ball_shift"
     recorded = (tmp_path / "000" / "observations" / "cell.yaml").read_text()
     assert "ball_shift" not in recorded
@@ -58,8 +58,8 @@ def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
 
 
 def test_the_recording_lacks_what_was_not_recorded(challenger):
-    envelope = Scenario(0, "none", 1, (), 1, 0.0, missing=("time_s", "direction", "temperature"))
-    observations, truth = simulated_cells.observe(challenger.loaded, challenger.poses, envelope, [])
+    scenario = Scenario(0, "none", 1, (), 1, 0.0, missing=("time_s", "direction", "temperature"))
+    observations, truth = simulated_cells.observe(challenger.loaded, challenger.poses, scenario, [])
     assert observations.time_s is None
     assert observations.direction is None
     assert observations.temperatures == {}

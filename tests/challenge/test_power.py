@@ -1,9 +1,17 @@
-"""The test that knows the truth, and where a power curve passes 90 %."""
+"""The informed test, and the strength at which a power curve passes 90 %."""
 
 import numpy as np
 import pytest
 
-from mbcacq.challenge.power import ALLOWED, LEVEL, least_gain, ninety, searched, tells, with_interval
+from mbcacq.challenge.power import (
+    CATALOGUE_LEVEL,
+    INFORMED_LEVEL,
+    least_gain,
+    ninety_percent_point,
+    reports,
+    search_multiple,
+    with_interval,
+)
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():
@@ -21,24 +29,24 @@ def test_ninety_percent_of_a_normal_threshold():
     multiples = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
     found = multiples * 4.0 + rng.normal(size=(4000, 5)) > 3.0
 
-    assert ninety(multiples, found) == pytest.approx((3.0 + 1.2816) / 4.0, abs=0.02)
+    assert ninety_percent_point(multiples, found) == pytest.approx((3.0 + 1.2816) / 4.0, abs=0.02)
 
 
-def test_who_must_search_needs_more_the_more_there_is_to_search():
-    assert searched(1, LEVEL / ALLOWED) == pytest.approx(1.0)
+def test_a_larger_search_needs_a_stronger_effect():
+    assert search_multiple(1, INFORMED_LEVEL / CATALOGUE_LEVEL) == pytest.approx(1.0)
     # two-sided 1.96e-4 (2 % over 17 effects at 6 joints each): 3.725, and 90 % power: 1.282
-    assert searched(1, 1 / 102) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
-    assert searched(2, 1 / 40) < searched(2, 1 / 7000)
+    assert search_multiple(1, 1 / 102) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
+    assert search_multiple(2, 1 / 40) < search_multiple(2, 1 / 7000)
 
 
-def test_one_of_two_that_cannot_be_told_apart_counts_as_told():
+def test_one_of_two_that_cannot_be_told_apart_counts_as_reported():
     truth = {"name": "joint_compliance", "where": ["A2", "A3"]}
     other = {"effects": [{"name": "joint_scale", "where": ["A2"]}], "not_separable": []}
 
-    assert not tells(other, truth)
-    assert tells({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A2"]}]}, truth)
-    assert not tells({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A5"]}]}, truth)
-    assert tells({"effects": [{"name": "joint_compliance", "where": ["A3"]}], "not_separable": []}, truth)
+    assert not reports(other, truth)
+    assert reports({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A2"]}]}, truth)
+    assert not reports({**other, "not_separable": [{"effects": ["joint_scale:A2", "joint_compliance:A5"]}]}, truth)
+    assert reports({"effects": [{"name": "joint_compliance", "where": ["A3"]}], "not_separable": []}, truth)
 
 
 def test_a_figure_of_cells_has_an_interval_that_holds_the_truth_as_often_as_stated():

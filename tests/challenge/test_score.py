@@ -87,7 +87,7 @@ def test_two_effects_may_come_in_either_order_but_before_any_other():
     assert not score("two", [COMPLIANCE, {"name": "backlash", "where": ["A1"], "width_deg": 0.01}], both, 0.5).named
 
 
-def test_the_smaller_of_two_must_be_told_where_it_adds_something():
+def test_the_smaller_of_two_must_be_reported_where_it_adds_something():
     scale = {"name": "joint_scale", "where": ["A2"], "ratio": 1.2e-4}
     alone = diagnosis(FOUND)
 
@@ -96,9 +96,11 @@ def test_the_smaller_of_two_must_be_told_where_it_adds_something():
 
 
 def test_a_coupling_needs_both_of_its_joints():
-    told = '[{"name": "wrist_coupling", "where": ["A4", "A5"], "parameters": {"ratio": {"value": 4.0e-4, "std": 1e-5}}}]'
-    assert score("wrist_coupling", [{"name": "wrist_coupling", "where": ["A4", "A5"], "ratio": 4.1e-4}], diagnosis(told), 0.5).placed
-    assert not score("wrist_coupling", [{"name": "wrist_coupling", "where": ["A4", "A6"], "ratio": 4.1e-4}], diagnosis(told), 0.5).placed
+    reported = '[{"name": "wrist_coupling", "where": ["A4", "A5"], "parameters": {"ratio": {"value": 4.0e-4, "std": 1e-5}}}]'
+    assert score("wrist_coupling", [{"name": "wrist_coupling", "where": ["A4", "A5"], "ratio": 4.1e-4}], diagnosis(reported), 0.5).placed
+    assert not score(
+        "wrist_coupling", [{"name": "wrist_coupling", "where": ["A4", "A6"], "ratio": 4.1e-4}], diagnosis(reported), 0.5
+    ).placed
 
 
 def test_phases_are_compared_around_the_circle_and_by_order():
@@ -109,20 +111,20 @@ def test_phases_are_compared_around_the_circle_and_by_order():
         "amplitude_deg": [0.02, 0.01],
         "phase_deg": [179.0, 0.0],
     }
-    told = {
+    reported = {
         "A3.order": {"value": [100.0, 2.0], "std": [0, 0]},
         "A3.amplitude_deg": {"value": [0.011, 0.02], "std": [0.0005, 0.001]},
         "A3.phase_deg": {"value": [3.0, -179.0], "std": [2.0, 1.0]},
     }
-    assert parameter_errors(truth, told) == pytest.approx(
+    assert parameter_errors(truth, reported) == pytest.approx(
         {"A3.amplitude_deg[2]": 0.0, "A3.phase_deg[2]": 2.0, "A3.amplitude_deg[100]": 2.0, "A3.phase_deg[100]": 1.5}
     )
 
 
 def test_vectors_count_by_their_worst_component_and_numbers_without_a_sigma_not_at_all():
     truth = {"name": "scanner_warmup", "where": ["scanner"], "offset_mm": [0.1, 0.0, -0.2], "time_constant_s": 500.0}
-    told = {"offset_mm": {"value": [0.11, 0.0, -0.21], "std": [0.01, 0.01, 0.002]}, "time_constant_s": {"value": 300.0, "std": 0.0}}
-    assert parameter_errors(truth, told) == pytest.approx({"offset_mm": 5.0})
+    reported = {"offset_mm": {"value": [0.11, 0.0, -0.21], "std": [0.01, 0.01, 0.002]}, "time_constant_s": {"value": 300.0, "std": 0.0}}
+    assert parameter_errors(truth, reported) == pytest.approx({"offset_mm": 5.0})
 
 
 def test_the_table_has_a_row_a_kind_and_one_for_all():

@@ -50,7 +50,7 @@ def check_contract(d: dict) -> None:
 def test_json_of_a_simulated_cell_with_an_effect(plan):
     result = diagnose(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
 
-    d = json.loads(json.dumps(result.as_json(), allow_nan=False))
+    d = json.loads(json.dumps(result.to_json(), allow_nan=False))
     check_contract(d)
     assert d["verdict"] == "explained"
     assert d["effects"][0]["name"] == "joint_compliance"
@@ -77,7 +77,7 @@ def test_the_clean_example_is_clean_on_the_command_line():
 def test_the_compliant_example_is_measured():
     truth = json.loads((DATA / "example-compliance.truth.json").read_text())["truth"]
 
-    d = diagnose(load_observations(DATA / "example-compliance")).as_json()
+    d = diagnose(load_observations(DATA / "example-compliance")).to_json()
 
     assert d["verdict"] == "explained"
     assert [e["name"] for e in d["effects"]] == ["joint_compliance"]

@@ -94,7 +94,7 @@ def test_a_location_of_an_effect_that_predicts_nothing_is_removed(plan):
     reported = verdict.conclude(setup, claimed, proof)
 
     assert proof.not_predictive == ("gear_transmission_error:A6",)
-    assert [(e.name, e.where) for e in reported.effects] == [("gear_transmission_error", ["A2"])]
+    assert [(e.name, e.where) for e in reported.effects] == [("gear_transmission_error", ("A2",))]
 
 
 def test_strong_structure_that_predicts_nothing_is_reported_unknown(plan):
@@ -110,8 +110,8 @@ def test_strong_structure_that_predicts_nothing_is_reported_unknown(plan):
     reported = diagnose.diagnose(simulated.observe(plan, 166, [loose]))
 
     assert reported.verdict == "unexplained"
-    assert reported.mismatch[0]["at"] == "ball3"
-    assert [(e.name, e.where) for e in reported.effects] == [("unknown", ["ball3"])]
+    assert reported.mismatch[0].at == "ball3"
+    assert [(e.name, e.where) for e in reported.effects] == [("unknown", ("ball3",))]
 
 
 def test_a_fold_may_use_a_lower_threshold_where_an_effect_is_known(plan):
@@ -150,9 +150,9 @@ def test_a_station_drift_is_validated_on_the_other_stations(plan):
 
     reported = diagnose.diagnose(observed)
 
-    assert [(e.name, e.where) for e in reported.effects] == [("station_drift", ["station3"])]
-    assert reported.fit["held_out"]["split"] == "station"
-    assert reported.fit["held_out"]["after_chi2_dof"] > 2.0
+    assert [(e.name, e.where) for e in reported.effects] == [("station_drift", ("station3",))]
+    assert reported.fit.held_out.split == "station"
+    assert reported.fit.held_out.after_chi2_dof > 2.0
     assert reported.verdict == "explained"
 
 
@@ -163,9 +163,9 @@ def test_a_moment_among_poses_left_out_does_not_count_against_a_step(plan):
     reported = diagnose.diagnose(observed)
 
     assert (plan.station == plan.station[52]).sum() > 4
-    assert reported.effects[0].parameters["A2.at_pose"]["value"] == 52
-    assert reported.fit["held_out"]["split"] == "station"
-    assert reported.fit["held_out"]["after_chi2_dof"] < 1.2
+    assert reported.effects[0].parameters["A2.at_pose"].value == 52
+    assert reported.fit.held_out.split == "station"
+    assert reported.fit.held_out.after_chi2_dof < 1.2
     assert reported.verdict == "explained"
 
 
@@ -186,7 +186,7 @@ def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
 
     reported = diagnose.diagnose(observed)
 
-    assert [(e.name, e.where) for e in reported.effects] == [("ball_shift", ["ball5"])]
+    assert [(e.name, e.where) for e in reported.effects] == [("ball_shift", ("ball5",))]
     assert reported.verdict == "explained"
 
 
@@ -195,6 +195,6 @@ def test_two_scales_that_one_artefact_cannot_separate_are_reported():
 
     reported = diagnose.diagnose(observed)
 
-    named = {reported.effects[0].name, *(a["name"] for a in reported.effects[0].alternatives)}
+    named = {reported.effects[0].name, *(a.name for a in reported.effects[0].alternatives)}
     assert reported.verdict == "cannot_tell"
     assert {"scanner_scale", "artefact_expansion"} <= named

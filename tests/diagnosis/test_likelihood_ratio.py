@@ -6,7 +6,7 @@ import numpy as np
 import simulated
 from scipy.stats import chi2, kstest
 
-from mbcacq.challenge.power import estimated, likelihood_ratio
+from mbcacq.challenge.power import likelihood_ratio, with_estimated_hypers
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -39,7 +39,7 @@ def test_likelihood_ratio_of_unknown_order_counts_the_choices(plan):
         setup = prepare(simulated.observe(plan, 920 + seed))
         for key in ("gear_transmission_error:A3:q3:", "mount_shift:mount:pose:"):
             candidate = next(c for c in setup.candidates if c.key == key)
-            best, choices = estimated(setup, EffectSet(((candidate, 60.0),)))
+            best, choices = with_estimated_hypers(setup, EffectSet(((candidate, 60.0),)))
             tail.append(choices * chi2.sf(max(likelihood_ratio(setup, best), 0.0), candidate.k))
 
     assert best.effects[0][1] != 60.0

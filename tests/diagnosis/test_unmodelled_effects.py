@@ -57,8 +57,8 @@ def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
     reported = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
 
     assert reported.verdict == "unexplained"
-    assert reported.mismatch[0]["at"] == "link2"
-    assert reported.mismatch[0]["depends_on"].startswith("gravity_torque")
+    assert reported.mismatch[0].at == "link2"
+    assert reported.mismatch[0].depends_on.startswith("gravity_torque")
     assert [e.name for e in reported.effects] == ["unknown"]
     assert reported.effects[0].held_out_gain > 0.9
 

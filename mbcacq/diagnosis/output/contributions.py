@@ -1,4 +1,4 @@
-"""What each member of a model is worth beside the others: by how much chi2 rises when it is left out and the rest is fitted again."""
+"""Contribution of each effect of a model: by how much chi2 rises when the effect is left out and all others are fitted again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from mbcacq.diagnosis.search.projected_solve import prior_sigma
 
 
 class Contributions:
-    """Of a finding, on the data it was found with."""
+    """Contributions of the parametric effects of a fit, and of the groups of its unmodelled effects, on the data of the fit.
+
+    effects: number of parametric effects; the groups are numbered after them. S, b: normal equations of all coefficients, each in units
+    of its prior sigma, with the geometry projected out. total: chi2 that all of them explain together.
+    """
 
     def __init__(self, full: ModelFit):
         screen, model, rest = full.geometry_only, full.model, full.smooth
@@ -31,17 +35,20 @@ class Contributions:
             self.total = float(self.b @ np.linalg.solve(self.S, self.b))
 
     def of(self, which: list[int]) -> float:
-        """chi2 lost without these: members by their number, groups by their number after the last member."""
-        left = [p for j, p in enumerate(self.parts) if j not in which]
-        if not left:
+        """The chi2 that these effects and groups explain and the others cannot."""
+        others = [p for j, p in enumerate(self.parts) if j not in which]
+        if not others:
             return self.total
-        index = np.concatenate(left)
+        index = np.concatenate(others)
         b = self.b[index]
         return self.total - float(b @ np.linalg.solve(self.S[np.ix_(index, index)], b))
 
     def groups_at(self, full: ModelFit, at: str, depends_on: str | None = None) -> list[int]:
-        """Numbers of the groups at a place."""
+        """Numbers of the groups at a location, of one covariate or of all."""
         if full.smooth is None:
             return []
-        groups = enumerate(full.smooth.groups)
-        return [self.effects + g for g, group in groups if group.location == at and depends_on in (None, group.depends_on)]
+        return [
+            self.effects + g
+            for g, group in enumerate(full.smooth.groups)
+            if group.location == at and depends_on in (None, group.depends_on)
+        ]

@@ -1,23 +1,28 @@
-"""Effects and places as they are told: names first by what they are worth, then what has no name."""
+"""Tables of the diagnosis: the parametric effects with their parameters, the unmodelled ones, and the mismatch by location."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.result import EffectFound
+from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
+from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.pose import payload
 
-ONE_ENTRY = ("A", "link", "station")  # places at which one effect may be several times and is told as one
+ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
+MOST_LOCATIONS = 6  # entries of the mismatch where no model of it was fitted
+SMALLEST_LOG10_P, LARGEST_LOG_RATIO = -300.0, 690.0  # of what a floating point number can hold
 
 
-def named_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) -> list[EffectFound]:
-    """Selected effects gathered by name (several joints of one effect make one entry), most important first; a wrong payload before the
-    elasticity that every arm has and that shows it.
+def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
+    """The effects gathered by name (several joints of one effect make one entry), largest contribution first; a wrong payload comes
+    before the elasticity through which it shows, which every arm has.
     """
     model = full.model
     grouped: dict[str, list[int]] = {}
@@ -28,63 +33,87 @@ def named_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) 
     out = []
     for members in grouped.values():
         first = model.effects[members[0]][0]
-        gain = worth.of(members)
-        where = list(dict.fromkeys(w for j in members for w in model.effects[j][0].where))
-        p_value = 10 ** max(log10_tail(gain, sum(model.effects[j][0].k for j in members)), -300.0)
-        effect = EffectFound(first.name, where, first.depends_on, merge_parameters(full, members), p_value, proof.gain(first.name))
+        gain = contributions.of(members)
+        effect = EffectFound(
+            name=first.name,
+            where=tuple(dict.fromkeys(w for j in members for w in model.effects[j][0].where)),
+            parameters=merged_parameters(full, members),
+            p_value=likelihood_ratio_p(full, members, gain),
+            held_out_gain=proof.gain(first.name),
+            depends_on=first.depends_on,
+        )
         out.append((first.name == payload.NAME, gain, effect))
     return [effect for *_, effect in sorted(out, key=lambda item: (-item[0], -item[1]))]
 
 
-def merge_parameters(full: ModelFit, members: list[int]) -> dict:
-    """Parameters of all members; the same name twice (several orders at one joint) makes lists."""
-    out: dict[str, dict] = {}
-    parts = full.model.slices()
+def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
+    """The probability that noise alone gains as much chi2 with as many coefficients as these effects have."""
+    return 10 ** max(log10_tail(gain, sum(full.model.effects[j][0].k for j in members)), SMALLEST_LOG10_P)
+
+
+def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:
+    """Parameters of these effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
+    out: dict[str, ParameterEstimate] = {}
+    slices = full.model.slices()
     for j in members:
         candidate, hyper = full.model.effects[j]
-        p = parts[j]
-        for name, entry in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
-            if name not in out:
-                out[name] = dict(entry)
-            else:
-                for field in ("value", "std"):
-                    old = out[name][field] if isinstance(out[name][field], list) else [out[name][field]]
-                    out[name][field] = [*old, *(entry[field] if isinstance(entry[field], list) else [entry[field]])]
+        p = slices[j]
+        for name, new in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
+            old = out.get(name)
+            out[name] = new if old is None else ParameterEstimate(_joined(old.value, new.value), _joined(old.std, new.std))
     return out
 
 
-def unknown_effects(full: ModelFit, worth: Contributions, proof: CrossValidation) -> list[EffectFound]:
-    """One entry for each place that moves in a way without a name, largest first; for a long recording, where it stands at all places,
-    one entry at the place that the map points to.
+def _joined(a: float | tuple[float, ...], b: float | tuple[float, ...]) -> tuple[float, ...]:
+    return (*(a if isinstance(a, tuple) else (a,)), *(b if isinstance(b, tuple) else (b,)))
+
+
+def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
+    """One entry for each location of the unmodelled effects, largest contribution first. In a long recording they act at all locations:
+    there is one entry then, at the location of the largest evidence.
     """
     if full.smooth is None:
         return []
-    size = sizes(full)
-    ranked = sorted(size, key=lambda key: -size[key][0])
+    size = displacements(full)
+    ranked = sorted(size, key=lambda key: -size[key].value)
     if not full.cells:
         modelled = {at for at, _ in size}
         first = next((c for c in full.residual_tests.significant_cells if c.location in modelled), None) if full.residual_tests else None
         at, on = (first.location, first.depends_on) if first else ranked[0]
-        p_value = float(np.exp(-first.log_bayes_factor)) if first and first.log_bayes_factor < 690 else 0.0
-        return [EffectFound("unknown", [at], on, in_words(size, ranked[:12]), min(p_value, 1.0), proof.unmodelled_gain)]
+        p_value = float(np.exp(-first.log_bayes_factor)) if first and first.log_bayes_factor < LARGEST_LOG_RATIO else 0.0
+        return [EffectFound("unknown", (at,), _rms_parameters(size, ranked[:12]), min(p_value, 1.0), proof.unmodelled_gain, depends_on=on)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
-        p_value = float(np.exp(-np.clip(evidence, 0, 690)))
-        effect = EffectFound("unknown", [at], mine[0][1], in_words(size, mine), p_value, proof.gain(f"unknown:{at}"))
-        out.append((worth.of(worth.groups_at(full, at)), effect))
+        gain = proof.gain(f"unknown:{at}")
+        effect = EffectFound("unknown", (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
+        out.append((contributions.of(contributions.groups_at(full, at)), effect))
     return [effect for _, effect in sorted(out, key=lambda item: -item[0])]
 
 
-def where_it_is(places: list[dict]) -> list[EffectFound]:
-    """What is there and could not be modelled, at the most suspicious place: it has explained nothing yet."""
-    return [EffectFound("unknown", [place["at"]], place["depends_on"], {}, place["p_value"], 0.0) for place in places[:1]]
+def suspected_effect(mismatch: list[MismatchEntry]) -> list[EffectFound]:
+    """An unmodelled effect at the first location of the mismatch, where no model of it predicts anything: its gain is zero."""
+    return [EffectFound("unknown", (m.at,), {}, m.p_value, 0.0, depends_on=m.depends_on) for m in mismatch[:1]]
 
 
-def sizes(full: ModelFit) -> dict[tuple[str, str], tuple[float, float]]:
-    """(place, covariate) -> by how many mm rms its groups move the centres, and the standard deviation of that."""
+def _bayes_p(log_bayes_factor: float) -> float:
+    """Upper limit of the p-value of a Bayes factor, given by its natural logarithm."""
+    return float(np.exp(-np.clip(log_bayes_factor, 0, LARGEST_LOG_RATIO)))
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """3D rms displacement of the kept centres and its standard deviation, mm."""
+
+    value: float
+    std: float
+
+
+def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
+    """(location, covariate) -> how much the groups of the unmodelled effects there move the centres."""
     smooth, keep = full.smooth, full.geometry_only.linear.keep
+    assert smooth is not None, "only called where unmodelled effects were fitted"
     X = full.conditioned.whiten(smooth.columns) * smooth.sigma
     taken = full.conditioned.all_projected.T @ X
     covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
@@ -98,41 +127,53 @@ def sizes(full: ModelFit) -> dict[tuple[str, str], tuple[float, float]]:
     out = {}
     for key, value in square.items():
         rms = float(np.sqrt(value))
-        out[key] = rms, float(np.sqrt(slope[key] @ covariance @ slope[key])) / max(rms, 1e-12)
+        out[key] = Displacement(rms, float(np.sqrt(slope[key] @ covariance @ slope[key])) / max(rms, 1e-12))
     return out
 
 
-def in_words(size: dict[tuple[str, str], tuple[float, float]], keys: list[tuple[str, str]]) -> dict:
-    return {f"{at}({on}).rms_mm": {"value": size[at, on][0], "std": size[at, on][1]} for at, on in keys}
+def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[str, str]]) -> dict[str, ParameterEstimate]:
+    return {f"{at}({on}).rms_mm": ParameterEstimate(size[at, on].value, size[at, on].std) for at, on in keys}
 
 
-def mismatch_list(full: ModelFit, worth: Contributions, before: PredictiveScore, anything: bool = False) -> list[dict]:
-    """Where simulation and recording part, each place and covariate with its share of the excess, largest first.
+def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore, anything: bool = False) -> list[MismatchEntry]:
+    """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first.
 
-    anything: the most suspicious place even where none is significant.
+    anything: with the most suspicious locations even where none is significant.
     """
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
-    found: dict[tuple[str, str], dict] = {}
+    entries = [*_of_parametric(full, contributions), *_of_groups(full, contributions)]
+    if not full.cells and full.residual_tests is not None and (full.residual_tests.structure or anything):
+        # Neighbouring locations explain each other's mismatch: the most significant one carries the largest share.
+        suspects = full.residual_tests.significant_cells[:MOST_LOCATIONS]
+        scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
+        gains = sorted((scale * (c.gain - c.used) for c in suspects), reverse=True)
+        entries += [(c.location, c.depends_on, gain, _bayes_p(c.log_bayes_factor)) for c, gain in zip(suspects, gains, strict=True)]
+    largest: dict[tuple[str, str], MismatchEntry] = {}
+    for at, on, gain, p_value in entries:
+        entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), float(np.clip(p_value, 1e-300, 1.0)))
+        if (at, on) not in largest or largest[at, on].share < entry.share:
+            largest[at, on] = entry
+    return sorted(largest.values(), key=lambda e: -e.share)
 
-    def add(at: str, on: str, gain: float, p_value: float) -> None:
-        entry = {"at": at, "depends_on": on, "share": float(np.clip(gain / excess, 0, 1)), "p_value": float(np.clip(p_value, 1e-300, 1.0))}
-        if (at, on) not in found or found[at, on]["share"] < entry["share"]:
-            found[at, on] = entry
 
-    together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one place
+_Entry = tuple[str, str, float, float]  # location, covariate, gain in chi2, p-value
+
+
+def _of_parametric(full: ModelFit, contributions: Contributions) -> list[_Entry]:
+    together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
     for j, (candidate, _) in enumerate(full.model.effects):
         together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
-    for (at, on), members in together.items():
-        gain = worth.of(members)
-        add(at, on, gain, 10 ** max(log10_tail(gain, sum(full.model.effects[j][0].k for j in members)), -300.0))
-    for cell in full.cells:
-        gain = worth.of(worth.groups_at(full, cell.location, cell.depends_on))
-        add(cell.location, cell.depends_on, gain, float(np.exp(-np.clip(cell.log_bayes_factor, 0, 690))))
-    if not full.cells and full.residual_tests is not None and (full.residual_tests.structure or anything):
-        # Neighbouring places explain each other's mismatch: the most significant one carries the largest share.
-        spots = full.residual_tests.significant_cells[:6]
-        scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
-        gains = sorted((scale * (c.gain - c.used) for c in spots), reverse=True)
-        for c, gain in zip(spots, gains, strict=True):
-            add(c.location, c.depends_on, gain, float(np.exp(-np.clip(c.log_bayes_factor, 0, 690))))
-    return sorted(found.values(), key=lambda e: -e["share"])
+    gains = {key: contributions.of(members) for key, members in together.items()}
+    return [(at, on, gains[at, on], likelihood_ratio_p(full, members, gains[at, on])) for (at, on), members in together.items()]
+
+
+def _of_groups(full: ModelFit, contributions: Contributions) -> list[_Entry]:
+    return [
+        (
+            cell.location,
+            cell.depends_on,
+            contributions.of(contributions.groups_at(full, cell.location, cell.depends_on)),
+            _bayes_p(cell.log_bayes_factor),
+        )
+        for cell in full.cells
+    ]

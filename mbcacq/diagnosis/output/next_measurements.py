@@ -1,27 +1,29 @@
-"""What to measure next: poses within the joint limits at which two rival explanations part most, or an unseen effect would show."""
+"""What to measure next: poses within the joint limits at which two alternatives differ most, or an unobservable effect would show."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
+from mbcacq.diagnosis.output.alternatives import SizedEffect
+from mbcacq.diagnosis.result import Advice
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation import forward_model
 from mbcacq.model.observations import Observations
 
-TRIED, GIVEN = 400, 6
-IN_TIME = ("joint_step", "mount_shift", "station_drift", "scanner_warmup", "thermal_growth")
+TRIED, GIVEN = 400, 6  # postures that are tried, and poses that one piece of advice gives
+# Effects that act by the order or time of the poses, which no posture makes visible.
+OVER_TIME = ("joint_step", "mount_shift", "station_drift", "scanner_warmup", "thermal_growth")
 
 
-def elsewhere(situation: Context, seed: int = 0) -> Context:
+def elsewhere(context: Context, seed: int = 0) -> Context:
     """The same cell at random postures within limits and not below the lowest flange so far, one ball in the middle of the field each."""
-    obs, robot = situation.obs, situation.obs.cell.robot
+    obs, robot = context.obs, context.obs.cell.robot
     rng = np.random.default_rng(seed)
     low = np.maximum(robot.limits[:, 0], -np.pi)
     high = np.minimum(robot.limits[:, 1], np.pi)
@@ -42,7 +44,7 @@ def elsewhere(situation: Context, seed: int = 0) -> Context:
     )
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))
-    return Context(blank, situation.state, forward_model.predict(blank, situation.state))
+    return Context(blank, context.state, forward_model.predict(blank, context.state))
 
 
 def displacement(there: Context, linear: LinearProblem, key: str, hyper: float | None, coefficients: np.ndarray) -> np.ndarray | None:
@@ -53,49 +55,39 @@ def displacement(there: Context, linear: LinearProblem, key: str, hyper: float |
     return linear.columns(candidate.build(hyper))[:, :3] @ coefficients
 
 
-def separate(
-    situation: Context, pairs: Sequence[tuple[tuple[Candidate, float | None, np.ndarray], tuple[Candidate, float | None, np.ndarray]]]
-) -> list[dict[str, Any]]:
-    """One piece of advice for each pair of rivals, each with hyper-parameter and coefficients."""
+def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
+    """One piece of advice for each pair of effects that the recording cannot tell apart, where there is one."""
     if not pairs:
         return []
-    there = elsewhere(situation)
+    there = elsewhere(context)
     linear = LinearProblem.of(there.obs, there.state)
-    out = []
-    for (a, ha, ca), (b, hb, cb) in pairs:
-        if a.name in IN_TIME or b.name in IN_TIME:
-            out.append(
-                {
-                    "reason": f"{a.name} and {b.name} differ in time: measure the first station again, at the same postures, at the end",
-                    "poses_deg": first_poses(situation),
-                }
-            )
-            continue
-        moved = [displacement(there, linear, c.key, h, v) for c, h, v in ((a, ha, ca), (b, hb, cb))]
-        if moved[0] is None or moved[1] is None:
-            continue
-        chosen = spread(moved[0] - moved[1])
-        apart = float(np.linalg.norm((moved[0] - moved[1])[chosen], axis=1).mean())
-        out.append(
-            {
-                "reason": f"{a.name} at {'+'.join(a.where)} and {b.name} at {'+'.join(b.where)} differ by {apart:.3f} mm "
-                "at these poses, on one station",
-                "poses_deg": np.degrees(there.obs.q[chosen]).round(3).tolist(),
-            }
-        )
-    return out
+    advice = (_separating_one(context, there, linear, a, b) for a, b in pairs)
+    return [one for one in advice if one is not None]
 
 
-def show(situation: Context, candidate: Candidate) -> dict[str, Any]:
-    """Poses at which an effect of typical size, invisible in the recording, would show."""
-    there = elsewhere(situation)
+def _separating_one(context: Context, there: Context, linear: LinearProblem, a: SizedEffect, b: SizedEffect) -> Advice | None:
+    if a.candidate.name in OVER_TIME or b.candidate.name in OVER_TIME:
+        names = f"{a.candidate.name} and {b.candidate.name}"
+        return Advice(f"{names} differ in time: measure the first station again, at the same postures, at the end", first_poses(context))
+    moved = [displacement(there, linear, e.candidate.key, e.hyper, e.coefficients) for e in (a, b)]
+    if moved[0] is None or moved[1] is None:
+        return None
+    chosen = spread(moved[0] - moved[1])
+    apart = float(np.linalg.norm((moved[0] - moved[1])[chosen], axis=1).mean())
+    first, second = (f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in (a, b))
+    return Advice(f"{first} and {second} differ by {apart:.3f} mm at these poses, on one station", _in_degrees(there.obs.q[chosen]))
+
+
+def revealing(context: Context, candidate: Candidate) -> Advice:
+    """Poses at which an effect of typical size shows that the recording cannot observe."""
+    there = elsewhere(context)
     moved = displacement(there, LinearProblem.of(there.obs, there.state), candidate.key, None, candidate.typical)
     chosen = spread(moved) if moved is not None else np.arange(0)
-    return {
-        "reason": f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "
+    return Advice(
+        f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "
         "station, or a long bar end by end",
-        "poses_deg": np.degrees(there.obs.q[chosen]).round(3).tolist(),
-    }
+        _in_degrees(there.obs.q[chosen]),
+    )
 
 
 def spread(moved: np.ndarray) -> np.ndarray:
@@ -107,6 +99,11 @@ def spread(moved: np.ndarray) -> np.ndarray:
     return np.array(chosen)
 
 
-def first_poses(situation: Context) -> list[list[float]]:
-    first = situation.obs.station[np.argmin(situation.order)]
-    return np.degrees(situation.obs.q[situation.obs.station == first][:GIVEN]).round(3).tolist()
+def first_poses(context: Context) -> tuple[tuple[float, ...], ...]:
+    """Joint angles (deg) at the station that was measured first."""
+    first = context.obs.station[np.argmin(context.order)]
+    return _in_degrees(context.obs.q[context.obs.station == first][:GIVEN])
+
+
+def _in_degrees(q: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(v) for v in row) for row in np.degrees(q).round(3))

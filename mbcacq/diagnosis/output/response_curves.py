@@ -1,4 +1,4 @@
-"""The shape of each effect found: how much its place moves over what it depends on, with a band, and what each pose says by itself."""
+"""Response curves: how much each found effect displaces its location over its covariate, with a band, and what each pose shows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.terms import PER_POSE, Part
 
 MOST = 12
@@ -16,9 +19,12 @@ AXES = "xyz"
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """x (k,): values of ``depends_on``; y, std (k,): what the model moves and its standard deviation, in ``unit``; seen (k,): the same
-    from the residual of each pose (or centre) by itself, model included; what: words for the y axis. order: periods a turn of a periodic
-    function of a joint's angle."""
+    """What an effect does over its covariate.
+
+    x (k,): values of ``depends_on``. y, std (k,): displacement by the model and its standard deviation, in ``unit``. measured (k,): the
+    displacement by the model plus the residual of each pose (or centre) by itself. what: label of the y axis. order: periods a turn of
+    a periodic function of a joint's angle.
+    """
 
     effect: str
     at: str
@@ -28,83 +34,115 @@ class ResponseCurve:
     x: np.ndarray
     y: np.ndarray
     std: np.ndarray
-    seen: np.ndarray
+    measured: np.ndarray
     order: float | None = None
 
 
-def curves(
-    linear: LinearProblem, values: dict[str, np.ndarray], model, rest: RandomEffectsModel | None, screen, left: np.ndarray
+def response_curves(
+    linear: LinearProblem,
+    values: dict[str, np.ndarray],
+    model: EffectSet,
+    rest: RandomEffectsModel | None,
+    named: CandidateScoring,
+    residual: np.ndarray,
 ) -> list[ResponseCurve]:
-    """linear: of the fit; values: covariate -> (M,) at each centre; model: named effects (``explain.Model``); rest: smooth model with the
-    ``screen`` it was fitted beyond; left: (M, R) mm what all of them leave. The largest first."""
-    out: list[tuple[float, ResponseCurve]] = []
-    for (candidate, hyper), p in zip(model.effects, model.slices(), strict=True):
-        coefficients, covariance = model.coefficients[p], model.covariance[p, p]
-        sized = []
-        for part in candidate.build(hyper):
-            if part.place == "ball" or candidate.depends_on not in values:
-                continue
-            unit = linear.unit(part.place, part.index, part.component)
-            amount = part.basis @ coefficients
-            moved = unit * (amount[linear.obs.pose] if part.place in PER_POSE else amount)[:, None]
-            sized.append((float(np.sqrt(np.mean(moved[linear.keep, :3] ** 2))), part, unit, amount))
-        for size, part, unit, amount in sorted(sized, key=lambda item: -item[0])[:2]:
-            std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", part.basis, covariance, part.basis), 0.0))
-            at = "+".join(candidate.where)
-            curve = _of_part(linear, part, candidate, at, unit, amount, std, values[candidate.depends_on], left)
-            wave = candidate.hyper is not None and candidate.hyper.name == "order"
-            out.append((size, replace(curve, order=float(hyper)) if wave else curve))
+    """The curves of all effects of a fit, largest displacement first, at most MOST.
+
+    linear: of the fit. values: covariate -> (M,) at each centre. model: parametric effects. rest: unmodelled effects, fitted to what is
+    left in ``named`` after the parametric ones. residual: (M, R) mm after all of them.
+    """
+    fitted = _Fitted(linear, values, residual)
+    out = [entry for j in range(len(model.effects)) for entry in _of_effect(fitted, model, j)]
     if rest is not None:
-        out += _of_groups(linear, rest, screen, values, left)
+        out += _of_groups(fitted, rest, named)
     return [curve for _, curve in sorted(out, key=lambda item: -item[0])][:MOST]
 
 
-def _of_part(
-    linear: LinearProblem,
-    part: Part,
-    candidate,
-    at: str,
-    unit: np.ndarray,
-    amount: np.ndarray,
-    std: np.ndarray,
-    values: np.ndarray,
-    left: np.ndarray,
-) -> ResponseCurve:
-    turn = part.place == "joint" or part.component >= 3
-    scale, name = (1e6, "µrad") if turn else (1e3, "µm")
-    if part.place == "joint":
-        what = f"turn of A{part.index + 1}"
-    elif part.place == "point":
-        what = f"measured point along {AXES[part.component]}"
-    else:
-        what = f"{'turn' if turn else 'shift'} of {at} {'about' if turn else 'along'} {AXES[part.component % 3]}"
-    keep, pose = linear.keep, linear.obs.pose
-    top, bottom = np.sum(unit * left, axis=1) * keep, np.sum(unit * unit, axis=1) * keep
-    if part.place in PER_POSE:
+@dataclass(frozen=True)
+class _Fitted:
+    """The linearised problem, (M,) values of each covariate, and (M, R) mm residuals after all effects."""
+
+    linear: LinearProblem
+    values: dict[str, np.ndarray]
+    residual: np.ndarray
+
+
+@dataclass(frozen=True)
+class _MovedPart:
+    """A part of an effect: unit, (M, R) mm displacement of the centres by a unit of it; amount, its size by the model at each row of the
+    basis; rms of the displacement of the kept centres, mm.
+    """
+
+    part: Part
+    unit: np.ndarray
+    amount: np.ndarray
+    rms: float
+
+
+def _of_effect(fitted: _Fitted, model: EffectSet, j: int) -> list[tuple[float, ResponseCurve]]:
+    """The two parts of a parametric effect that move most."""
+    (candidate, hyper), p = model.effects[j], model.slices()[j]
+    if candidate.depends_on not in fitted.values:
+        return []
+    linear, coefficients, covariance = fitted.linear, model.coefficients[p], model.covariance[p, p]
+    parts = []
+    for part in candidate.build(hyper):
+        if part.place == "ball":
+            continue
+        unit = linear.unit(part.place, part.index, part.component)
+        amount = part.basis @ coefficients
+        moved = unit * (amount[linear.obs.pose] if part.place in PER_POSE else amount)[:, None]
+        parts.append(_MovedPart(part, unit, amount, float(np.sqrt(np.mean(moved[linear.keep, :3] ** 2)))))
+    periodic = candidate.hyper is not None and candidate.hyper.name == "order"
+    out = []
+    for moved in sorted(parts, key=lambda m: -m.rms)[:2]:
+        basis = moved.part.basis
+        std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", basis, covariance, basis), 0.0))
+        curve = _of_part(fitted, moved, candidate, std)
+        out.append((moved.rms, replace(curve, order=hyper) if periodic else curve))
+    return out
+
+
+def _of_part(fitted: _Fitted, moved: _MovedPart, candidate: Candidate, std: np.ndarray) -> ResponseCurve:
+    linear, unit, amount = fitted.linear, moved.unit, moved.amount
+    keep, pose, x = linear.keep, linear.obs.pose, fitted.values[candidate.depends_on]
+    top, bottom = np.sum(unit * fitted.residual, axis=1) * keep, np.sum(unit * unit, axis=1) * keep
+    if moved.part.place in PER_POSE:
         P = linear.obs.n_poses
         top, bottom = np.bincount(pose, top, P), np.bincount(pose, bottom, P)
-        x = np.bincount(pose, values * keep, P) / np.maximum(np.bincount(pose, keep, P), 1)
-    else:
-        x = values
+        x = np.bincount(pose, x * keep, P) / np.maximum(np.bincount(pose, keep, P), 1)
     good = bottom > 1e-3 * np.median(bottom[bottom > 0]) if np.any(bottom > 0) else bottom > 0
-    seen = amount[good] + top[good] / bottom[good]
+    measured = amount[good] + top[good] / bottom[good]
+    at = "+".join(candidate.where)
+    what, name, scale = _axis_label(moved.part, at)
     return ResponseCurve(
-        candidate.name, at, what, name, candidate.depends_on, x[good], scale * amount[good], scale * std[good], scale * seen
+        candidate.name, at, what, name, candidate.depends_on, x[good], scale * amount[good], scale * std[good], scale * measured
     )
 
 
-def _of_groups(
-    linear: LinearProblem, rest: RandomEffectsModel, screen, values: dict[str, np.ndarray], left: np.ndarray
-) -> list[tuple[float, ResponseCurve]]:
-    """What each smooth group moves, as it is seen along the axis of the instrument along which it moves most."""
-    X = screen.whiten(rest.columns)
-    taken = screen.all_projected.T @ X
+def _axis_label(part: Part, at: str) -> tuple[str, str, float]:
+    """Label of the y axis, unit, and factor to the unit."""
+    rotation = part.place == "joint" or part.component >= 3
+    name, scale = ("µrad", 1e6) if rotation else ("µm", 1e3)
+    if part.place == "joint":
+        return f"rotation of A{part.index + 1}", name, scale
+    axis = AXES[part.component % 3]
+    if part.place == "point":
+        return f"measured point along {axis}", name, scale
+    return (f"rotation of {at} about {axis}" if rotation else f"shift of {at} along {axis}"), name, scale
+
+
+def _of_groups(fitted: _Fitted, rest: RandomEffectsModel, named: CandidateScoring) -> list[tuple[float, ResponseCurve]]:
+    """What each group of the unmodelled effects moves, along the axis of the instrument along which it moves most."""
+    X = named.whiten(rest.columns)
+    taken = named.all_projected.T @ X
     precision = X.T @ X - taken.T @ taken + np.diag(1.0 / np.maximum(rest.sigma, 1e-12) ** 2)
     covariance = np.linalg.pinv(precision, hermitian=True)
-    out, keep, pose, P = [], linear.keep, linear.obs.pose, linear.obs.n_poses
-    count = np.bincount(pose, keep, P)
+    linear = fitted.linear
+    out, keep, pose = [], linear.keep, linear.obs.pose
+    count = np.bincount(pose, keep, linear.obs.n_poses)
     for group, p in zip(rest.groups, rest.slices(), strict=True):
-        x = values.get(group.depends_on)
+        x = fitted.values.get(group.depends_on)
         if x is None:
             continue
         moved = group.columns @ rest.coefficients[p]
@@ -112,26 +150,13 @@ def _of_groups(
         size = float(np.sqrt(np.mean(moved[keep, :3] ** 2)))
         columns = _mean(group.columns[:, axis] * keep[:, None], pose, count)
         amount = _mean((moved[:, axis] * keep)[:, None], pose, count)[:, 0]
-        seen = amount + _mean((left[:, axis] * keep)[:, None], pose, count)[:, 0]
+        measured = amount + _mean((fitted.residual[:, axis] * keep)[:, None], pose, count)[:, 0]
         std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, covariance[p, p], columns), 0.0))
         at = _mean((x * keep)[:, None], pose, count)[:, 0]
         good = count > 0
-        out.append(
-            (
-                size,
-                ResponseCurve(
-                    "unknown",
-                    group.location,
-                    f"balls seen along {AXES[axis]}",
-                    "µm",
-                    group.depends_on,
-                    at[good],
-                    1e3 * amount[good],
-                    1e3 * std[good],
-                    1e3 * seen[good],
-                ),
-            )
-        )
+        y, band, points = 1e3 * amount[good], 1e3 * std[good], 1e3 * measured[good]
+        what = f"balls seen along {AXES[axis]}"
+        out.append((size, ResponseCurve("unknown", group.location, what, "µm", group.depends_on, at[good], y, band, points)))
     return out
 
 

@@ -179,7 +179,7 @@ class BeamSearch:
             for (c, _), p in zip(model.effects, model.slices(), strict=True)
             if c.name == "joint_compliance"
         }
-        return payload.beside(self.context, {i: float(f"{c:.2g}") for i, c in elastic.items()})
+        return payload.correction_for(self.context, {i: float(f"{c:.2g}") for i, c in elastic.items()})
 
     def allowed(self, candidate: Candidate, model: EffectSet) -> bool:
         same = [c for c, _ in model.effects if c.name == candidate.name and c.where == candidate.where]

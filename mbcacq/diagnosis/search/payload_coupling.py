@@ -43,7 +43,7 @@ def coupled(search: EffectSetSolver, projected: CandidateScoring, model: EffectS
     context = search.context
     if context is None or payload.NAME not in model.names:
         return model
-    loaded = {(f"A{i + 1}",) for i in payload.loaded(context)}
+    loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(context)}
     there = {c.where for c, _ in model.effects if c.name == joint_compliance.NAME}
     soft = [c for c in search.candidates if c.name == joint_compliance.NAME and c.where in loaded | there]
     others = tuple((c, h) for c, h in model.effects if c.name not in (payload.NAME, joint_compliance.NAME))
@@ -53,7 +53,7 @@ def coupled(search: EffectSetSolver, projected: CandidateScoring, model: EffectS
     for number in range(ROUNDS):
         torque = context.gravity_torque + unit @ correction
         loaded_joints = tuple((under_torque(c, torque, number), None) for c in soft)
-        tool = payload.beside(context, elastic, complete=True)[0]
+        tool = payload.correction_for(context, elastic, complete=True)[0]
         new = search.solved(projected, (*others, *loaded_joints, (tool, None)))
         last = new.slices()[-1]
         step, covariance = new.coefficients[last], new.covariance[last, last]
@@ -61,7 +61,7 @@ def coupled(search: EffectSetSolver, projected: CandidateScoring, model: EffectS
         elastic = compliances(new)
         if np.all(np.abs(step) < CONVERGED * np.sqrt(np.diag(covariance))):
             break
-    tool = payload.beside(context, elastic, covariance, complete=True)[0]
+    tool = payload.correction_for(context, elastic, covariance, complete=True)[0]
     return search.solved(projected, (*others, *declared, (tool, None)))
 
 

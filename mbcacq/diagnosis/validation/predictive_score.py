@@ -76,7 +76,7 @@ def held_out_score(
 
     best = score(columns)
     for (candidate, hyper), own in zip(model.effects, slices, strict=True):
-        for moment in steps.undecided(candidate, hyper, linear.obs, train):
+        for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, train):
             other = columns.copy()
             other[:, :, own] = linear.columns(candidate.build(moment))
             best = min(best, score(other), key=lambda one: one.chi2)

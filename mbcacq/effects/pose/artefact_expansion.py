@@ -1,4 +1,4 @@
-"""An artefact away from its reference temperature, or certified in a wrong unit of length."""
+"""An artefact that is not at its reference temperature, or whose certificate is off by a scale."""
 
 import numpy as np
 
@@ -8,18 +8,19 @@ from mbcacq.effects.effect import Candidate, Missing, Part, number
 NAME = "artefact_expansion"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    cell, out = s.obs.cell, []
-    if not s.scanner_on_flange:
+def candidates(context: Context) -> list[Candidate]:
+    """For each artefact of two or more measured balls, a scale of its centres about their mean."""
+    cell, out = context.obs.cell, []
+    if not context.scanner_on_flange:
         raise Missing("no artefact with several balls")
     owner, centres = cell.ball_artefact, cell.ball_centres
     for a, artefact in enumerate(cell.artefacts):
         mine = np.flatnonzero(owner == a)
-        if len(mine) < 2 or not np.any(np.isin(s.obs.ball, mine)):
+        if len(mine) < 2 or not np.any(np.isin(context.obs.ball, mine)):
             continue
-        about = centres - centres[mine].mean(axis=0)
-        here = np.isin(s.obs.ball, mine)[:, None]
-        bias = np.where(here, about[s.obs.ball], 0.0) * 1e-6
+        from_mean = centres - centres[mine].mean(axis=0)
+        here = np.isin(context.obs.ball, mine)[:, None]
+        bias = np.where(here, from_mean[context.obs.ball], 0.0) * 1e-6
         parts = [Part("ball", 0, c, bias[:, c : c + 1]) for c in range(3)]
         out.append(
             Candidate(

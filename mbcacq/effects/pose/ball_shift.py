@@ -8,17 +8,18 @@ from mbcacq.effects.effect import Candidate, Missing, Part, vector
 NAME = "ball_shift"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    if not s.scanner_on_flange:
+def candidates(context: Context) -> list[Candidate]:
+    """For each ball of an artefact of four or more, a shift (3,) in mm along the axes of the artefact."""
+    if not context.scanner_on_flange:
         raise Missing("no artefact with several balls")
-    cell = s.obs.cell
+    cell = context.obs.cell
     owner = cell.ball_artefact
     out = []
     for k, ball in enumerate(cell.ball_ids):
-        seen = s.obs.ball == k
-        if np.sum(owner == owner[k]) < 4 or seen.sum() < 4:
-            continue  # one or two balls only make a length: that is artefact_expansion
-        basis = seen[:, None].astype(float)
+        here = context.obs.ball == k
+        if np.sum(owner == owner[k]) < 4 or here.sum() < 4:
+            continue  # a few balls only make a length, which is artefact_expansion
+        basis = here[:, None].astype(float)
         parts = [Part("ball", 0, c, basis * np.eye(3)[c]) for c in range(3)]
         out.append(
             Candidate(NAME, (f"ball{ball}",), "x", lambda _, p=parts: p, lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, 0.05))

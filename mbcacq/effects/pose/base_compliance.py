@@ -1,4 +1,4 @@
-"""A pedestal that tilts under the overturning moment, equally soft in all directions."""
+"""A pedestal that tilts under the overturning moment, with the same compliance about every axis."""
 
 import numpy as np
 
@@ -8,10 +8,11 @@ from mbcacq.effects.effect import Candidate, Missing, Part, scalar_report
 NAME = "base_compliance"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    if not s.masses_known:
+def candidates(context: Context) -> list[Candidate]:
+    """One candidate; its coefficient is in rad/(N m)."""
+    if not context.masses_known:
         raise Missing("no masses of the links given")
-    moment = s.gravity_moment(0)
+    moment = context.gravity_moment(0)
     parts = [Part("frame", 0, 3 + c, moment[:, c : c + 1]) for c in range(3)]
     return [
         Candidate(

@@ -1,19 +1,22 @@
 """Periodic error of a joint in its own angle; the orders are found by a spectral scan, not assumed."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Hyperparameter, Part, number
+from mbcacq.effects.effect import Candidate, Hyperparameter, Part, Report, number
 
 NAME = "gear_transmission_error"
-LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0
+LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
 
 
-def candidates(s: Context) -> list[Candidate]:
-    gear = s.obs.cell.robot.gear_ratio
+def candidates(context: Context) -> list[Candidate]:
+    """For each joint that moves, sine and cosine (rad) of an order to be found, at four values a period of the range of its angle."""
+    gear = context.obs.cell.robot.gear_ratio
     out = []
-    for i in range(s.n):
-        q = s.obs.q[:, i]
+    for i in range(context.n):
+        q = context.obs.q[:, i]
         span = np.ptp(q)
         if span < 0.05:
             continue
@@ -26,7 +29,7 @@ def candidates(s: Context) -> list[Candidate]:
             "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred
         )
 
-        functions = waves(q, hyper.values)
+        functions = harmonics(q, hyper.values)
 
         out.append(
             Candidate(
@@ -34,7 +37,7 @@ def candidates(s: Context) -> list[Candidate]:
                 (f"A{i + 1}",),
                 f"q{i + 1}",
                 lambda h, i=i, f=functions: [Part("joint", i, 0, f(np.array([h]))[0])],
-                report_for(f"A{i + 1}", q),
+                report_of(f"A{i + 1}", q),
                 np.array([3e-5, 3e-5]),
                 hyper,
                 (("joint", i, 0),),
@@ -45,8 +48,8 @@ def candidates(s: Context) -> list[Candidate]:
     return out
 
 
-def waves(q: np.ndarray, grid: np.ndarray):
-    """sin, cos of order times angle: (H,) -> (H, P, 2). The grid is scanned again and again: its waves are kept."""
+def harmonics(q: np.ndarray, grid: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Orders (H,) -> sine and cosine of order times angle (H, P, 2). Those of the grid are kept, which is scanned many times."""
     kept = []
 
     def functions(values: np.ndarray) -> np.ndarray:
@@ -61,8 +64,11 @@ def waves(q: np.ndarray, grid: np.ndarray):
     return functions
 
 
-def report_for(joint: str, q: np.ndarray):
-    """The order is uncertain too: by as much as it may turn the phase over the spread of the angle, and the phase at q = 0 with it."""
+def report_of(joint: str, q: np.ndarray) -> Report:
+    """Order, amplitude and phase of ``amplitude * sin(order * q + phase)``.
+
+    The order is as uncertain as a change of phase over the spread of the angle allows, and the phase at q = 0 with it.
+    """
     spread, middle = max(float(q.std()), 1e-9), float(q.mean())
 
     def report(c, v, order):

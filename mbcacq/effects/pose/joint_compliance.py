@@ -1,4 +1,4 @@
-"""Gearbox wind-up: a joint gives way in proportion to the gravity torque about it."""
+"""Wind-up of a gearbox: a joint turns beyond its reported angle in proportion to the gravity torque about it."""
 
 import numpy as np
 
@@ -8,10 +8,11 @@ from mbcacq.effects.effect import Candidate, Part, scalar_report
 NAME = "joint_compliance"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    torque = s.gravity_torque
+def candidates(context: Context) -> list[Candidate]:
+    """For each joint that gravity loads, its compliance in rad/(N m)."""
+    torque = context.gravity_torque
     out = []
-    for i in range(s.n):
+    for i in range(context.n):
         if np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             continue  # a vertical axis feels no gravity
         basis = torque[:, i : i + 1]

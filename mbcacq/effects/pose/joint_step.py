@@ -1,4 +1,4 @@
-"""An encoder or a mastering that jumped between two poses of the run."""
+"""An encoder or a mastering that jumps between two poses: from ``at_pose`` on, the joint is at its reported angle plus the step."""
 
 import numpy as np
 
@@ -9,13 +9,14 @@ from mbcacq.effects.pose import steps
 NAME = "joint_step"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    functions, hyper = steps.step_functions(s), steps.moment(s)
+def candidates(context: Context) -> list[Candidate]:
+    """For each joint a step, in rad, at a moment to be found."""
+    functions, hyper = steps.step_functions(context), steps.moment(context)
 
-    def make(i: int) -> Candidate:
+    def of_joint(i: int) -> Candidate:
         def report(c, v, rank):
             return {
-                f"A{i + 1}.at_pose": number(steps.pose_at(s, rank), 0.5),
+                f"A{i + 1}.at_pose": number(steps.pose_at(context, rank), 0.5),
                 f"A{i + 1}.step_deg": number(np.degrees(c[0]), np.degrees(np.sqrt(v[0, 0]))),
             }
 
@@ -31,4 +32,4 @@ def candidates(s: Context) -> list[Candidate]:
             functions,
         )
 
-    return [make(i) for i in range(s.n)]
+    return [of_joint(i) for i in range(context.n)]

@@ -1,4 +1,4 @@
-"""A scanner bracket that sags with its attitude to gravity: tilts under the tool's moment, shifts under its weight."""
+"""A scanner bracket that sags with its attitude to gravity: it tilts under the moment of the tool and shifts under its weight."""
 
 import numpy as np
 
@@ -9,18 +9,19 @@ from mbcacq.geometry.gravity import STANDARD_GRAVITY
 NAME = "mount_compliance"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    mass = s.payload_mass if np.all(s.payload_mass > 0) else np.ones(s.obs.n_poses)
-    com = s.obs.cell.robot.payload_com
+def candidates(context: Context) -> list[Candidate]:
+    """The tilt, the shift, and both, in flange axes; where no masses are given, of one kilogram halfway to the scanner."""
+    mass = context.payload_mass if np.all(context.payload_mass > 0) else np.ones(context.obs.n_poses)
+    com = context.obs.cell.robot.payload_com
     if not np.any(com):
-        com = s.state.T_flange_scanner[:3, 3] * 0.5
-    force = mass[:, None] * STANDARD_GRAVITY * s.flange_gravity
+        com = context.state.T_flange_scanner[:3, 3] * 0.5
+    force = mass[:, None] * STANDARD_GRAVITY * context.flange_gravity
     moment = np.cross(com[None], force) * 1e-3
     none = np.zeros(len(force))
-    tilt = [Part("frame", s.n, 3 + c, moment[:, c : c + 1]) for c in range(3)]
-    shift = [Part("frame", s.n, c, force[:, c : c + 1]) for c in range(3)]
-    both = [Part("frame", s.n, 3 + c, np.stack([moment[:, c], none], 1)) for c in range(3)]
-    both += [Part("frame", s.n, c, np.stack([none, force[:, c]], 1)) for c in range(3)]
+    tilt = [Part("frame", context.n, 3 + c, moment[:, c : c + 1]) for c in range(3)]
+    shift = [Part("frame", context.n, c, force[:, c : c + 1]) for c in range(3)]
+    both = [Part("frame", context.n, 3 + c, np.stack([moment[:, c], none], 1)) for c in range(3)]
+    both += [Part("frame", context.n, c, np.stack([none, force[:, c]], 1)) for c in range(3)]
 
     def report(c, v, _):
         return {"compliance_rad_per_Nm": number(c[0], np.sqrt(v[0, 0])), "compliance_mm_per_N": number(c[1], np.sqrt(v[1, 1]))}
@@ -31,9 +32,10 @@ def candidates(s: Context) -> list[Candidate]:
     def report_shift(c, v, _):
         return {"compliance_mm_per_N": number(c[0], np.sqrt(v[0, 0]))}
 
+    where, cause = ("mount",), f"gravity_torque_{context.n}"
     typical_tilt, typical_shift = 2e-5, 1e-3
     return [
-        Candidate(NAME, ("mount",), f"gravity_torque_{s.n}", lambda _: tilt, report_tilt, np.array([typical_tilt]), variant="tilt"),
-        Candidate(NAME, ("mount",), f"gravity_torque_{s.n}", lambda _: shift, report_shift, np.array([typical_shift]), variant="shift"),
-        Candidate(NAME, ("mount",), f"gravity_torque_{s.n}", lambda _: both, report, np.array([typical_tilt, typical_shift])),
+        Candidate(NAME, where, cause, lambda _: tilt, report_tilt, np.array([typical_tilt]), variant="tilt"),
+        Candidate(NAME, where, cause, lambda _: shift, report_shift, np.array([typical_shift]), variant="shift"),
+        Candidate(NAME, where, cause, lambda _: both, report, np.array([typical_tilt, typical_shift])),
     ]

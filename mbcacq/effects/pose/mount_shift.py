@@ -1,4 +1,4 @@
-"""The scanner moved on its bracket between two poses of the run."""
+"""A scanner that moves on its bracket between two poses of the run; translation and rotation are in flange axes."""
 
 import numpy as np
 
@@ -9,22 +9,23 @@ from mbcacq.effects.pose import steps
 NAME = "mount_shift"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    if not s.scanner_on_flange and s.obs.rotation is None:
+def candidates(context: Context) -> list[Candidate]:
+    """One candidate: three translations (mm) and, where the measurement shows them, three rotations (rad), at a moment to be found."""
+    if not context.scanner_on_flange and context.obs.rotation is None:
         components = (0, 1, 2)
     else:
         components = (0, 1, 2, 3, 4, 5)
-    if s.obs.n_poses < 12:
+    if context.obs.n_poses < 12:
         raise Missing("fewer than 12 poses")
-    functions, hyper = steps.step_functions(s), steps.moment(s)
+    functions, hyper = steps.step_functions(context), steps.moment(context)
     k = len(components)
 
     def build(h):
         step = functions(np.array([h]))[0]
-        return [Part("frame", s.n, c, step * np.eye(k)[j]) for j, c in enumerate(components)]
+        return [Part("frame", context.n, c, step * np.eye(k)[j]) for j, c in enumerate(components)]
 
     def report(c, v, rank):
-        out = {"at_pose": number(steps.pose_at(s, rank), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
+        out = {"at_pose": number(steps.pose_at(context, rank), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
         if k == 6:
             out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
         return out
@@ -38,7 +39,7 @@ def candidates(s: Context) -> list[Candidate]:
             report,
             np.array([0.03] * 3 + [1e-4] * 3)[:k],
             hyper,
-            tuple(("frame", s.n, c) for c in components),
+            tuple(("frame", context.n, c) for c in components),
             functions,
         )
     ]

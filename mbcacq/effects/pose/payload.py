@@ -1,7 +1,7 @@
-"""A tool heavier, or hung elsewhere, than declared: seen through the elasticity of the joints, so only together with it.
+"""A tool that is heavier than declared, or has its centre of gravity elsewhere; it shows only through the compliance of the joints.
 
-The wind-up c_i tau_i of each elastic joint contains the tool's weight. With c_i from the model so far, an error of the mass and of
-the first moment of mass (mass times centre of gravity, flange frame) is linear: four coefficients.
+The wind-up c_i tau_i of each elastic joint contains the tool's weight. With the compliances c_i of the model so far, an error of the mass
+and of the first moment of mass (mass times centre of gravity, flange frame) is linear: four coefficients.
 """
 
 from collections.abc import Mapping
@@ -13,55 +13,57 @@ from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
 from mbcacq.geometry import gravity
 
 NAME = "payload"
-NEXT_IN_LINE = 0.15  # of the largest range of gravity torque
+LEAST_LOAD_SHARE = 0.15  # of the largest range of gravity torque
 
 
-def candidates(s: Context) -> list[Candidate]:
-    """None by itself: elasticity has to be found first, then ``beside`` applies."""
-    if not s.masses_known:
+def candidates(context: Context) -> list[Candidate]:
+    """No candidate: compliance has to be found first, then ``correction_for`` gives one."""
+    if not context.masses_known:
         raise Missing("no masses of the links and the tool given")
     return []
 
 
-def unit_torques(s: Context) -> np.ndarray:
-    """(P, n, 4) N m: by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
-    robot = s.obs.cell.robot
-    frames = robot.chain.frames(s.obs.q)
-    none = np.zeros(s.n)
+def unit_torques(context: Context) -> np.ndarray:
+    """Torque (P, n, 4) N m about each joint by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
+    robot = context.obs.cell.robot
+    frames = robot.chain.frames(context.obs.q)
+    none = np.zeros(context.n)
 
     def torque(com: np.ndarray) -> np.ndarray:
-        return gravity.gravity_torque(robot.chain, frames, none, np.zeros((s.n, 3)), 1.0, com, robot.gravity)
+        return gravity.gravity_torque(robot.chain, frames, none, np.zeros((context.n, 3)), 1.0, com, robot.gravity)
 
     at_origin = torque(np.zeros(3))
     return np.stack([at_origin] + [torque(e) - at_origin for e in np.eye(3)], axis=2)
 
 
-def loaded(s: Context) -> list[int]:
-    """Joints whose gravity torque varies enough for their elasticity to matter."""
-    load = np.ptp(s.gravity_torque, axis=0)
-    return [i for i in range(s.n) if load[i] > NEXT_IN_LINE * load.max()]
+def loaded_joints(context: Context) -> list[int]:
+    """Joints whose gravity torque varies enough for their compliance to matter."""
+    load = np.ptp(context.gravity_torque, axis=0)
+    return [i for i in range(context.n) if load[i] > LEAST_LOAD_SHARE * load.max()]
 
 
-def beside(s: Context, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False) -> list[Candidate]:
-    """The candidate that goes with joints of known compliance: index -> rad/Nm. spread: covariance (4, 4) of mass and first moments
-    where it is known with the compliances' own uncertainty in it.
+def correction_for(
+    context: Context, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False
+) -> list[Candidate]:
+    """The candidate for an error of the declared tool, given the compliance of joints: index -> rad/(N m).
 
-    The loaded joint next in line is as soft as any, though perhaps too little loaded to be found by itself: where it has no
-    compliance it gets one, free, or the mass would take its part. complete: there is no such joint.
+    spread: covariance (4, 4) of mass and first moments, where it is known with the uncertainty of the compliances in it. complete:
+    every elastic joint is among those given. Otherwise each other loaded joint gets a free compliance: it is as soft as any, though
+    perhaps too little loaded to be found by itself, and the mass would take its part.
     """
-    if not s.masses_known or not compliance or not s.scanner_on_flange:
+    if not context.masses_known or not compliance or not context.scanner_on_flange:
         return []
-    torque, declared = unit_torques(s), s.gravity_torque
+    torque, declared = unit_torques(context), context.gravity_torque
     elastic, softest = dict(compliance), max(compliance.values())
-    beyond = [] if complete else [i for i in loaded(s) if i not in elastic]
-    none = np.zeros((s.obs.n_poses, len(beyond)))
+    beyond = [] if complete else [i for i in loaded_joints(context) if i not in elastic]
+    none = np.zeros((context.obs.n_poses, len(beyond)))
     parts = []
     for i, c in sorted({**elastic, **dict.fromkeys(beyond, softest)}.items()):
         own = none.copy()
         if i in beyond:
             own[:, beyond.index(i)] = declared[:, i]
         parts.append(Part("joint", i, 0, np.concatenate([c * torque[:, i], own], axis=1)))
-    mass, com = float(np.mean(s.payload_mass)), s.obs.cell.robot.payload_com
+    mass, com = float(np.mean(context.payload_mass)), context.obs.cell.robot.payload_com
 
     def report(c, v, _):
         new_mass = max(mass + c[0], 0.05)

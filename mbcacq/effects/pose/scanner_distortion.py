@@ -1,15 +1,18 @@
 """Errors of the scanner over its field of view: field curvature, radial and depth-dependent bias."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number
 
 NAME = "scanner_distortion"
-TYPICAL = 0.02  # mm at the edge of the field
-LINEAR = ("magnification", "depth_gain")
-# A ball of known radius is fitted to the cap that is seen: its surface is bent too, which moves the centre by the next lower shape.
-TOGETHER = (
+TYPICAL = 0.02  # mm at the edge of the field of view
+# Biases that geometry and scanner_scale have already: they are tried only together with others.
+ONLY_COMBINED = ("magnification", "depth_gain")
+# A sphere of known radius is fitted to the visible cap, which the distortion bends too: that moves the centre by the next lower bias.
+COMBINATIONS = (
     ("field_curvature_per_mm", "radial_per_mm2"),
     ("field_curvature_per_mm", "magnification"),
     ("depth_scale_per_mm", "magnification", "depth_gain"),
@@ -18,7 +21,7 @@ TOGETHER = (
 )
 
 
-def shapes(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
+def unit_biases(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
     """Name of the coefficient -> (covariate, (M, 3) bias of a unit coefficient)."""
     x, y, z = xyz.T
     r2, zero = x * x + y * y, np.zeros_like(x)
@@ -34,12 +37,13 @@ def shapes(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
     }
 
 
-def candidates(s: Context) -> list[Candidate]:
-    if not s.scanner_on_flange or np.ptp(s.obs.xyz, axis=0).max() == 0:
+def candidates(context: Context) -> list[Candidate]:
+    """Each bias by itself, and the combinations that a distortion of the surface makes of the centres."""
+    if not context.scanner_on_flange or np.ptp(context.obs.xyz, axis=0).max() == 0:
         raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
-    every = shapes(s.obs.xyz)
+    every = unit_biases(context.obs.xyz)
 
-    def make(names: list[str]) -> Candidate:
+    def combined(names: Sequence[str]) -> Candidate:
         bias = np.stack([every[k][1] for k in names], axis=-1)
         typical = TYPICAL / np.maximum(np.linalg.norm(bias, axis=1).max(axis=0), 1e-12)
         parts = [Part("point", 0, c, bias[:, c]) for c in range(3)]
@@ -49,5 +53,5 @@ def candidates(s: Context) -> list[Candidate]:
 
         return Candidate(NAME, ("scanner",), every[names[0]][0], lambda _: parts, report, typical, variant="+".join(names))
 
-    alone = [k for k in every if k not in LINEAR]
-    return [make([k]) for k in alone] + [make(list(names)) for names in TOGETHER]
+    alone = [k for k in every if k not in ONLY_COMBINED]
+    return [combined([k]) for k in alone] + [combined(names) for names in COMBINATIONS]

@@ -1,17 +1,18 @@
-"""The scanner's unit of length, isotropic or axis by axis."""
+"""An error of the scanner's unit of length, the same along all axes or different along each."""
 
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Part, Report, number, vector
 
 NAME = "scanner_scale"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    if not s.scanner_on_flange or np.ptp(s.obs.xyz, axis=0).max() == 0:
+def candidates(context: Context) -> list[Candidate]:
+    """One scale, three scales, and the scale of each axis alone, in parts per million."""
+    if not context.scanner_on_flange or np.ptp(context.obs.xyz, axis=0).max() == 0:
         raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
-    ppm, xyz = 1e-6, s.obs.xyz
+    ppm, xyz = 1e-6, context.obs.xyz
     one = [Part("point", 0, c, ppm * xyz[:, c : c + 1]) for c in range(3)]
     three = [Part("point", 0, c, ppm * xyz[:, c : c + 1] * np.eye(3)[c]) for c in range(3)]
 
@@ -21,13 +22,9 @@ def candidates(s: Context) -> list[Candidate]:
     def report_three(c, v, _):
         return {"scale_ppm": vector(c, v)}
 
-    def report_axis(axis):
-        return lambda c, v, _: {
-            "scale_ppm": {
-                "value": [float(c[0]) if a == axis else 0.0 for a in range(3)],
-                "std": [float(np.sqrt(v[0, 0])) if a == axis else 0.0 for a in range(3)],
-            }
-        }
+    def report_axis(axis: int) -> Report:
+        only = np.eye(3)[axis]
+        return lambda c, v, _: {"scale_ppm": vector(c[0] * only, v[0, 0] * np.diag(only))}
 
     single = [
         Candidate(

@@ -1,4 +1,4 @@
-"""The scanner's offset right after switching on, fading with time."""
+"""A bias of the scanner right after switching on, which fades with time; offset_mm is its size at the first pose."""
 
 import numpy as np
 
@@ -7,14 +7,15 @@ from mbcacq.effects.effect import Candidate, Part, number, vector
 from mbcacq.effects.pose import warm_up
 
 NAME = "scanner_warmup"
-UNCERTAIN_TAU = 2.0  # growth of the offset's variance because the time constant is estimated beside it
+UNCERTAIN_TAU = 2.0  # growth of the variance of the offset, because the time constant is estimated with it
 
 
-def candidates(s: Context) -> list[Candidate]:
-    hyper, functions = warm_up.time_constant(s), warm_up.fading(s)
+def candidates(context: Context) -> list[Candidate]:
+    """One candidate: three offsets in mm, and a time constant to be found."""
+    hyper, functions = warm_up.time_constant(context), warm_up.fading(context)
 
     def build(tau):
-        fade = functions(np.array([tau]))[0][s.obs.pose]
+        fade = functions(np.array([tau]))[0][context.obs.pose]
         return [Part("point", 0, c, fade * np.eye(3)[c]) for c in range(3)]
 
     def report(c, v, tau):

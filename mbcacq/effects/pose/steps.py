@@ -1,28 +1,31 @@
 """The moment of a sudden change: a step between two poses in the order they were measured."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from mbcacq.effects.context import Context, in_time
+from mbcacq.effects.context import Context, rank_in_time
 from mbcacq.effects.effect import Candidate, Hyperparameter
 from mbcacq.model.observations import Observations
 
 NAME = "at_pose"
 
 
-def moment(s: Context) -> Hyperparameter:
-    """Candidates for the first pose after the change, as ranks in time; every pose up to 400, then evenly spread.
+def moment(context: Context) -> Hyperparameter:
+    """The ranks in time that the first pose after the change may have: every pose up to 400, then evenly spread.
 
     Neighbouring moments split the poses nearly alike: independent ones are as many as the recording can be halved, a few times over.
     """
     margin = 2
-    ranks = np.arange(margin, s.obs.n_poses - margin + 1)
+    ranks = np.arange(margin, context.obs.n_poses - margin + 1)
     if len(ranks) > 400:
         ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
     return Hyperparameter(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
 
 
-def step_functions(s: Context):
-    order = s.order
+def step_functions(context: Context) -> Callable[[np.ndarray], np.ndarray]:
+    """Ranks (H,) -> (H, P, 1): 0 at each pose before the change, 1 from it on."""
+    order = context.order
 
     def functions(values: np.ndarray) -> np.ndarray:
         return (order[None] >= np.asarray(values)[:, None]).astype(float)[..., None]
@@ -30,19 +33,19 @@ def step_functions(s: Context):
     return functions
 
 
-def undecided(candidate: Candidate, hyper: float | None, obs: Observations, seen: np.ndarray) -> list[float]:
+def indistinguishable_moments(candidate: Candidate, hyper: float | None, obs: Observations, seen: np.ndarray) -> list[float]:
     """Other moments that the centres seen (M,) bool cannot tell from this one: no pose of theirs lies between. Empty where there is none,
     and for effects that have no moment.
     """
     if candidate.hyper is None or candidate.hyper.name != NAME:
         return []
-    ranks = np.unique(in_time(obs)[obs.pose[seen]])
+    ranks = np.unique(rank_in_time(obs)[obs.pose[seen]])
     before, after = ranks[ranks < hyper], ranks[ranks >= hyper]
     if not len(before) or not len(after):
         return []
     return [float(r) for r in range(int(before[-1]) + 1, int(after[0]) + 1) if r != hyper]
 
 
-def pose_at(s: Context, rank: float) -> int:
+def pose_at(context: Context, rank: float) -> int:
     """Number of the pose (column ``pose``) that is the first after the change."""
-    return int(s.obs.pose_id[np.flatnonzero(s.order == int(rank))[0]])
+    return int(context.obs.pose_id[np.flatnonzero(context.order == int(rank))[0]])

@@ -1,4 +1,4 @@
-"""A link growing with a recorded temperature or, where none is recorded, with warm-up time."""
+"""A link that grows with a recorded temperature or, where none is recorded, with the time since the first pose."""
 
 import numpy as np
 
@@ -9,28 +9,29 @@ from mbcacq.effects.pose import warm_up
 NAME = "thermal_growth"
 
 
-def candidates(s: Context) -> list[Candidate]:
-    recorded = {k: v for k, v in s.obs.temperatures.items() if np.ptp(v) > 0.2}
-    if not recorded and s.obs.time_s is None:
+def candidates(context: Context) -> list[Candidate]:
+    """For each link longer than 30 mm, its growth along itself with each temperature, or with time."""
+    recorded = {k: v for k, v in context.obs.temperatures.items() if np.ptp(v) > 0.2}
+    if not recorded and context.obs.time_s is None:
         raise Missing("neither temperatures nor times recorded")
-    links = [i for i in range(s.n) if np.hypot(s.state.chain.a[i], s.state.chain.d[i]) > 30]
-    out = [make(s, i, column, values) for i in links for column, values in recorded.items()]
+    links = [i for i in range(context.n) if np.hypot(context.state.chain.a[i], context.state.chain.d[i]) > 30]
+    out = [with_temperature(context, i, column, values) for i in links for column, values in recorded.items()]
     if not recorded:
-        out += [make_warmup(s, i) for i in links]
+        out += [with_warm_up(context, i) for i in links]
     return out
 
 
-def direction(s: Context, i: int) -> np.ndarray:
-    """(3,) unit vector along link i in the frame behind it: d along the joint's axis and a along x, as seen after the MD-H rotation."""
-    chain = s.obs.cell.robot.chain
-    one = chain.link_transforms(np.zeros((1, s.n)))[0, i]
+def direction(context: Context, i: int) -> np.ndarray:
+    """Unit vector (3,) from the frame before link i to the one behind it, in the axes of the latter; it is the same at every angle."""
+    chain = context.obs.cell.robot.chain
+    one = chain.link_transforms(np.zeros((1, context.n)))[0, i]
     along = one[:3, :3].T @ one[:3, 3]
     return along / max(float(np.linalg.norm(along)), 1e-12)
 
 
-def make(s: Context, i: int, column: str, temperature: np.ndarray) -> Candidate:
-    along = direction(s, i)
-    change = (temperature - temperature[np.argmin(s.order)])[:, None]
+def with_temperature(context: Context, i: int, column: str, temperature: np.ndarray) -> Candidate:
+    along = direction(context, i)
+    change = (temperature - temperature[np.argmin(context.order)])[:, None]
     parts = [Part("frame", i + 1, c, change * along[c]) for c in range(3) if abs(along[c]) > 1e-6]
 
     def report(c, v, _):
@@ -39,8 +40,8 @@ def make(s: Context, i: int, column: str, temperature: np.ndarray) -> Candidate:
     return Candidate(NAME, (f"link{i + 1}",), column, lambda _: parts, report, np.array([0.01]))
 
 
-def make_warmup(s: Context, i: int) -> Candidate:
-    along, hyper, fade = direction(s, i), warm_up.time_constant(s), warm_up.fading(s)
+def with_warm_up(context: Context, i: int) -> Candidate:
+    along, hyper, fade = direction(context, i), warm_up.time_constant(context), warm_up.fading(context)
     used = [c for c in range(3) if abs(along[c]) > 1e-6]
 
     def build(tau):

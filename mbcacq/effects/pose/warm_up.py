@@ -1,4 +1,6 @@
-"""Warm-up with time: an exponential whose time constant is to be found."""
+"""Warm-up over time: an exponential whose time constant is to be found."""
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -6,14 +8,15 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Hyperparameter
 
 
-def time_constant(s: Context) -> Hyperparameter:
-    total = float(np.ptp(s.time))
+def time_constant(context: Context) -> Hyperparameter:
+    """Time constants from a few hundredths to twice the duration of the recording."""
+    total = float(np.ptp(context.time))
     return Hyperparameter("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
 
 
-def fading(s: Context):
-    """exp(-t / tau): (H,) s -> (H, P, 1)."""
-    time = s.time
+def fading(context: Context) -> Callable[[np.ndarray], np.ndarray]:
+    """Time constants tau (H,) s -> exp(-t / tau) (H, P, 1) at the time t of each pose since the first."""
+    time = context.time
     return lambda values: np.exp(-time[None] / np.asarray(values)[:, None])[..., None]
 
 

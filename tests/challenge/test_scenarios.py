@@ -1,4 +1,4 @@
-"""Envelopes: reproducible, spread over kinds and strengths, and honest about what a recording without a column can show."""
+"""Scenarios: reproducible, spread over kinds and strengths, and honest about what a recording without a column can show."""
 
 import numpy as np
 import pytest
@@ -19,10 +19,10 @@ def test_fewer_envelopes_are_the_beginning_of_more():
 
 
 def test_every_kind_occurs_equally_often_and_no_cell_twice():
-    envelopes = draw(0, 3 * len(CATALOGUED), kinds("catalogue"))
-    count = {k: sum(e.kind == k for e in envelopes) for k in CATALOGUED}
+    scenarios = draw(0, 3 * len(CATALOGUED), kinds("catalogue"))
+    count = {k: sum(e.kind == k for e in scenarios) for k in CATALOGUED}
     assert set(count.values()) == {3}
-    assert len({e.seed for e in envelopes}) == len(envelopes)
+    assert len({e.seed for e in scenarios}) == len(scenarios)
 
 
 def test_strengths_span_barely_visible_to_plain():
@@ -50,7 +50,7 @@ def test_without_times_nothing_that_creeps_is_concealed():
 
 
 def test_an_unknown_effect_is_refused_by_name():
-    with pytest.raises(ConfigError, match="no effect 'rust' to conceal"):
+    with pytest.raises(ConfigError, match="no effect 'rust' to inject"):
         kinds("backlash,rust")
 
 

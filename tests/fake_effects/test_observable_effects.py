@@ -1,4 +1,4 @@
-"""Concealed effects of scanner, artefact and station; unknown kinds; and the short way to a recording against the rendered one."""
+"""Injected effects of scanner, artefact and station; kinds outside the catalogue; the analytic recording against the rendered one."""
 
 import dataclasses
 import subprocess
@@ -48,7 +48,7 @@ def fit(points, centre, radius):
     ],
     ids=lambda h: h["name"] + h.get("kind", ""),
 )
-def test_the_short_way_shows_what_the_ray_caster_shows(hidden):
+def test_the_analytic_recording_shows_what_the_ray_caster_shows(hidden):
     """Shift of fitted spheres in rendered frames against the analytic recording, with and without the effect; no noise."""
     from types import SimpleNamespace
 
@@ -56,21 +56,21 @@ def test_the_short_way_shows_what_the_ray_caster_shows(hidden):
     facts = cell()
     poses = [pose(a) for a in q]
     shifts = []
-    short = [observe(facts, poses, h, seed=1, fake=QUIET) for h in ([], [hidden])]
+    analytic = [observe(facts, poses, h, seed=1, fake=QUIET) for h in ([], [hidden])]
     for k in range(3):
         centres = []
         for h in ([], [hidden]):
             options = parse({**QUIET, "hidden": h, "furniture": False})
             world = make_world(facts, options, 1)
             arm = SimpleNamespace(
-                read=lambda k=k: SimpleNamespace(time_s=0.0, q=tuple(short[0].q[k]), qd=(0.0,) * 6, direction=(0.0,) * 6, arrivals=k)
+                read=lambda k=k: SimpleNamespace(time_s=0.0, q=tuple(analytic[0].q[k]), qd=(0.0,) * 6, direction=(0.0,) * 6, arrivals=k)
             )
             camera = make_camera(world, arm, options, q, np.zeros(3, int))
             xyz = camera().xyz.reshape(-1, 3).astype(float)
-            start = short[len(h)].xyz[short[0].pose == k]
+            start = analytic[len(h)].xyz[analytic[0].pose == k]
             centres.append([fit(xyz[np.linalg.norm(xyz - c, axis=1) < 6.2], c, 6.0) for c in start])
         shifts.append(np.subtract(*centres[::-1]))
-    expected = short[1].xyz - short[0].xyz
+    expected = analytic[1].xyz - analytic[0].xyz
     # The projector's shadow and grazing drop-outs make the seen cap lopsided: a tenth of the effect, and 2 um of edge points.
     np.testing.assert_allclose(np.concatenate(shifts), expected, atol=0.002 + 0.12 * np.abs(expected).max())
     assert np.abs(expected).max() > 0.02
@@ -86,8 +86,8 @@ def test_scanner_scale_enlarges_what_lies_aside():
 def test_scanner_warmup_fades():
     at = moments(spread_q(3), time_s=[0, 100, 10000])
     effect = act("scanner_warmup", at, offset_mm=[0, 0, 0.1], time_constant_s=100.0)[0]
-    seen = effect.warp(np.zeros((3, 3)), np.arange(3), at)[:, 2]
-    np.testing.assert_allclose(seen, [0.1, 0.1 / np.e, 0], atol=1e-6)
+    measured = effect.warp(np.zeros((3, 3)), np.arange(3), at)[:, 2]
+    np.testing.assert_allclose(measured, [0.1, 0.1 / np.e, 0], atol=1e-6)
 
 
 def test_balls_and_artefacts():
@@ -176,7 +176,7 @@ def test_only_the_balls_in_view_are_recorded(looking_q):
     assert r.ball[r.pose == 1].tolist() == list(range(8))
 
 
-def test_whoever_conceals_shares_nothing_with_whoever_finds():
+def test_the_injected_effects_share_no_code_with_the_diagnosis():
     code = (
         "import sys, mbcacq_fakes.cell.computed_run, mbcacq_fakes.effects as h; [h.make(n) for n in h.CATALOGUED + h.UNCATALOGUED];"
         "bad = [m for m in sys.modules if m.startswith(('mbcacq.geometry', 'mbcacq.effects', 'mbcacq.calibration', 'mbcacq.diagnosis'))];"

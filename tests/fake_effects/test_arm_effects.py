@@ -1,4 +1,4 @@
-"""Concealed effects of the arm against physics worked out another way."""
+"""Injected effects of the arm against physics that is worked out another way."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,101 @@
+"""The diagnosis as typed data: to JSON and back, through pickle, and in a notebook."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import made
+import numpy as np
+import pytest
+
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.output.figures import pictures
+from mbcacq.diagnosis.result import (
+    Advice,
+    Alternative,
+    Diagnosis,
+    EffectFound,
+    FitFigures,
+    FitSummary,
+    HeldOutFigures,
+    MismatchEntry,
+    NotSeparable,
+)
+from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.errors import ConfigError
+
+FOUND = Diagnosis(
+    verdict="explained",
+    mismatch=(MismatchEntry("A2", "gravity_torque_2", 0.71, 1e-12),),
+    effects=(
+        EffectFound(
+            "gear_transmission_error",
+            ("A2", "A3"),
+            {"A2.order": ParameterEstimate((1.0, 100.0), (0.01, 0.02)), "A3.order": ParameterEstimate(2.0, 0.01)},
+            1e-12,
+            0.83,
+            (Alternative("joint_scale", ("A2",), 0.12),),
+            "q2",
+        ),
+    ),
+    fit=FitSummary(FitFigures(0.061, 0.013, 19.0, 1.02), HeldOutFigures(0.064, 0.014, 20.1, 1.1, "station"), 0.012),
+    not_separable=(NotSeparable(("thermal_growth:link2", "joint_scale:A1"), 0.98),),
+    advice=(Advice("look elsewhere", ((0.0, -90.0, 90.0, 0.0, 10.0, 0.0),)),),
+    dropped={"payload": "no masses"},
+    notes=("a note",),
+)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(plan):
+    return diagnose(made.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]), folds=2)
+
+
+def test_a_diagnosis_goes_to_json_and_back():
+    text = json.dumps(FOUND.to_json(), allow_nan=False)
+
+    assert Diagnosis.from_json(json.loads(text)) == FOUND
+    assert json.dumps(Diagnosis.from_json(json.loads(text)).to_json()) == text
+
+
+def test_the_keys_stand_in_the_order_of_the_format():
+    content = FOUND.to_json()
+
+    assert list(content) == ["format", "verdict", "mismatch", "effects", "fit", "not_separable", "advice", "dropped", "notes"]
+    assert list(content["effects"][0]) == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]
+    assert list(content["fit"]["held_out"]) == ["before_rms_mm", "after_rms_mm", "before_chi2_dof", "after_chi2_dof", "split"]
+    assert content["effects"][0]["parameters"]["A2.order"] == {"value": [1.0, 100.0], "std": [0.01, 0.02]}
+
+
+def test_what_is_not_finite_is_null_in_json_and_not_a_number_again():
+    content = replace(FOUND, mismatch=(MismatchEntry("A2", "q2", np.inf, 0.5),)).to_json()
+
+    assert content["mismatch"][0]["share"] is None
+    assert np.isnan(Diagnosis.from_json(content).mismatch[0].share)
+
+
+@pytest.mark.parametrize("content", [{}, {"format": "mbcacq-result/1"}, {"format": "mbcacq-diagnosis/1", "fit": {}}])
+def test_an_object_of_another_kind_is_refused(content):
+    with pytest.raises(ConfigError, match="diagnosis"):
+        Diagnosis.from_json(content)
+
+
+def test_a_diagnosis_shows_itself_in_a_notebook():
+    hostile = replace(FOUND, effects=(replace(FOUND.effects[0], where=("<b>",)),))
+
+    assert repr(FOUND) == "<Diagnosis explained: gear_transmission_error at A2, A3; held-out rms 0.0640 -> 0.0140 mm>"
+    assert "A2.order = [1, 100] +- [0.01, 0.02]" in FOUND._repr_html_()
+    assert "<td>&lt;b&gt;</td>" in hostile._repr_html_()
+    assert "http" not in FOUND._repr_html_()
+
+
+def test_a_diagnosis_pickles_with_what_its_pictures_need(diagnosis):
+    again = pickle.loads(pickle.dumps(diagnosis))
+
+    assert again == diagnosis
+    assert pictures(again) == pictures(diagnosis)
+
+
+def test_a_diagnosis_that_was_read_from_json_has_no_pictures(diagnosis):
+    with pytest.raises(ConfigError, match="diagnose the recording again"):
+        pictures(Diagnosis.from_json(diagnosis.to_json()))
