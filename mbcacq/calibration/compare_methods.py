@@ -1,4 +1,4 @@
-"""Rivals on the same data, judged the same way: fit, sphere spacing error, held-out error, time."""
+"""Methods of calibration on the same data, judged alike: fit, sphere spacing error, held-out error, time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from mbcacq.calibration.cross_validation import about_best_station, prediction_error
-from mbcacq.calibration.methods import RIVALS
+from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
@@ -22,9 +22,9 @@ SAME_POSTURE = np.radians(0.1)
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """One method. fit_mm: 3D rms about the best station poses, on the poses fitted; bar_mean_mm, bar_max_mm: sphere spacing error at the
-    verification poses; held_out_mm: 3D rms on stations (or, with one or two stations, poses) left out; why: why there is no result;
+    verification poses; held_out_mm: 3D rms on held-out stations (or, with one or two stations, poses); why: why there is no result;
     why_not_held_out: why there is no held-out figure, where one was asked for."""
 
     method: str
@@ -40,7 +40,9 @@ class Row:
         return asdict(self)
 
 
-def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> list[Row]:
+def compare(
+    observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0
+) -> list[ComparisonRow]:
     """One row a method of :data:`mbcacq.calibration.methods.RIVALS`, in that order; a method that these data do not determine has no
     figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
@@ -49,16 +51,18 @@ def compare(observations: Observations, methods: Iterable[str] | None = None, *,
             "every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
             "undetermined; nothing can be compared. Take several different poses at each station"
         )
-    names = list(RIVALS) if methods is None else list(methods)
-    return [_row(name, RIVALS[name], obs, observations, held_out, seed) for name in names]
+    names = list(COMPARED_METHODS) if methods is None else list(methods)
+    return [_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed) for name in names]
 
 
-def _row(name: str, fit: Callable[[Observations], CellState], obs: Observations, whole: Observations, held_out: bool, seed: int) -> Row:
+def _row(
+    name: str, fit: Callable[[Observations], CellState], obs: Observations, whole: Observations, held_out: bool, seed: int
+) -> ComparisonRow:
     begin = time.perf_counter()
     try:
         state = fit(obs)
     except CalibrationError as error:
-        return Row(name, why=str(error))
+        return ComparisonRow(name, why=str(error))
     seconds = time.perf_counter() - begin
     d, _ = about_best_station(obs, state)
     bar = verify(whole, state)
@@ -69,7 +73,7 @@ def _row(name: str, fit: Callable[[Observations], CellState], obs: Observations,
     except CalibrationError as error:
         why = str(error)
     bars = (None, None) if errors is None else (float(errors.mean()), float(errors.max()))
-    return Row(name, _rms(d), *bars, left, seconds, why_not_held_out=why)
+    return ComparisonRow(name, _rms(d), *bars, left, seconds, why_not_held_out=why)
 
 
 def posture_range(obs: Observations) -> float:

@@ -17,7 +17,7 @@ from mbcacq.model.observations import Observations
 
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
 RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
-LEAST_TURN = np.radians(4.0)
+LEAST_ROTATION = np.radians(4.0)
 
 
 def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
@@ -26,7 +26,7 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     if per_station:
         _refuse_few_balls(obs)
     turn = orientation_range(obs)
-    if turn < LEAST_TURN:
+    if turn < LEAST_ROTATION:
         raise CalibrationError(
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
             "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more"
@@ -80,7 +80,7 @@ def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, option
 
 
 def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs: Observations, options: CalibrationOptions) -> None:
-    """Raise CalibrationError where everything is determined in principle, but so badly that the result would be worth nothing.
+    """Raise CalibrationError where everything is determined in principle, but so poorly that the result would be of no use.
 
     C: (g, g) covariance of the free parameters; expected_mm: rms uncertainty of a point over the workspace.
     """

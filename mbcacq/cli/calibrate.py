@@ -40,7 +40,7 @@ import click
     show_default=True,
     help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.",
 )
-@click.option("--keep-outliers", is_flag=True, help="Do not screen gross outliers.")
+@click.option("--keep-outliers", is_flag=True, help="Do not reject gross outliers.")
 @click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")

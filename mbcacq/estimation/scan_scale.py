@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from mbcacq.estimation.initial_guess import match
+from mbcacq.estimation.initial_guess import fit_rigid_transforms
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
 from mbcacq.model.observations import Observations
 
@@ -61,7 +61,7 @@ def _of_artefact(obs: Observations, used: np.ndarray, a: int, noise: float) -> t
         return None
     poses, group = np.unique(obs.pose[rows], return_inverse=True)
     known, seen = cell.ball_centres[obs.ball[rows]], obs.xyz[rows]
-    turn = match(known, seen, group, len(poses))[:, :3, :3]
+    turn = fit_rigid_transforms(known, seen, group, len(poses))[:, :3, :3]
     known, seen = _centred(known, group), _centred(seen, group)
     size = np.bincount(group, np.sum(known**2, axis=1))
     scale = np.bincount(group, np.sum(seen * np.einsum("mij,mj->mi", turn[group], known), axis=1)) / size - 1

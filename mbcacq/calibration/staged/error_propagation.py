@@ -1,4 +1,4 @@
-"""How far off the distance constraint's answer is: the noise of every pose carried through its least squares.
+"""Error propagation: the noise of every pose carried through the least squares of the distance constraint.
 
 Distances are not independent. Each centre enters many of them, the angle adjustment ties the centres of a scan, and the repeatability of
 the joints moves all of them together; plain least squares of the distances understates the uncertainty several times. The method itself
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbcacq.calibration.staged.ball_pairs import PairDistances
-from mbcacq.estimation.initial_guess import match
+from mbcacq.estimation.initial_guess import fit_rigid_transforms
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import LEAST_POINT
 from mbcacq.geometry import se3
@@ -41,11 +41,11 @@ class Propagated:
 
 def scanner_noise(obs: Observations) -> np.ndarray:
     """(3,) mm: sigma of a centre along the scanner's axes, from the shape of each scan against the certificate; as the stated
-    noise among the axes, or alike. Poses with fewer than three balls tell nothing."""
+    noise among the axes, or alike. Poses with fewer than three balls are not used."""
     stated = np.ones(3) if obs.cell.noise_mm is None else np.maximum(obs.cell.noise_mm, LEAST_POINT)
-    T = match(obs.cell.ball_centres[obs.ball], obs.xyz, obs.pose, obs.n_poses)
+    T = fit_rigid_transforms(obs.cell.ball_centres[obs.ball], obs.xyz, obs.pose, obs.n_poses)
     known = se3.apply(T[obs.pose], obs.cell.ball_centres[obs.ball])
-    left, expected = 0.0, 0.0
+    squares, expected = 0.0, 0.0
     for p in np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3):
         rows = obs.pose == p
         around = known[rows] - known[rows].mean(axis=0)
@@ -53,24 +53,23 @@ def scanner_noise(obs: Observations) -> np.ndarray:
         U, size, _ = np.linalg.svd(rigid / np.linalg.norm(rigid, axis=0), full_matrices=False)
         U = U[:, size > 1e-6]
         e = (obs.xyz[rows] - known[rows]).reshape(-1)
-        left += float(np.sum((e - U @ (U.T @ e)) ** 2))
+        squares += float(np.sum((e - U @ (U.T @ e)) ** 2))
         expected += float(np.sum((1 - np.sum(U**2, axis=1)) * np.tile(stated**2, len(around))))
-    return np.maximum(np.sqrt(left / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
+    return np.maximum(np.sqrt(squares / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
 
 
 def propagate(
     chain: Chain,
     hand_eye: np.ndarray,
-    q: np.ndarray,
-    pose: np.ndarray,
-    xyz: np.ndarray,
+    obs: Observations,
     at: PairDistances,
     J: np.ndarray,
     residual: np.ndarray,
     inverse: np.ndarray,
     measured: Measured,
 ) -> Propagated:
-    """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unseen."""
+    """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unobservable."""
+    q, pose, xyz = obs.q, obs.pose, obs.xyz
     frames = chain.frames(q)
     T = frames[:, -1] @ hand_eye
     point = se3.apply(T[pose], xyz)
