@@ -44,7 +44,7 @@ class Rejected:
     distance_mm: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CalibrationFit:
     """A converged adjustment of the cell; :class:`mbcacq.calibration.result.Calibration` adds the way to JSON.
 
@@ -131,6 +131,11 @@ class CalibrationFit:
     def used(self) -> np.ndarray:
         """(M,) bool: centres that took part."""
         return (self.weights.centre > 0) & (self.weights.pose[self.observations.pose] > 0)
+
+    def took_part(self, observations: Observations) -> bool:
+        """Whether any pose of ``observations`` took part in this calibration: the same number with the same joint angles."""
+        mine = {int(n): q for n, q in zip(self.observations.pose_id, self.observations.q, strict=True)}
+        return any(int(n) in mine and np.array_equal(mine[int(n)], q) for n, q in zip(observations.pose_id, observations.q, strict=True))
 
     @property
     def held(self) -> dict[str, str]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any, overload
 
 import numpy as np
 
+from mbcacq.calibration import notebook
 from mbcacq.calibration.cross_validation import about_best_station, prediction_error
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.calibration.verification import verify
@@ -17,6 +19,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
 from mbcacq.model.observations import Observations
 
+FORMAT = "mbcacq-comparison/1"
 FOLDS = 5
 SAME_POSTURE = np.radians(0.1)
 
@@ -36,13 +39,53 @@ class ComparisonRow:
     why: str = ""
     why_not_held_out: str = ""
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
-def compare(
-    observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0
-) -> list[ComparisonRow]:
+@dataclass(frozen=True, repr=False)
+class Comparison(Sequence[ComparisonRow]):
+    """The rows of a comparison, in the order of the methods; a sequence of them."""
+
+    rows: tuple[ComparisonRow, ...]
+
+    @overload
+    def __getitem__(self, index: int) -> ComparisonRow: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[ComparisonRow, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> ComparisonRow | tuple[ComparisonRow, ...]:
+        return self.rows[index]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form, read back by :meth:`from_dict`."""
+        return {"format": FORMAT, "rows": [row.to_dict() for row in self.rows]}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Comparison:
+        """The comparison that ``to_dict`` wrote."""
+        return cls(tuple(ComparisonRow(**row) for row in content["rows"]))
+
+    def __repr__(self) -> str:
+        judged = [row for row in self.rows if row.held_out_mm is not None]
+        best = min(judged, key=lambda row: row.held_out_mm or 0.0) if judged else None
+        smallest = f", smallest held-out error {best.held_out_mm:.4f} mm by {best.method}" if best else ""
+        return f"Comparison({len(self.rows)} methods{smallest})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (r.method, *(notebook.number(v) for v in (r.fit_mm, r.bar_mean_mm, r.bar_max_mm, r.held_out_mm)), notebook.number(r.time_s, 2))
+            for r in self.rows
+        ]
+        header = ("method", "fit rms mm", "bar mean mm", "bar max mm", "held-out rms mm", "time s")
+        return notebook.table("Methods of calibration", header, rows)
+
+
+def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
     """One row a method of :data:`mbcacq.calibration.methods.RIVALS`, in that order; a method that these data do not determine has no
     figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
@@ -52,7 +95,7 @@ def compare(
             "undetermined; nothing can be compared. Take several different poses at each station"
         )
     names = list(COMPARED_METHODS) if methods is None else list(methods)
-    return [_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed) for name in names]
+    return Comparison(tuple(_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed) for name in names))
 
 
 def _row(

@@ -21,7 +21,7 @@ def observe(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], envelope: Scenario, concealed: Concealed
 ) -> tuple[Observations, dict[str, Any]]:
     """What the run would record, as observations, and the truth. concealed: as in a plan's ``fake: hidden``."""
-    from mbcacq.workflow.run import solver_cell
+    from mbcacq.workflow.acquire import solver_cell
 
     recorded = load_driver("fakes", "recorded")(loaded.cell, poses, concealed, envelope.seed, outliers=envelope.outliers)
     observations = Observations(
@@ -47,7 +47,7 @@ def run(
     from mbcacq.plan import path
     from mbcacq.plan.routing import way_home
     from mbcacq.recording import load
-    from mbcacq.workflow.run import Acquisition
+    from mbcacq.workflow.acquire import Acquisition
 
     secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": concealed}}))
     folder.mkdir(parents=True, exist_ok=True)

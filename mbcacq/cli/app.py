@@ -18,9 +18,9 @@ COMMANDS = {
     "plan": "show, check or design a plan, without opening a socket",
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
-    "diagnose": "say where simulation and recording part, and what physics was left out",
+    "diagnose": "say where simulation and recording differ, and which effects the model lacks",
     "simulate": "write what the calibrated model says a plan would record",
-    "challenge": "conceal effects in the fake cell, diagnose blind, score",
+    "challenge": "inject effects into the fake cell, diagnose blind, score",
     "report": "write the report of a run: one HTML page",
     "view": "open a recording in the rerun viewer",
     "export": "write results or observations in the formats of other programs",
@@ -38,10 +38,10 @@ class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        if name not in COMMANDS:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
             return None
-        return importlib.import_module(f"mbcacq.cli.{name.replace('-', '_')}").command
+        return importlib.import_module(f"mbcacq.cli.{cmd_name.replace('-', '_')}").command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
