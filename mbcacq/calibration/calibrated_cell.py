@@ -76,8 +76,8 @@ class CalibratedCell(CalibratedCellMethods):
 
     def took_part(self, observations: Observations) -> bool | None:
         """False where none of these stations belongs to the calibration; else None: result.json does not list poses."""
-        seen = {observations.cell.stations[s].id for s in np.unique(observations.station)}
-        return None if seen & set(self.stations) else False
+        measured = {observations.cell.stations[s].id for s in np.unique(observations.station)}
+        return None if measured & set(self.stations) else False
 
     def __repr__(self) -> str:
         return f"CalibratedCell({self.robot}: {len(self.names)} parameters, {len(self.stations)} stations)"

@@ -86,8 +86,8 @@ class Comparison(Sequence[ComparisonRow]):
 
 
 def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
-    """One row a method of :data:`mbcacq.calibration.methods.RIVALS`, in that order; a method that these data do not determine has no
-    figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
+    """One row a method of :data:`mbcacq.calibration.methods.COMPARED_METHODS`, in that order; a method that these data do not determine has
+    the reason in place of figures. Raises CalibrationError where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError(
@@ -110,13 +110,13 @@ def _row(
     d, _ = about_best_station(obs, state)
     bar = verify(whole, state)
     errors = np.abs(bar.errors("after")) if bar.places else None
-    left, why = None, ""
+    held_out_mm, why = None, ""
     try:
-        left = _held_out(fit, obs, seed) if held_out else None
+        held_out_mm = _held_out(fit, obs, seed) if held_out else None
     except CalibrationError as error:
         why = str(error)
     bars = (None, None) if errors is None else (float(errors.mean()), float(errors.max()))
-    return ComparisonRow(name, _rms(d), *bars, left, seconds, why_not_held_out=why)
+    return ComparisonRow(name, _rms(d), *bars, held_out_mm, seconds, why_not_held_out=why)
 
 
 def posture_range(obs: Observations) -> float:

@@ -40,8 +40,8 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
 def refuse_one_station(obs: Observations) -> None:
     """Raise CalibrationError where all poses are at one station: its own pose absorbs what the arm does wrong there, and the fit looks
     better than it is anywhere else. A station whose place in the base is given counts as two."""
-    seen = np.unique(obs.station)
-    if obs.cell.measurement != TARGET_IN_BASE and len(seen) == 1 and obs.cell.stations[seen[0]].T_base_station is None:
+    used = np.unique(obs.station)
+    if obs.cell.measurement != TARGET_IN_BASE and len(used) == 1 and obs.cell.stations[used[0]].T_base_station is None:
         raise CalibrationError(
             "all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
             "more places, at different heights and distances, or identify the hand-eye transform alone"
@@ -52,8 +52,8 @@ def _refuse_few_balls(obs: Observations) -> None:
     """At least one station must have shown three balls of its artefact, or all where it has fewer."""
     for s in np.unique(obs.station):
         artefact = obs.cell.artefact(obs.cell.stations[s].artefact)
-        seen = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
-        if seen >= min(3, len(artefact.ball_ids)):
+        measured = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
+        if measured >= min(3, len(artefact.ball_ids)):
             return
     raise CalibrationError(
         "fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "

@@ -20,7 +20,7 @@ COMMANDS = {
     "compare": "compare calibration methods on the same data",
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",
     "simulate": "write what the calibrated model says a plan would record",
-    "challenge": "inject effects into the fake cell, diagnose blind, score",
+    "challenge": "inject effects into the fake cell, diagnose without knowing them, score",
     "report": "write the report of a run: one HTML page",
     "view": "open a recording in the rerun viewer",
     "export": "write results or observations in the formats of other programs",
@@ -79,7 +79,7 @@ class LazyGroup(click.Group):
             if os.environ.get("MBCACQ_DEBUG"):
                 raise
             if isinstance(error, OSError) and error.errno in FULL:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where even our words found no place
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where not even our words find room
                 where = error.filename or "the output"
                 click.echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
                 sys.exit(ExitCode.RECORDING_FAILED)
@@ -95,7 +95,7 @@ EPILOG = "Exit codes: " + ", ".join(f"{code.value} {EXIT_CODE_MEANING[code]}" fo
 @click.group(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="mbcacq")
 def app() -> None:
-    """Acquire with a robot-mounted 3D scanner, calibrate the cell, explain what is left.
+    """Acquire with a robot-mounted 3D scanner, calibrate the cell, diagnose what the model lacks.
 
     Try it without hardware: mbcacq run plans/kuka.yaml --dry-run
     """

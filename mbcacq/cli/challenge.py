@@ -1,4 +1,4 @@
-"""``mbcacq challenge``: conceal effects in the fake cell, diagnose blind, open the envelopes, score."""
+"""``mbcacq challenge``: inject effects into the fake cell, diagnose without knowing them, compare with the truth, score."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import click
     "--effects",
     default="mixed",
     show_default=True,
-    help="What to conceal: catalogue, outside, none, two (at once), mixed, or names; separated by commas.",
+    help="What to inject: catalogue, outside, none, two (at once), mixed, or names; separated by commas.",
 )
 @click.option(
     "--through-protocols/--fast",
@@ -36,7 +36,7 @@ import click
 )
 @click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 16), help="Processes.")
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Keep recordings, diagnoses and opened envelopes in this folder."
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Keep recordings, diagnoses and the true scenarios in this folder."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print scores and table as one JSON object on stdout.")
 def command(
@@ -51,7 +51,7 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Conceal effects in the fake cell, run the plan, diagnose the recordings blind, then open the envelopes and score.
+    """Inject effects into the fake cell, run the plan, diagnose the recordings without knowing them, then compare with the truth and score.
 
     \b
     Examples:
@@ -71,11 +71,11 @@ def command(
         raise ConfigError("gross outliers can only be made with --fast; leave out --outliers, or add --fast")
     wanted = kinds(effects, missing)
     order = np.random.default_rng([seed, 21]).permutation(len(wanted))
-    envelopes = draw(seed, count, [wanted[i] for i in order], outliers, missing)
+    scenarios = draw(seed, count, [wanted[i] for i in order], outliers, missing)
 
     outcomes = take_all(
         plan or shipped.folder() / "seeing.yaml",
-        envelopes,
+        scenarios,
         protocols,
         out,
         jobs,

@@ -17,7 +17,7 @@ def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) ->
     """Write the report of RUN: one HTML page that opens offline and prints well.
 
     RUN is a run folder, a recording (.rrd) or an observation set. A result that is there is used, otherwise the cell is calibrated; so is
-    a diagnosis that 'mbcacq diagnose' left in the folder of a run.
+    a diagnosis that 'mbcacq diagnose' kept in the folder of a run.
 
     \b
     Examples:

@@ -39,17 +39,17 @@ def start(obs: Observations, chain: Chain | None = None) -> CellState:
 
 
 def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
-    """T_flange_scanner (4, 4), or None where the poses do not determine it; a rotation that they do not see is taken from the guess."""
+    """T_flange_scanner (4, 4), or None where the poses do not determine it; an undetermined rotation is taken from the guess."""
     T = T_base_flange[obs.pose]
     R, t = T[:, :3, :3], T[:, :3, 3]
     group = _groups(obs)
     turning = (R[:, :, :, None] * obs.xyz[:, None, None, :]).reshape(len(R), 3, 9)
-    seen = np.abs(obs.xyz).max(initial=0.0) > 1e-9
-    columns = np.concatenate([turning, R], axis=2) if seen else R
+    off_origin = np.abs(obs.xyz).max(initial=0.0) > 1e-9
+    columns = np.concatenate([turning, R], axis=2) if off_origin else R
     solution = _linear_l1(columns, -t, group)
-    if solution is None and not seen:
+    if solution is None and not off_origin:
         return None
-    if solution is not None and seen:
+    if solution is not None and off_origin:
         rotation = solution[:9].reshape(3, 3)
         size = np.linalg.svd(rotation, compute_uv=False)
         if size[-1] < 0.5 or size[0] > 2.0:
@@ -94,7 +94,7 @@ def tracker_start(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndar
 
 
 def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """T_base_station (S, 4, 4): given ones as given, the others by matching the points seen there."""
+    """T_base_station (S, 4, 4): given ones as given, the others by fitting the points measured there."""
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
     if cell.measurement == TARGET_IN_BASE:
@@ -182,6 +182,6 @@ def _centred(values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: i
 
 
 def with_all_stations(obs: Observations, state: CellState) -> CellState:
-    """The state with every station placed by the points seen there."""
+    """The state with every station placed by the points measured there."""
     placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
     return replace(state, T_base_station=placed)

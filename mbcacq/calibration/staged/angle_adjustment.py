@@ -15,7 +15,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LCurve:
-    """ridge: (L,) parameters; misfit: (L,) rad norm of what is left of the angles; size: (L,) mm norm of the corrections; corner: index
+    """ridge: (L,) parameters; misfit: (L,) rad norm of the remaining angle errors; size: (L,) mm norm of the corrections; corner: index
     of the one taken."""
 
     ridge: np.ndarray

@@ -84,32 +84,32 @@ def propagate(
         shape=(len(rows), 3 * count),
     )
     S = (D.T @ J).reshape(count, 3, -1)
-    seen = np.zeros((count, 3, 3))
+    weight = np.zeros((count, 3, 3))
     square = u[:, :, None] * u[:, None, :]
     for ends in (at.a, at.b):
-        seen += np.stack([np.bincount(ends, square.reshape(-1, 9)[:, c], count) for c in range(9)], axis=1).reshape(-1, 3, 3)
+        weight += np.stack([np.bincount(ends, square.reshape(-1, 9)[:, c], count) for c in range(9)], axis=1).reshape(-1, 3, 3)
     twists = chain.joint_twists(frames)[pose]
     joint = np.swapaxes(twists[..., :3] + np.cross(twists[..., 3:], point[:, None]), 1, 2)  # (M, 3, n)
-    by_scanner, seen_scanner = _scanner(pose, T[pose, :3, :3], S, seen, measured)
+    by_scanner, scanner_trace = _scanner(pose, T[pose, :3, :3], S, weight, measured)
     by_pose = np.zeros((len(q), joint.shape[2], S.shape[2]))
     np.add.at(by_pose, pose, np.swapaxes(joint, 1, 2) @ S)
     by_joint = np.einsum("png,pnh->gh", by_pose, by_pose)
-    seen_joint = float(np.einsum("mik,mij,mjk->", joint, seen, joint))
+    joint_trace = float(np.einsum("mik,mij,mjk->", joint, weight, joint))
     # E |residual|^2 = tr(D Omega D') less what the fit takes of it.
-    expected_scanner = seen_scanner - np.sum(inverse * by_scanner)
-    expected_joint = seen_joint - np.sum(inverse * by_joint)
+    expected_scanner = scanner_trace - np.sum(inverse * by_scanner)
+    expected_joint = joint_trace - np.sum(inverse * by_joint)
     variance = max(float(residual @ residual) - expected_scanner, 0.0) / expected_joint if expected_joint > 0 else 0.0
     covariance = inverse @ (by_scanner + variance * by_joint) @ inverse
     return Propagated(covariance, Noise(measured.shape, np.full(chain.n, np.sqrt(variance))))
 
 
-def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, seen: np.ndarray, measured: Measured) -> tuple[np.ndarray, float]:
-    """(g, g) sum over poses of S' Omega S, and the trace of ``seen`` with Omega, for the scanner's noise. R: (M, 3, 3) scanner in base."""
+def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, weight: np.ndarray, measured: Measured) -> tuple[np.ndarray, float]:
+    """(g, g) sum over poses of S' Omega S, and the trace of ``weight`` Omega, for the scanner's noise. R: (M, 3, 3) scanner in base."""
     S = np.swapaxes(R, 1, 2) @ S
-    seen = np.swapaxes(R, 1, 2) @ seen @ R
+    weight = np.swapaxes(R, 1, 2) @ weight @ R
     if measured.smoother is None:
         weighed = measured.shape[:, None] * S
-        return np.einsum("mcg,mch->gh", weighed, weighed), float(np.einsum("mcc,c->", seen, measured.shape**2))
+        return np.einsum("mcg,mch->gh", weighed, weighed), float(np.einsum("mcc,c->", weight, measured.shape**2))
     total, trace = np.zeros((S.shape[2],) * 2), 0.0
     for p in np.unique(pose):
         rows = np.flatnonzero(pose == p)
@@ -117,5 +117,5 @@ def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, seen: np.ndarray, m
         own = A.T @ S[rows].reshape(-1, S.shape[2])
         total += own.T @ own
         blocks = A.reshape(len(rows), 3, -1)
-        trace += float(np.einsum("mci,mcd,mdi->", blocks, seen[rows], blocks))
+        trace += float(np.einsum("mci,mcd,mdi->", blocks, weight[rows], blocks))
     return total, trace

@@ -19,12 +19,12 @@ def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.
     three balls stay as they are. Poses that show the same balls share a ridge parameter. Last, per pose, (3 B, 3 B) what the
     adjustment leaves of small errors of its B centres, in their order."""
     certified, xyz = obs.cell.ball_centres, obs.xyz.copy()
-    seen = np.zeros((obs.n_poses, len(certified)), bool)
-    seen[obs.pose, obs.ball] = True
+    visible = np.zeros((obs.n_poses, len(certified)), bool)
+    visible[obs.pose, obs.ball] = True
     curves = []
     smoother = [np.eye(3 * k) for k in np.bincount(obs.pose, minlength=obs.n_poses)]
-    for mask in np.unique(seen, axis=0):
-        poses = np.flatnonzero((seen == mask).all(axis=1))
+    for mask in np.unique(visible, axis=0):
+        poses = np.flatnonzero((visible == mask).all(axis=1))
         balls = np.flatnonzero(mask)
         rows = np.flatnonzero(np.isin(obs.pose, poses))
         if len(balls) < 3 or len(rows) != len(poses) * len(balls):
