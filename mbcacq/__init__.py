@@ -21,6 +21,8 @@ Names are imported when they are first used: ``import mbcacq`` alone takes a few
 
 from __future__ import annotations
 
+from mbcacq.version import __version__
+
 TYPE_CHECKING = False  # type checkers take it for True; importing typing takes longer than all the rest
 if TYPE_CHECKING:
     from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -41,8 +43,6 @@ if TYPE_CHECKING:
     from mbcacq.workflow.run import Operator, run
     from mbcacq.workflow.simulate import simulate
 
-__version__ = "0.1.0"
-
 __all__ = [
     "CalibratedCell",
     "Calibration",
@@ -56,6 +56,7 @@ __all__ = [
     "Targets",
     "Trajectory",
     "Verification",
+    "__version__",
     "calibrate",
     "compare",
     "diagnose",

@@ -9,8 +9,8 @@ import sys
 
 import click
 
-from mbcacq import __version__
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
+from mbcacq.version import __version__
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {

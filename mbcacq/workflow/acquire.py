@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbcacq import __version__
 from mbcacq.acquisition.cell_devices import Overrides, create_devices
 from mbcacq.acquisition.event_bus import EventBus, Subscriber
 from mbcacq.acquisition.runner import Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.cell import Cell
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
 
 if TYPE_CHECKING:
