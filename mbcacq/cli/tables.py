@@ -151,7 +151,7 @@ def verification(v: dict[str, Any]) -> Table:
     table.add_section()
     table.add_row("max", "", "", f"{v['before']['max_mm']:.3f}", f"{v['after']['max_mm']:.3f}", "")
     expected = "" if v.get("expected_mean_mm") is None else f"{v['expected_mean_mm']:.3f}"
-    if v.get("independent", True) is not True:
+    if v.get("independent") is False:
         table.caption = "these poses took part in the calibration"
     table.add_row("mean", "", "", f"{v['before']['mean_mm']:.3f}", f"{v['after']['mean_mm']:.3f}", expected)
     return table
