@@ -17,6 +17,11 @@ assert abs(checked.errors("before")).max() < 0.03 < 0.05 < abs(checked.errors("a
 assert {scale["name"], *(a["name"] for a in scale["alternatives"])} >= {"scanner_scale", "artefact_expansion"}
 (ppm,) = scale["parameters"].values()
 assert abs(ppm["value"] - 300.0) < 4 * ppm["std"]
+import pickle
+copy = pickle.loads(pickle.dumps(found))
+assert copy.pictures() == drawn and copy.content == found.content and copy.text == found.text
+assert "scanner_scale" in found.write_html("diagnosis.html").read_text(encoding="utf-8")
+assert mbcacq.DiagnosisResult.from_json(found.to_json()).effects == found.effects
 """
 
 
