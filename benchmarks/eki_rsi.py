@@ -20,7 +20,7 @@ from mbcacq.geometry import se3
 from mbcacq.plan import expand, load, path
 from mbcacq.plan.routing import path_home
 from mbcacq.recording import load_observations as load_run
-from mbcacq.workflow import run
+from mbcacq.workflow import acquire
 
 PLANS = Path(__file__).parents[1] / "plans"
 EKI = {"address": "127.0.0.1", "port": 54610}
@@ -49,7 +49,7 @@ def record(name: str, driver: str, seed: int, folder: Path) -> Path:
     loaded = plan(name, driver, seed)
     poses = expand(loaded)
     with load_driver("fakes", "cell")(loaded, poses, seed=seed) as cell:
-        run.Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        acquire.Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
     return folder
 
 

@@ -31,7 +31,7 @@ from mbcacq.model.cell_schema import RobotSpec  # noqa: E402
 from mbcacq.model.observations import Observations  # noqa: E402
 from mbcacq.model.shipped import robot_file  # noqa: E402
 from mbcacq.plan import expand, load  # noqa: E402
-from mbcacq.workflow.run import solver_cell  # noqa: E402
+from mbcacq.workflow.acquire import solver_cell  # noqa: E402
 
 TABLE_1 = np.array(
     [  # deg, mm, mm, deg, deg

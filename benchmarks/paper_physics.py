@@ -166,7 +166,7 @@ def stretch_signal(plan) -> float:
     for stretch in (0.0, WANTED / BAR):
         longer = np.zeros((chain.n, 5))
         longer[:, 1:3] = stretch * chain.rows[:, 1:3]
-        left.append(distance_constraint.identify(chain.with_errors(longer), hand_eye, obs.q, obs.pose, obs.xyz, at, free).rms_after)
+        left.append(distance_constraint.identify(chain.with_errors(longer), hand_eye, obs, at, free).rms_after)
     return 1e3 * float(np.sqrt(max(left[1] ** 2 - left[0] ** 2, 0.0)))  # the certificate's own errors are in both
 
 

@@ -14,7 +14,7 @@ from mbcacq_fakes.cell import computed_run
 
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
-from mbcacq.workflow.run import solver_cell
+from mbcacq.workflow.acquire import solver_cell
 
 PLANS = Path(__file__).parents[1] / "plans"
 NOISE = np.array([0.005, 0.005, 0.009])  # mm, of a ball centre in one exposure

@@ -1,7 +1,108 @@
-"""Acquire with a robot-mounted 3D scanner, calibrate the cell, explain what is left.
+"""Acquire with a robot-mounted 3D scanner, calibrate the cell, diagnose what the model lacks.
+
+    import mbcacq
+
+    plan = mbcacq.load_plan("plans/quick.yaml")
+    done = mbcacq.run(plan, dry_run=True)                 # recorded, calibrated, verified, in a folder of its own
+    data = mbcacq.load_observations("ur5-tracker")        # a run folder, a .rrd, an observation set
+    cell = mbcacq.calibrate(data)                         # cell.errors (n, 5), cell.covariance (g, g), cell.to_base(q, xyz)
+    mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
+    mbcacq.compare(data)                                  # the methods of calibration on the same data
+    found = mbcacq.diagnose(data)                         # found.verdict, found.effects, found.write_html("diagnosis.html")
+    twin = mbcacq.simulate(plan, cell)                    # what that cell would record
+    mbcacq.write_report(cell, "report.html")
+    mbcacq.export(cell, results="for-the-controller")
 
 Lengths are mm, angles rad, time s, mass kg inside the program; degrees appear only in YAML, CSV and on the KUKA wire.
 A transform ``T_base_flange`` takes coordinates in the flange frame to coordinates in the base frame.
+
+Names are imported when they are first used: ``import mbcacq`` alone takes a few milliseconds.
 """
 
-__version__ = "0.1.0"
+from __future__ import annotations
+
+from mbcacq.version import __version__
+
+TYPE_CHECKING = False  # type checkers take it for True; importing typing takes longer than all the rest
+if TYPE_CHECKING:
+    from mbcacq.calibration.calibrated_cell import CalibratedCell
+    from mbcacq.calibration.compare_methods import Comparison
+    from mbcacq.calibration.result import Calibration
+    from mbcacq.calibration.verification import Verification
+    from mbcacq.estimation.options import CalibrationOptions
+    from mbcacq.exports.folder import Targets
+    from mbcacq.model.observations import Observations
+    from mbcacq.model.trajectory import Trajectory
+    from mbcacq.plan.planned import LoadedPlan
+    from mbcacq.workflow.calibrate import calibrate, compare, verify
+    from mbcacq.workflow.diagnose import DiagnosisResult, diagnose
+    from mbcacq.workflow.evaluate import RunResult
+    from mbcacq.workflow.export import export
+    from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
+    from mbcacq.workflow.report import write_report
+    from mbcacq.workflow.run import Operator, run
+    from mbcacq.workflow.simulate import simulate
+
+__all__ = [
+    "CalibratedCell",
+    "Calibration",
+    "CalibrationOptions",
+    "Comparison",
+    "DiagnosisResult",
+    "LoadedPlan",
+    "Observations",
+    "Operator",
+    "RunResult",
+    "Targets",
+    "Trajectory",
+    "Verification",
+    "__version__",
+    "calibrate",
+    "compare",
+    "diagnose",
+    "export",
+    "load_observations",
+    "load_plan",
+    "load_trajectories",
+    "run",
+    "simulate",
+    "verify",
+    "write_report",
+]
+
+_MODULES = {
+    "calibration.calibrated_cell": ("CalibratedCell",),
+    "calibration.compare_methods": ("Comparison",),
+    "calibration.result": ("Calibration",),
+    "calibration.verification": ("Verification",),
+    "estimation.options": ("CalibrationOptions",),
+    "exports.folder": ("Targets",),
+    "model.observations": ("Observations",),
+    "model.trajectory": ("Trajectory",),
+    "plan.planned": ("LoadedPlan",),
+    "workflow.calibrate": ("calibrate", "compare", "verify"),
+    "workflow.diagnose": ("DiagnosisResult", "diagnose"),
+    "workflow.evaluate": ("RunResult",),
+    "workflow.export": ("export",),
+    "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
+    "workflow.report": ("write_report",),
+    "workflow.run": ("Operator", "run"),
+    "workflow.simulate": ("simulate",),
+}
+_MODULE_OF = {name: f"mbcacq.{module}" for module, names in _MODULES.items() for name in names}
+
+
+if not TYPE_CHECKING:  # a type checker would take any name for known
+
+    def __getattr__(name: str) -> object:
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
+        value = getattr(importlib.import_module(_MODULE_OF[name]), name)
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__} - {"TYPE_CHECKING", "annotations"})

@@ -1,4 +1,4 @@
-"""The adjusted cell with its covariance, residuals and weights: what every figure of a calibration is computed from."""
+"""The adjusted cell with its covariance, residuals and weights; every figure of a calibration is computed from it."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A measurement that was left out. pose: number as recorded; ball: certificate id, or None for the whole pose."""
+    """A measurement that was rejected as an outlier. pose: number as recorded; ball: certificate id, or None for the whole pose."""
 
     pose: int
     ball: int | None
     distance_mm: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CalibrationFit:
     """A converged adjustment of the cell; :class:`mbcacq.calibration.result.Calibration` adds the way to JSON.
 
     state: the calibrated cell; preliminary: nominal arm with the hand-eye fitted alone. names: (g,) free parameters; covariance: (g, g) of
     them (hand-eye as local twist mm, rad). station_covariance: (S, 6, 6) of the stations' local twists, zero where unused.
     used: which poses (P,) of ``observations`` and centres took part. residual: (M, R) mm (and rad), measured minus predicted; whitened:
-    (M, R) of unit variance. rank: of the free parameters and stations together. correlated: pairs that cannot be told apart.
+    (M, R) of unit variance. rank: of the free parameters and stations together. correlated: pairs that the data can hardly separate.
     """
 
     observations: Observations
@@ -115,7 +115,7 @@ class CalibrationFit:
             rank,
             solution.iterations,
             tuple(found),
-            _rejected(obs, solution, rows, noise, weights),
+            _rejected(obs, solution, weights),
             _correlated(layout.names, C),
         )
 
@@ -131,6 +131,11 @@ class CalibrationFit:
     def used(self) -> np.ndarray:
         """(M,) bool: centres that took part."""
         return (self.weights.centre > 0) & (self.weights.pose[self.observations.pose] > 0)
+
+    def took_part(self, observations: Observations) -> bool:
+        """Whether any pose of ``observations`` took part in this calibration: the same number with the same joint angles."""
+        mine = {int(n): q for n, q in zip(self.observations.pose_id, self.observations.q, strict=True)}
+        return any(int(n) in mine and np.array_equal(mine[int(n)], q) for n, q in zip(observations.pose_id, observations.q, strict=True))
 
     @property
     def held(self) -> dict[str, str]:
@@ -190,7 +195,7 @@ def positive_inverse(H: np.ndarray) -> np.ndarray:
     return (vector / np.maximum(value, 1e-15 * len(H) * value[-1])) @ vector.T if len(H) else H
 
 
-def _rejected(obs: Observations, solution: Solution, rows, noise: Noise, weights: Weights) -> tuple[Rejected, ...]:
+def _rejected(obs: Observations, solution: Solution, weights: Weights) -> tuple[Rejected, ...]:
     size = np.linalg.norm(solution.linear.residual[:, :3], axis=1)
     out = [Rejected(int(obs.pose_id[p]), None, float(size[obs.pose == p].max(initial=0.0))) for p in np.flatnonzero(weights.pose == 0)]
     single = np.flatnonzero((weights.centre == 0) & (weights.pose[obs.pose] > 0))
@@ -202,4 +207,5 @@ def _correlated(names: Sequence[str], C: np.ndarray) -> tuple[tuple[str, str, fl
     correlation = C / np.outer(std, std)
     i, j = np.nonzero(np.triu(np.abs(correlation) > CORRELATED, 1))
     order = np.argsort(-np.abs(correlation[i, j]))
-    return tuple((names[i[k]], names[j[k]], float(correlation[i[k], j[k]])) for k in order)
+    pairs = [(int(i[k]), int(j[k])) for k in order]
+    return tuple((names[a], names[b], float(correlation[a, b])) for a, b in pairs)

@@ -1,15 +1,17 @@
-"""Rivals on the same data, judged the same way: fit, sphere spacing error, held-out error, time."""
+"""Methods of calibration on the same data, judged alike: fit, sphere spacing error, held-out error, time."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any, overload
 
 import numpy as np
 
+from mbcacq.calibration import notebook
 from mbcacq.calibration.cross_validation import about_best_station, prediction_error
-from mbcacq.calibration.methods import RIVALS
+from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
@@ -17,14 +19,15 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
 from mbcacq.model.observations import Observations
 
+FORMAT = "mbcacq-comparison/1"
 FOLDS = 5
 SAME_POSTURE = np.radians(0.1)
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """One method. fit_mm: 3D rms about the best station poses, on the poses fitted; bar_mean_mm, bar_max_mm: sphere spacing error at the
-    verification poses; held_out_mm: 3D rms on stations (or, with one or two stations, poses) left out; why: why there is no result;
+    verification poses; held_out_mm: 3D rms on held-out stations (or, with one or two stations, poses); why: why there is no result;
     why_not_held_out: why there is no held-out figure, where one was asked for."""
 
     method: str
@@ -36,40 +39,84 @@ class Row:
     why: str = ""
     why_not_held_out: str = ""
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
-def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> list[Row]:
-    """One row a method of :data:`mbcacq.calibration.methods.RIVALS`, in that order; a method that these data do not determine has no
-    figures but the reason. Raises CalibrationError where no method could say anything: no station was seen from two postures."""
+@dataclass(frozen=True, repr=False)
+class Comparison(Sequence[ComparisonRow]):
+    """The rows of a comparison, in the order of the methods; a sequence of them."""
+
+    rows: tuple[ComparisonRow, ...]
+
+    @overload
+    def __getitem__(self, index: int) -> ComparisonRow: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[ComparisonRow, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> ComparisonRow | tuple[ComparisonRow, ...]:
+        return self.rows[index]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form, read back by :meth:`from_dict`."""
+        return {"format": FORMAT, "rows": [row.to_dict() for row in self.rows]}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Comparison:
+        """The comparison that ``to_dict`` wrote."""
+        return cls(tuple(ComparisonRow(**row) for row in content["rows"]))
+
+    def __repr__(self) -> str:
+        judged = [row for row in self.rows if row.held_out_mm is not None]
+        best = min(judged, key=lambda row: row.held_out_mm or 0.0) if judged else None
+        smallest = f", smallest held-out error {best.held_out_mm:.4f} mm by {best.method}" if best else ""
+        return f"Comparison({len(self.rows)} methods{smallest})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (r.method, *(notebook.number(v) for v in (r.fit_mm, r.bar_mean_mm, r.bar_max_mm, r.held_out_mm)), notebook.number(r.time_s, 2))
+            for r in self.rows
+        ]
+        header = ("method", "fit rms mm", "bar mean mm", "bar max mm", "held-out rms mm", "time s")
+        return notebook.table("Methods of calibration", header, rows)
+
+
+def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
+    """One row a method of :data:`mbcacq.calibration.methods.COMPARED_METHODS`, in that order; a method that these data do not determine has
+    the reason in place of figures. Raises CalibrationError where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError(
             "every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
             "undetermined; nothing can be compared. Take several different poses at each station"
         )
-    names = list(RIVALS) if methods is None else list(methods)
-    return [_row(name, RIVALS[name], obs, observations, held_out, seed) for name in names]
+    names = list(COMPARED_METHODS) if methods is None else list(methods)
+    return Comparison(tuple(_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed) for name in names))
 
 
-def _row(name: str, fit: Callable[[Observations], CellState], obs: Observations, whole: Observations, held_out: bool, seed: int) -> Row:
+def _row(
+    name: str, fit: Callable[[Observations], CellState], obs: Observations, whole: Observations, held_out: bool, seed: int
+) -> ComparisonRow:
     begin = time.perf_counter()
     try:
         state = fit(obs)
     except CalibrationError as error:
-        return Row(name, why=str(error))
+        return ComparisonRow(name, why=str(error))
     seconds = time.perf_counter() - begin
     d, _ = about_best_station(obs, state)
     bar = verify(whole, state)
     errors = np.abs(bar.errors("after")) if bar.places else None
-    left, why = None, ""
+    held_out_mm, why = None, ""
     try:
-        left = _held_out(fit, obs, seed) if held_out else None
+        held_out_mm = _held_out(fit, obs, seed) if held_out else None
     except CalibrationError as error:
         why = str(error)
     bars = (None, None) if errors is None else (float(errors.mean()), float(errors.max()))
-    return Row(name, _rms(d), *bars, left, seconds, why_not_held_out=why)
+    return ComparisonRow(name, _rms(d), *bars, held_out_mm, seconds, why_not_held_out=why)
 
 
 def posture_range(obs: Observations) -> float:

@@ -1,4 +1,4 @@
-"""Accuracy on poses that took no part: the only figure that shows what a model is worth.
+"""Accuracy on poses that took no part in the fit: the figure that judges a model.
 
 'random' and 'block': stations keep their pose from the training poses; the figure is the 3D distance of measured and predicted centres.
 'station': a whole placement is left out. Its own pose is unknown and fitted to the held-out poses alone, the geometry fixed, so
@@ -76,12 +76,12 @@ def held_out(
     distances, freedom, rms, scatter = [], 0, [], []
     for test in masks:
         state = calibrate(obs.select(~test), options).state
-        left = obs.select(test)
+        held = obs.select(test)
         if split == "station":
-            d, used = about_best_station(left, state)
-            scatter.append(ball_spread(left, state))
+            d, used = about_best_station(held, state)
+            scatter.append(ball_spread(held, state))
         else:
-            d, used = prediction_error(left, state), 0
+            d, used = prediction_error(held, state), 0
         distances.append(d)
         freedom += used
         rms.append(_rms(d, used))
@@ -161,17 +161,17 @@ def _masks(obs: Observations, split: str, size: int | None, fits: int | None, se
 
 
 def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
-    """Only poses whose balls have a place that training knows: the same ball at the same station was seen there, or three other balls.
+    """The poses whose balls have a position that training determines: the same ball at the same station was measured, or three others.
 
-    One socket of two does not tell where the other is, and of a station that was not seen nobody knows anything.
+    One socket of two does not determine where the other is, and nothing is known of a station without training poses.
     """
     if obs.cell.measurement == TARGET_IN_BASE:
         return test & np.isin(obs.station, np.unique(obs.station[~test]))
-    seen = np.zeros((len(obs.cell.stations), len(obs.cell.ball_ids)), bool)
+    trained = np.zeros((len(obs.cell.stations), len(obs.cell.ball_ids)), bool)
     train = ~test[obs.pose]
     station = obs.station[obs.pose]
-    seen[station[train], obs.ball[train]] = True
-    known = seen[station, obs.ball] | (seen.sum(axis=1) >= 3)[station]
+    trained[station[train], obs.ball[train]] = True
+    known = trained[station, obs.ball] | (trained.sum(axis=1) >= 3)[station]
     unknown = np.bincount(obs.pose, ~known, minlength=obs.n_poses) > 0
     return test & ~unknown
 

@@ -1,4 +1,4 @@
-"""The maximum-likelihood adjustment: start, hand-eye alone, everything, outliers, noise, covariance."""
+"""Calibration by maximum likelihood: initial guess, hand-eye alone, all parameters, outliers, variance components, covariance."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined, hold_undetermined
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import distances, screen
+from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Solution, Weights, solve, system
 from mbcacq.model.observations import Observations
 
 COARSE, FINE = 1e-2, 1e-7
-SCREEN_ROUNDS, NOISE_ROUNDS = 8, 12
+OUTLIER_ROUNDS, NOISE_ROUNDS = 8, 12
 REJECTED_SHARE = 0.4
 CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
 THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
@@ -155,11 +155,11 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
 def robust_solve(
     lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions, tolerance: float
 ) -> tuple[Solution, Weights]:
-    """Solve and screen by turns until no verdict changes."""
+    """Solve and reject outliers by turns until no weight changes. Raises CalibrationError where more than REJECTED_SHARE would go."""
     solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
-    for _ in range(SCREEN_ROUNDS if options.robust else 0):
-        d = distances(lineariser.rows, solution.linear.J, solution.linear.residual, noise, weights)
-        fresh = screen(d, weights, lineariser.obs.pose)
+    for _ in range(OUTLIER_ROUNDS if options.robust else 0):
+        d = outlier_distances(lineariser.rows, solution.linear.J, solution.linear.residual, noise, weights)
+        fresh = reject_outliers(d, weights, lineariser.obs.pose)
         if np.array_equal(fresh.centre, weights.centre) and np.array_equal(fresh.pose, weights.pose):
             break
         weights = fresh
@@ -175,10 +175,10 @@ def robust_solve(
 def settle_noise(
     lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions, rounds: int = NOISE_ROUNDS
 ) -> tuple[Solution, Noise, Weights]:
-    """Estimate the noise, refit, screen again, by turns."""
+    """Estimate the noise by REML, refit, reject outliers again, by turns."""
     prior = variance_components.noise_prior(lineariser.obs.cell, variance_components.first_noise(lineariser.obs.cell), options.noise)
     for _ in range(rounds):
-        noise, change = variance_components.improve(solution, noise, prior)
+        noise, change = variance_components.reml_step(solution, noise, prior)
         solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
         if change < 0.1:
             break

@@ -1,6 +1,6 @@
-"""Ways to calibrate that are compared on the same data, each as a function from observations to a :class:`CellState`.
+"""Methods of calibration that are compared on the same data, each as a function from observations to a :class:`CellState`.
 
-Where a way does not apply to a recording, it raises CalibrationError with the reason.
+Where a method does not apply to a recording, it raises CalibrationError with the reason.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-LEAST_SECOND_TURN = np.radians(2.0)  # rms turn about a second axis, below which AX = XB leaves the translation along the first open
+LEAST_SECOND_ROTATION = np.radians(2.0)  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
 OPENCV = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
 
@@ -50,17 +50,19 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
         if here.sum() < 3:
             raise CalibrationError("needs three scans of one station that show three balls each, not all on one line")
         T = obs.cell.robot.chain.flange(obs.q[where[here]])
-        turns = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
-        if np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False)[1] < LEAST_SECOND_TURN * np.sqrt(len(T)):
+        rotations = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
+        if np.linalg.svd(rotations - rotations.mean(axis=0), compute_uv=False)[1] < LEAST_SECOND_ROTATION * np.sqrt(len(T)):
             raise CalibrationError(
                 "the orientations at a station turn too little, or about one axis only, which leaves AX = XB "
                 "undetermined; turn about two axes by 10 deg and more"
             )
-        seen = T_scanner_artefact[here]
+        measured = T_scanner_artefact[here]
         method = getattr(cv2, f"CALIB_HAND_EYE_{name}")
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the exception says it, or what comes back
         try:
-            R, t = cv2.calibrateHandEye(T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3], method=method)
+            R, t = cv2.calibrateHandEye(
+                list(T[:, :3, :3]), list(T[:, :3, 3]), list(measured[:, :3, :3]), list(measured[:, :3, 3]), method=method
+            )
         except cv2.error as error:
             raise CalibrationError(f"OpenCV refused the poses: {str(error).splitlines()[-1].strip()}") from error
         X = se3.transform(R, t.ravel())
@@ -71,7 +73,7 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
     return fit
 
 
-def published(pairs: str) -> Callable[[Observations], CellState]:
+def staged_method(pairs: str) -> Callable[[Observations], CellState]:
     """The paper's method, with one of the readings of its distance constraint (:data:`mbcacq.estimation.options.PAIRS`)."""
     return lambda obs: calibrate(obs, CalibrationOptions(method="paper", pairs=pairs)).state
 
@@ -95,20 +97,20 @@ def distances_only(obs: Observations) -> CellState:
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 
-def ours(obs: Observations) -> CellState:
+def maximum_likelihood(obs: Observations) -> CellState:
     """Everything at once by maximum likelihood."""
     return calibrate(obs).state
 
 
-RIVALS: dict[str, Callable[[Observations], CellState]] = {
+COMPARED_METHODS: dict[str, Callable[[Observations], CellState]] = {
     "nominal": nominal,
     **{f"AX=XB {name.capitalize()} (OpenCV)": opencv(name) for name in OPENCV},
     "hand-eye only": hand_eye_only,
-    "paper": published("one"),
-    "paper (four balls)": published("four"),
-    "paper (all pairs)": published("all"),
+    "paper": staged_method("one"),
+    "paper (four balls)": staged_method("four"),
+    "paper (all pairs)": staged_method("all"),
     "distances only": distances_only,
-    "maximum likelihood": ours,
+    "maximum likelihood": maximum_likelihood,
 }
 
 
@@ -116,7 +118,7 @@ def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Poses (K,) whose scan shows three balls or more that are not on one line, and T_scanner_artefact (K, 4, 4) of each."""
     _scanner_of_several_balls(obs)
     from mbcacq.calibration.staged.ball_pairs import FLAT_MM, width
-    from mbcacq.estimation.initial_guess import match
+    from mbcacq.estimation.initial_guess import fit_rigid_transforms
 
     enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3)
     flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
@@ -125,7 +127,7 @@ def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
         raise CalibrationError("needs three scans of one station that show three balls each, not all on one line")
     rows = np.isin(obs.pose, where)
     group = np.searchsorted(where, obs.pose[rows])
-    return where, match(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
+    return where, fit_rigid_transforms(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
 
 
 def _scanner_of_several_balls(obs: Observations) -> None:

@@ -6,15 +6,22 @@ hand-eye entries being a local twist (scanner frame) behind T_flange_scanner.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration import notebook
 from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.errors import ConfigError
+from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.scan_scale import scan_scale
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry.chain import PARAMETERS, Chain
@@ -98,8 +105,7 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellSta
     if not isinstance(result, dict) or result.get("format") != FORMAT:
         raise ConfigError(f"this is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
     try:
-        rows = result["robot"]["calibrated"]
-        chain = Chain(np.array(result["robot"]["sign"], dtype=float), *(np.array(rows[p], dtype=float) for p in PARAMETERS))
+        chain = chain_of(result, "calibrated")
         T = _transform(result["T_flange_scanner"])
         placed = {s["id"]: _transform(s["T_base_station"]) for s in result["stations"]}
         balls = {b["id"]: np.array(b["centre_mm"], dtype=float) for b in result["balls"]}
@@ -114,6 +120,68 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellSta
     stations = np.array([placed.get(s.id, np.eye(4)) for s in cell.stations])
     centres = np.array([balls.get(b, c) for b, c in zip(cell.ball_ids, cell.ball_centres, strict=True)])
     return CellState(chain, T, stations, centres)
+
+
+def chain_of(result: Mapping[str, Any], which: str) -> Chain:
+    """The 'nominal' or the 'calibrated' arm of a result. Raises KeyError, TypeError or ValueError where it is damaged."""
+    rows = result["robot"][which]
+    return Chain(np.array(result["robot"]["sign"], dtype=float), *(np.array(rows[p], dtype=float) for p in PARAMETERS))
+
+
+def layout_from_dict(result: Mapping[str, Any]) -> ParameterLayout:
+    """Names and freedom of the parameters of a result: blocks of chain, hand-eye and balls, and one of all effects, if there are any.
+
+    Raises KeyError, TypeError or ValueError where the result is damaged.
+    """
+    free, reported = set(result["names"]), {p["name"]: p for p in result["parameters"]}
+    chain = [f"{p}_{i + 1}" for i in range(len(result["robot"]["sign"])) for p in PARAMETERS]
+    groups = {
+        "chain": chain,
+        "hand_eye": [f"hand_eye.{c}" for c in parameters.HAND_EYE],
+        "balls": [f"ball_{b['id']}.{c}" for b in result["balls"] for c in "xyz"],
+    }
+    known = {name for names in groups.values() for name in names}
+    if effects := [name for name in result["names"] if name not in known]:
+        groups["effects"] = effects
+    layout = ParameterLayout(tuple(_block(block, names, free, reported) for block, names in groups.items()))
+    if layout.names != tuple(result["names"]):
+        raise ValueError("names are not in the order of arm, hand-eye, balls, effects")
+    return layout
+
+
+def _block(block: str, names: Sequence[str], free: set[str], reported: Mapping[str, Any]) -> parameters.ParameterBlock:
+    units = tuple(reported.get(name, {}).get("unit", "") for name in names)
+    why = {name: reported[name].get("reason", "") for name in names if reported.get(name, {}).get("status") == "held"}
+    size = len(names)
+    is_free = np.array([name in free for name in names], dtype=bool)
+    return parameters.ParameterBlock(block, tuple(names), units, is_free, np.full(size, np.inf), np.ones(size), why)
+
+
+def noise_from_dict(found: Mapping[str, Any]) -> Noise:
+    """The noise of a result: scanner_mm (3,), joint_rad (n,), turn_rad where an orientation was measured."""
+    point, joint = (np.array(found[key], dtype=float) for key in ("scanner_mm", "joint_rad"))
+    return Noise(point, joint, float(found["turn_rad"])) if "turn_rad" in found else Noise(point, joint)
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """The content of a result.json, given itself or by its run folder. Raises ConfigError."""
+    file = path / "result.json" if path.is_dir() else path
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read {file}: {error.strerror}; give the result.json of a calibration") from error
+    except ValueError as error:
+        raise ConfigError(f"{file} is not JSON ({error}); give the result.json of a calibration") from error
+
+
+def html(result: Mapping[str, Any]) -> str:
+    """The free parameters of a result as an HTML table, in mm and degrees."""
+    rows = []
+    for p in result["parameters"]:
+        if p["std"] is not None and not p["name"].startswith("ball_"):
+            scale, unit, digits = (180 / np.pi, "deg", 5) if p["unit"] == "rad" else (1.0, p["unit"], 4)
+            rows.append((p["name"], unit, *(notebook.number(scale * p[key], digits) for key in ("value", "error", "std"))))
+    return notebook.table(f"{result['robot']['name']}, calibrated", ("parameter", "unit", "value", "error", "+-"), rows)
 
 
 def _transform(rows: Any) -> np.ndarray:

@@ -17,7 +17,7 @@ from mbcacq.model.observations import Observations
 
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
 RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
-LEAST_TURN = np.radians(4.0)
+LEAST_ROTATION = np.radians(4.0)
 
 
 def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
@@ -26,7 +26,7 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     if per_station:
         _refuse_few_balls(obs)
     turn = orientation_range(obs)
-    if turn < LEAST_TURN:
+    if turn < LEAST_ROTATION:
         raise CalibrationError(
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
             "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more"
@@ -40,8 +40,8 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
 def refuse_one_station(obs: Observations) -> None:
     """Raise CalibrationError where all poses are at one station: its own pose absorbs what the arm does wrong there, and the fit looks
     better than it is anywhere else. A station whose place in the base is given counts as two."""
-    seen = np.unique(obs.station)
-    if obs.cell.measurement != TARGET_IN_BASE and len(seen) == 1 and obs.cell.stations[seen[0]].T_base_station is None:
+    used = np.unique(obs.station)
+    if obs.cell.measurement != TARGET_IN_BASE and len(used) == 1 and obs.cell.stations[used[0]].T_base_station is None:
         raise CalibrationError(
             "all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
             "more places, at different heights and distances, or identify the hand-eye transform alone"
@@ -52,8 +52,8 @@ def _refuse_few_balls(obs: Observations) -> None:
     """At least one station must have shown three balls of its artefact, or all where it has fewer."""
     for s in np.unique(obs.station):
         artefact = obs.cell.artefact(obs.cell.stations[s].artefact)
-        seen = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
-        if seen >= min(3, len(artefact.ball_ids)):
+        measured = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
+        if measured >= min(3, len(artefact.ball_ids)):
             return
     raise CalibrationError(
         "fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "
@@ -80,7 +80,7 @@ def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, option
 
 
 def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs: Observations, options: CalibrationOptions) -> None:
-    """Raise CalibrationError where everything is determined in principle, but so badly that the result would be worth nothing.
+    """Raise CalibrationError where everything is determined in principle, but so poorly that the result would be of no use.
 
     C: (g, g) covariance of the free parameters; expected_mm: rms uncertainty of a point over the workspace.
     """

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.estimation import identifiability
 from mbcacq.geometry import se3
 
 
-def to_base(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+def to_base(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """Scanner points xyz (P, 3) mm seen from postures q (P, n) rad, in the base frame (P, 3)."""
     state = calibration.state
     return se3.apply(state.chain.flange(q) @ state.T_flange_scanner, xyz)
 
 
-def point_columns(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+def point_columns(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """Derivative (P, 3, g) of the base position of xyz (P, 3), seen from q (P, n), by the free parameters."""
     return identifiability.base_columns(calibration.layout, calibration.state, q, xyz[:, None])[0]
 
 
-def measuring_covariance(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+def measuring_covariance(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """(P, 3, 3) mm^2 in the base: scanner noise and joint repeatability of one measurement."""
     state, noise = calibration.state, calibration.noise
     frames = state.chain.frames(q)
@@ -32,7 +33,7 @@ def measuring_covariance(calibration: CalibrationFit, q: np.ndarray, xyz: np.nda
     return turned @ np.swapaxes(turned, 1, 2) + np.swapaxes(joint, 1, 2) @ joint
 
 
-def point_covariance(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:
+def point_covariance(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:
     """(P, 3, 3) mm^2 covariance in the base of scanner points xyz (P, 3) seen from postures q (P, n); with ``measuring`` including the
     noise of that one measurement. The base is where the held parameters (theta_1, d_1) put it."""
     A = point_columns(calibration, q, xyz)
@@ -41,7 +42,7 @@ def point_covariance(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray
 
 
 def distance_uncertainty(
-    calibration: CalibrationFit,
+    calibration: Calibrated,
     qa: np.ndarray,
     a: np.ndarray,
     qb: np.ndarray,
@@ -70,6 +71,6 @@ def expected_accuracy(calibration: CalibrationFit, postures: int = 300, seed: in
     return float(np.sqrt(max(np.sum(information * calibration.covariance), 0.0)))
 
 
-def predict_uncertainty(calibration: CalibrationFit, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+def predict_uncertainty(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """(P,) mm: 3D standard uncertainty of scanner points xyz (P, 3) brought into the base from postures q (P, n)."""
     return np.sqrt(np.trace(point_covariance(calibration, q, xyz), axis1=1, axis2=2))

@@ -9,11 +9,14 @@ each figure with the uncertainty of measuring it in mind: pass only where it kee
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration import notebook
+from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.uncertainty import distance_uncertainty
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
@@ -35,14 +38,14 @@ class VerifiedPair:
     expected_mm: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verification:
-    """Sphere spacing errors at every place, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
-    independent: none of the poses took part in the calibration. figures: after the manner of VDI/VDE 2634 Part 3, see :func:`judge`."""
+    """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
+    independent: none of the poses took part in the calibration; None: not known. figures: those of :func:`judge`, as dicts."""
 
     places: tuple[VerifiedPair, ...]
     limit_mm: float | None = None
-    independent: bool = True
+    independent: bool | None = True
     figures: tuple[dict, ...] = ()
 
     def errors(self, which: str) -> np.ndarray:
@@ -64,9 +67,38 @@ class Verification:
         out["places"] = [asdict(p) | {"balls": list(p.balls)} for p in self.places]
         return out
 
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any] | None) -> Verification:
+        """The verification that ``to_dict`` wrote; without pairs where it was None."""
+        if content is None:
+            return cls(())
+        pairs = tuple(VerifiedPair(**{**p, "balls": tuple(p["balls"])}) for p in content["places"])
+        return cls(pairs, content["limit_mm"], content["independent"], tuple(content["figures"]))
+
+    def __repr__(self) -> str:
+        if not self.places:
+            return "Verification(no verification poses)"
+        before, after = (np.abs(self.errors(which)) for which in ("before", "after"))
+        return (
+            f"Verification({len(self.places)} sphere spacings, mean {before.mean():.4f} -> {after.mean():.4f} mm, "
+            f"largest {before.max():.4f} -> {after.max():.4f} mm)"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                p.station,
+                f"{p.balls[0]}-{p.balls[1]}",
+                *(notebook.number(v) for v in (p.certified_mm, p.before_mm, p.after_mm, p.expected_mm)),
+            )
+            for p in self.places
+        ]
+        header = ("station", "balls", "certified mm", "before mm", "after mm", "expected +- mm")
+        return notebook.table("Sphere spacing error", header, rows) + notebook.paragraph(repr(self))
+
 
 def verify(
-    observations: Observations, calibration: Calibration | CellState, *, before: CellState | None = None, limit_mm: float | None = None
+    observations: Observations, calibration: Calibrated | CellState, *, before: CellState | None = None, limit_mm: float | None = None
 ) -> Verification:
     """Evaluate every pair of balls of the verification poses (where no phases are recorded: of all two-ball artefacts).
 
@@ -74,8 +106,9 @@ def verify(
     expected uncertainty.
     """
     obs = verification_poses(observations)
-    state = calibration.state if isinstance(calibration, Calibration) else calibration
-    first = calibration.preliminary if isinstance(calibration, Calibration) else (before or state)
+    fitted = None if isinstance(calibration, CellState) else calibration
+    state = calibration if isinstance(calibration, CellState) else calibration.state
+    first = (before or state) if fitted is None else fitted.preliminary
     places = []
     after, ends = ball_positions(obs, state)
     start, _ = ball_positions(obs, first)
@@ -84,15 +117,15 @@ def verify(
         length = float(np.linalg.norm(certified[a] - certified[b]))
         measured, initial = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (after, start))
         expected = None
-        if isinstance(calibration, Calibration):
+        if fitted is not None:
             (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
-            expected = float(distance_uncertainty(calibration, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
+            expected = float(distance_uncertainty(fitted, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
         places.append(VerifiedPair(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
-    if not isinstance(calibration, Calibration):
+    if fitted is None:
         return Verification(tuple(places), limit_mm)
-    used = bool(np.isin(obs.pose_id, calibration.observations.pose_id).any())
-    found = Verification(tuple(places), limit_mm, not used)
-    figures = judge(observations, calibration, Limits(sphere_spacing_error_mm=limit_mm), found.errors("after"))
+    took_part = fitted.took_part(obs)
+    found = Verification(tuple(places), limit_mm, None if took_part is None else not took_part)
+    figures = judge(observations, fitted, Limits(sphere_spacing_error_mm=limit_mm), found.errors("after"))
     return replace(found, figures=tuple(f.to_dict() for f in figures))
 
 
@@ -164,7 +197,7 @@ class Figure:
 
 
 def judge(
-    observations: Observations, calibration: Calibration, limits: Limits | None = None, spacing: np.ndarray | None = None
+    observations: Observations, calibration: Calibrated, limits: Limits | None = None, spacing: np.ndarray | None = None
 ) -> list[Figure]:
     """The four figures, from the verification poses (where there are none, only what can be said is said).
 
@@ -199,7 +232,7 @@ def certificate_sigma(obs: Observations) -> float | None:
     return max((np.sqrt(2) * obs.cell.artefact(a).uncertainty_mm for a in used), default=None)
 
 
-def single_lengths(obs: Observations, calibration: Calibration) -> np.ndarray:
+def single_lengths(obs: Observations, calibration: Calibrated) -> np.ndarray:
     """(K,) mm errors of the distance of two different balls of a station, for every pair of single measurements."""
     state = calibration.state
     base = se3.apply((state.chain.flange(obs.q) @ state.T_flange_scanner)[obs.pose], obs.xyz)

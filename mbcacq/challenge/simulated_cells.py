@@ -21,7 +21,7 @@ def observe(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected
 ) -> tuple[Observations, dict[str, Any]]:
     """What the run would record, as observations, and the truth. injected: as in a plan's ``fake: hidden``."""
-    from mbcacq.workflow.run import solver_cell
+    from mbcacq.workflow.acquire import solver_cell
 
     recorded = load_driver("fakes", "recorded")(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers)
     observations = Observations(
@@ -47,7 +47,7 @@ def run(
     from mbcacq.plan import path
     from mbcacq.plan.routing import path_home
     from mbcacq.recording import load_observations
-    from mbcacq.workflow.run import Acquisition
+    from mbcacq.workflow.acquire import Acquisition
 
     secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": injected}}))
     folder.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,7 @@ import os
 
 
 def main() -> None:
-    # Many small matrices: threads of the linear algebra wait for each other more than they help, most of all beside other work.
+    # Many small matrices: threads of the linear algebra wait for each other more than they help, most of all while other programs run.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from mbcacq.cli.app import app
 

@@ -9,8 +9,8 @@ import sys
 
 import click
 
-from mbcacq import __version__
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
+from mbcacq.version import __version__
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {
@@ -18,9 +18,9 @@ COMMANDS = {
     "plan": "show, check or design a plan, without opening a socket",
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
-    "diagnose": "say where simulation and recording part, and what physics was left out",
+    "diagnose": "say where simulation and recording differ, and which effects the model lacks",
     "simulate": "write what the calibrated model says a plan would record",
-    "challenge": "conceal effects in the fake cell, diagnose blind, score",
+    "challenge": "inject effects into the fake cell, diagnose without knowing them, score",
     "report": "write the report of a run: one HTML page",
     "view": "open a recording in the rerun viewer",
     "export": "write results or observations in the formats of other programs",
@@ -38,10 +38,10 @@ class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        if name not in COMMANDS:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
             return None
-        return importlib.import_module(f"mbcacq.cli.{name.replace('-', '_')}").command
+        return importlib.import_module(f"mbcacq.cli.{cmd_name.replace('-', '_')}").command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -79,7 +79,7 @@ class LazyGroup(click.Group):
             if os.environ.get("MBCACQ_DEBUG"):
                 raise
             if isinstance(error, OSError) and error.errno in FULL:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where even our words found no place
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where not even our words find room
                 where = error.filename or "the output"
                 click.echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
                 sys.exit(ExitCode.RECORDING_FAILED)
@@ -95,7 +95,7 @@ EPILOG = "Exit codes: " + ", ".join(f"{code.value} {EXIT_CODE_MEANING[code]}" fo
 @click.group(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="mbcacq")
 def app() -> None:
-    """Acquire with a robot-mounted 3D scanner, calibrate the cell, explain what is left.
+    """Acquire with a robot-mounted 3D scanner, calibrate the cell, diagnose what the model lacks.
 
     Try it without hardware: mbcacq run plans/kuka.yaml --dry-run
     """

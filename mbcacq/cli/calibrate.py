@@ -40,7 +40,7 @@ import click
     show_default=True,
     help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.",
 )
-@click.option("--keep-outliers", is_flag=True, help="Do not screen gross outliers.")
+@click.option("--keep-outliers", is_flag=True, help="Do not reject gross outliers.")
 @click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
@@ -73,12 +73,11 @@ def command(
       mbcacq calibrate runs/today
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
     """
-    from mbcacq.calibration import CalibrationOptions, calibrate, verify
-    from mbcacq.calibration.cross_validation import held_out as leave_out
+    import mbcacq
     from mbcacq.errors import ConfigError
-    from mbcacq.recording import find_gaps, load_observations
+    from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve
 
-    options = CalibrationOptions(
+    options = mbcacq.CalibrationOptions(
         method=method,
         pairs=pairs,
         phases=phases or None,
@@ -89,19 +88,10 @@ def command(
         robust=not keep_outliers,
         refuse=not even_if_undetermined,
     )
-    observations = load_observations(data)
-    calibration = calibrate(observations, options)
-    result = calibration.to_dict()
-    result["verification"] = verify(observations, calibration).to_dict()
-    result["gaps"] = find_gaps(data)
-    if with_map:
-        from mbcacq.calibration.accuracy_map import accuracy_map
-
-        result["accuracy_map"] = accuracy_map(calibration).to_dict()
+    split = HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
+    result = calibration_content(data, options, held_out=split, with_map=with_map)
     if l_curve:
-        _draw_l_curve(result, l_curve)
-    if held_out:
-        result["held_out"] = leave_out(observations, options, held_out, size=held_out_size, fits=fits, seed=seed).to_dict()
+        draw_l_curve(result, l_curve)
     if out:
         try:
             out.write_text(json.dumps(result, indent=1), encoding="utf-8")
@@ -114,18 +104,6 @@ def command(
         print_result(result)
 
 
-def _draw_l_curve(result: dict[str, Any], path: Path) -> None:
-    import numpy as np
-
-    from mbcacq.calibration.staged.angle_adjustment import LCurve
-    from mbcacq.errors import ConfigError
-
-    curve = next((s["l_curve"] for s in result.get("stages", ()) if "l_curve" in s), None)
-    if curve is None:
-        raise ConfigError("there is no L-curve: it belongs to the angle adjustment of --method paper")
-    LCurve(np.array(curve["ridge"]), np.array(curve["misfit_rad"]), np.array(curve["size_mm"]), curve["corner"]).plot(path)
-
-
 def print_result(result: dict[str, Any]) -> None:
     """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout."""
     from rich.console import Console
@@ -133,22 +111,9 @@ def print_result(result: dict[str, Any]) -> None:
     from mbcacq.cli import tables
 
     console = Console(highlight=False, soft_wrap=True)
-    fit, noise = result["fit"], result["noise"]
     console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
-    chi2 = f", chi2/dof {fit['chi2_dof']:.2f}" if fit.get("chi2_dof") is not None else ""
-    console.print(f"Fit: {fit['centres']} centres of {fit['poses']} poses, residual {fit['rms_mm']:.4f} mm rms{chi2}, rank {fit['rank']}")
-    if fit.get("expected_accuracy_mm") is not None:
-        expected = fit["expected_accuracy_mm"]
-        console.print(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, noise of measuring aside)")
-    if noise:
-        sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
-        joints = " ".join(f"{1e6 * s:.1f}" for s in noise["joint_rad"])
-        repeat = f"; joints repeat within {joints} urad" if any(noise["joint_rad"]) else ""
-        console.print(f"Noise: scanner {sigmas} um along x y z{repeat}")
-        if result["method"] == "paper":
-            console.print("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
-    for line in [*tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
+    for line in [*tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))

@@ -1,4 +1,4 @@
-"""``mbcacq challenge``: inject effects in the fake cell, diagnose blind, open the scenarios, score."""
+"""``mbcacq challenge``: inject effects into the fake cell, diagnose without knowing them, compare with the truth, score."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ import click
 )
 @click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 16), help="Processes.")
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Keep recordings, diagnoses and opened scenarios in this folder."
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Keep recordings, diagnoses and the true scenarios in this folder."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print scores and table as one JSON object on stdout.")
 def command(
@@ -51,7 +51,7 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Inject effects in the fake cell, run the plan, diagnose the recordings blind, then open the scenarios and score.
+    """Inject effects into the fake cell, run the plan, diagnose the recordings without knowing them, then compare with the truth and score.
 
     \b
     Examples:

@@ -22,10 +22,9 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
     Example:
       mbcacq compare runs/today
     """
-    from mbcacq.calibration.compare_methods import compare
-    from mbcacq.recording import load_observations
+    import mbcacq
 
-    rows = compare(load_observations(data), held_out=not no_held_out, seed=seed)
+    rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed)
     if as_json:
         click.echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
         return

@@ -3,11 +3,39 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
-from mbcacq.cli.result_options import result_options
+_OPTIONS = (
+    click.option(
+        "--results",
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.",
+    ),
+    click.option("--tool", type=click.IntRange(1, 128), default=1, show_default=True, help="With --results: number of TOOL_DATA."),
+    click.option("--tool-name", default="mbcacq scanner", show_default=True, help="With --results: TOOL_NAME."),
+    click.option("--config-dat", type=click.Path(path_type=Path), help="With --results: a $config.dat to write a unified diff against."),
+    click.option("--urdf", type=click.Path(path_type=Path), help="With --results: a URDF or xacro to write a calibrated copy of."),
+    click.option("--joint", "joints", multiple=True, help="With --urdf: its moving joints, base first (default: all revolute ones)."),
+    click.option("--flange-frame", default="tool0", show_default=True, help="With --results: name of the flange in ROS."),
+    click.option("--scanner-frame", default="scanner_frame", show_default=True, help="With --results: name of the scanner in ROS."),
+    click.option(
+        "--artefact",
+        metavar="ID",
+        help="RUN is a certificate (CSV, YAML, DMIS output): write it as the artefact file ID.yaml here, or where --output says.",
+    ),
+    click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="With --artefact: the file to write."),
+)
+
+
+def result_options(command: Callable) -> Callable:
+    """Add the options to a click command; it takes them as keyword arguments."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
 
 
 @click.command("export")
@@ -18,32 +46,18 @@ from mbcacq.cli.result_options import result_options
 @click.option("--force", is_flag=True, help="Replace what is already there.")
 @result_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
-def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, as_json: bool, **results) -> None:
+def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, as_json: bool, **others: Any) -> None:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
-    from mbcacq.errors import ConfigError
-    from mbcacq.exports.export_results import export_results
-    from mbcacq.recording import load_observations
+    import mbcacq
+    from mbcacq.workflow.export import export_artefact
 
-    written = export_results(run, force=force, **results)
-    if observations is None and trajectory is None and not written:
-        raise ConfigError("nothing to export; say what and where, such as --observations DIR or --results DIR")
-    for folder in (observations, trajectory):
-        if folder is not None and (folder / "cell.yaml").exists() and not force:
-            raise ConfigError(f"{folder} already holds a set; give another folder, or --force to replace it")
-    if observations is not None:
-        from mbcacq.recording.datasets.observation_set import write_observation_set
-
-        measured = load_observations(run)
-        write_observation_set(measured, observations)
-        written.append({"file": str(observations), "poses": measured.n_poses, "centres": measured.n_centres})
-        if scans:
-            from mbcacq.recording.rrd.scan_export import write_scans
-
-            written.append({"file": str(observations / "scans"), "clouds": write_scans(run, observations)})
-    if trajectory is not None:
-        from mbcacq.recording.rrd.trajectory_recording import export_trajectory
-
-        written.append({"file": str(trajectory), "samples": export_trajectory(run, trajectory)})
+    results, artefact, output = (others.pop(name) for name in ("results", "artefact", "output"))
+    wanted = {"observations": observations, "trajectory": trajectory, "results": results}
+    written = []
+    if artefact is None or any(wanted.values()):
+        written += mbcacq.export(run, scans=scans, targets=mbcacq.Targets(**others), force=force, **wanted)
+    if artefact is not None:
+        written.append(export_artefact(run, artefact, output, force=force))
     if as_json:
         click.echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
         return

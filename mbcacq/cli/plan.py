@@ -87,7 +87,7 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
 @command.command("design")
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--poses", "count", type=click.IntRange(6, 400), required=True, help="Number of calibration poses to choose.")
-@click.option("--out", type=click.Path(path_type=Path), help="The new plan [default: NAME_designed.yaml beside PLAN].")
+@click.option("--out", type=click.Path(path_type=Path), help="The new plan [default: NAME_designed.yaml in the folder of PLAN].")
 @click.option(
     "--criterion",
     type=click.Choice(["A", "D"]),

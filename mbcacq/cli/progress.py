@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mbcacq.acquisition import events
 
@@ -23,15 +23,37 @@ class RunProgress:
             console=self._console,
             disable=quiet or not self._console.is_terminal,
         )
-        self._task = None
+        self._task: TaskID | None = None
         self._step, self._station, self._balls, self._done, self._total, self._stepped = "", "-", 0, 0, 0, False
 
     def __call__(self, event: events.Event) -> None:
+        if isinstance(event, events.RunStarted | events.RunStopped | events.StateChanged):
+            self._frame(event)
+        elif isinstance(event, events.Message) and event.level in ("warning", "error"):
+            self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
+        else:
+            self._count(event)
+
+    def _frame(self, event: events.RunStarted | events.RunStopped | events.StateChanged) -> None:
+        """Begin and end of the bar; it rests while a question stands on the terminal."""
         match event:
             case events.RunStarted():
                 self._total = event.n_poses
                 self._task = self._bar.add_task("connecting", total=event.n_poses, station="-", balls="-")
                 self._bar.start()
+            case events.StateChanged(state="waiting" | "paused"):
+                self._bar.stop()  # it would write over the question
+            case events.StateChanged(state="moving"):
+                if self._task is not None:
+                    self._bar.start()
+            case events.RunStopped():
+                self._bar.stop()
+                end = event.reason if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses"
+                self._console.print(end, markup=False, soft_wrap=True)  # why, the command says itself
+
+    def _count(self, event: events.Event) -> None:
+        """Step, station, balls and poses done."""
+        match event:
             case events.StepStarted():
                 self._step, self._stepped = event.name, True
             case events.StationReached():
@@ -43,17 +65,6 @@ class RunProgress:
             case events.PoseDone():
                 self._done += 1
                 self._line(event.time_s)
-            case events.Message(level="warning" | "error"):
-                self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
-            case events.StateChanged(state="waiting" | "paused"):
-                self._bar.stop()  # it would write over the question
-            case events.StateChanged(state="moving"):
-                if self._task is not None:
-                    self._bar.start()
-            case events.RunStopped():
-                self._bar.stop()
-                told = event.reason if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses"
-                self._console.print(told, markup=False, soft_wrap=True)  # why, the command says itself
         if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
             self._bar.update(
                 self._task, completed=self._done, description=self._step or "connecting", station=self._station, balls=str(self._balls)

@@ -1,4 +1,4 @@
-"""``mbcacq simulate``: the twin of a cell, as an observation set; or of an arm in motion, as a trajectory set."""
+"""``mbcacq simulate``: what a cell would record, as an observation set; or an arm in motion, as a trajectory set."""
 
 from __future__ import annotations
 
@@ -31,48 +31,33 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
       mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/   and with its noise
       mbcacq simulate recorded-motion/ --out twin/                          set points, joint-side angles and torques of a rigid arm
     """
-    from mbcacq.plan import expand, load, refuse_errors
+    import mbcacq
     from mbcacq.recording import write_observation_set
-    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set, write_trajectory_set
-    from mbcacq.workflow.simulate import simulate, simulate_motion
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
 
     if (out / "cell.yaml").exists() and not force:
         raise ConfigError(f"{out} already holds an observation set; give another --out, or --force to replace it")
     if is_trajectory_set(plan):
         if result is not None or noise:
             raise ConfigError(f"{plan} is a trajectory set: --cell and --noise are for plans; leave them out")
-        motion = simulate_motion(read_trajectory_set(plan))
-        write_trajectory_set(motion, out)
-        told = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": len(motion.time_s)}
-        click.echo(json.dumps(told) if as_json else f"{len(motion.time_s)} samples written to {out}")
+        samples = write_motion(plan, out)
+        written = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
+        click.echo(json.dumps(written) if as_json else f"{samples} samples written to {out}")
         return
-    loaded = load(plan)
-    poses = expand(loaded)
-    refuse_errors(loaded, poses)
-    observations = simulate(loaded, poses, None if result is None else read_result(result), noise, seed)
+    observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
     write_observation_set(observations, out)
-    if as_json:
-        click.echo(
-            json.dumps(
-                {
-                    "format": "mbcacq-simulation/1",
-                    "folder": str(out),
-                    "poses": observations.n_poses,
-                    "centres": observations.n_centres,
-                    "noise": noise,
-                }
-            )
-        )
-    else:
-        click.echo(f"{observations.n_poses} poses, {observations.n_centres} ball centres written to {out}")
+    poses, centres = observations.n_poses, observations.n_centres
+    written = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
+    click.echo(json.dumps(written) if as_json else f"{poses} poses, {centres} ball centres written to {out}")
 
 
-def read_result(path: Path) -> dict:
-    """The content of a result.json, given itself or by its run folder. Raises ConfigError."""
-    file = path / "result.json" if path.is_dir() else path
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read {file}: {error.strerror}; give the result.json of a calibration") from error
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file} is not JSON ({error}); give the result.json of a calibration") from error
+def write_motion(trajectory: Path, out: Path) -> int:
+    """Write what an ideal arm would have recorded along the motion of a trajectory set; the number of samples."""
+    import mbcacq
+    from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
+    from mbcacq.workflow.simulate import simulate_motion
+
+    (recorded,) = mbcacq.load_trajectories(trajectory)
+    motion = simulate_motion(recorded)
+    write_trajectory_set(motion, out)
+    return len(motion.time_s)

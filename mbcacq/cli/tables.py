@@ -49,8 +49,26 @@ def hand_eye(result: dict[str, Any]) -> Table:
     return table
 
 
+def fit(result: dict[str, Any]) -> list[str]:
+    """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
+    fitted, noise = result["fit"], result["noise"]
+    chi2 = f", chi2/dof {fitted['chi2_dof']:.2f}" if fitted.get("chi2_dof") is not None else ""
+    size = f"{fitted['centres']} centres of {fitted['poses']} poses"
+    out = [f"Fit: {size}, residual {fitted['rms_mm']:.4f} mm rms{chi2}, rank {fitted['rank']}"]
+    if (expected := fitted.get("expected_accuracy_mm")) is not None:
+        out.append(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, noise of measuring aside)")
+    if noise:
+        sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
+        joints = " ".join(f"{1e6 * s:.1f}" for s in noise["joint_rad"])
+        repeat = f"; joints repeat within {joints} urad" if any(noise["joint_rad"]) else ""
+        out.append(f"Noise: scanner {sigmas} um along x y z{repeat}")
+        if result["method"] == "paper":
+            out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
+    return out
+
+
 def remarks(result: dict[str, Any]) -> list[str]:
-    """Held parameters, pairs that cannot be told apart, rejected measurements, noise that contradicts what was stated."""
+    """Held parameters, pairs that the data can hardly separate, rejected measurements, noise that contradicts what was stated."""
     out = []
     held = result.get("held") or {}
     reasons: dict[str, list[str]] = {}
@@ -60,14 +78,14 @@ def remarks(result: dict[str, Any]) -> list[str]:
         out.append(f"Held: {', '.join(names)}: {why}")
     for pair in (result.get("correlated") or [])[:5]:
         a, b = pair["parameters"]
-        out.append(f"Hard to tell apart: {a} and {b} (correlation {pair['correlation']:+.3f})")
+        out.append(f"Hard to separate: {a} and {b} (correlation {pair['correlation']:+.3f})")
     rejected = result.get("rejected") or []
     if rejected:
         some = ", ".join(
             f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({r['distance_mm']:.3f} mm)"
             for r in rejected[:5]
         )
-        out.append(f"Left out as outliers: {len(rejected)}: {some}{', ...' if len(rejected) > 5 else ''}")
+        out.append(f"Rejected as outliers: {len(rejected)}: {some}{', ...' if len(rejected) > 5 else ''}")
     factor = (result.get("noise") or {}).get("check_factor")
     if factor and (max(factor) > 2 or min(factor) < 0.5):
         out.append(f"The scanner's noise is {max(factor, key=lambda f: abs(np.log(f))):.1f} times what was stated")
@@ -75,7 +93,7 @@ def remarks(result: dict[str, Any]) -> list[str]:
 
 
 def scan_scale(result: dict[str, Any]) -> list[str]:
-    """The scanner's own scale, and a warning where it differs from the certificate's: no calibration of the arm sees that."""
+    """The scanner's own scale, and a warning where it differs from the certificate's: no calibration of the arm can observe that."""
     s = result.get("scan_scale")
     if not s:
         return []
@@ -91,7 +109,7 @@ def scan_scale(result: dict[str, Any]) -> list[str]:
 
 
 def stages(result: dict[str, Any]) -> list[str]:
-    """What each stage of the paper's method did."""
+    """What each stage of the paper's method changed."""
     out = []
     for stage in result.get("stages") or []:
         gains = []
@@ -133,7 +151,7 @@ def verification(v: dict[str, Any]) -> Table:
     table.add_section()
     table.add_row("max", "", "", f"{v['before']['max_mm']:.3f}", f"{v['after']['max_mm']:.3f}", "")
     expected = "" if v.get("expected_mean_mm") is None else f"{v['expected_mean_mm']:.3f}"
-    if not v.get("independent", True):
+    if v.get("independent") is False:
         table.caption = "these poses took part in the calibration"
     table.add_row("mean", "", "", f"{v['before']['mean_mm']:.3f}", f"{v['after']['mean_mm']:.3f}", expected)
     return table

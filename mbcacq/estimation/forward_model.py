@@ -1,4 +1,4 @@
-"""The one forward model: what the scanner should have seen, and how that changes with a small displacement anywhere.
+"""The forward model: where the scanner should have measured the balls, and how that changes with a small displacement anywhere.
 
 With a scanner on the flange, ball b of station s appears at ``x = inv(T_base_scanner(q)) T_base_station c_b``.
 With an external instrument, reflector b of the target on the flange appears at ``y = inv(T_base_station) T_base_target(q) c_b``; a single
@@ -37,7 +37,7 @@ class CellState:
 
 @dataclass(frozen=True)
 class Displacements:
-    """What effects do to the cell, at the few places where one can act; None means nothing there.
+    """Displacements of the cell by effects, at the few locations where one can act; None means none there.
 
     joint: (P, n) rad added to the controller's angles. frame: (P, n+1, 6) local twists behind the base (0) and behind each
     link (1..n; n is the mount). point: (M, 3) mm added to the measured point in the scanner frame. ball: (M, 3) mm added to

@@ -1,4 +1,4 @@
-"""What the data leave undetermined: found, held, and named; and whether another recording could have determined it."""
+"""Identifiability: directions of the parameters that the data leave undetermined are found, held and named, with their effect elsewhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROBES = 300
 
 @dataclass(frozen=True)
 class Undetermined:
-    """A direction of the parameters that the data do not see. name: the parameter held for it; together: others that take part;
+    """A direction of the parameters that the data do not determine. name: the parameter held for it; together: others that take part;
     effect_mm: what a plausible change of it would do to a measured point elsewhere in the workspace (rms)."""
 
     name: str

@@ -1,4 +1,4 @@
-"""A start from nothing but the data: hand-eye by linear least squares on points that stand still, stations by matching points.
+"""Initial guess from the data alone: hand-eye by linear least squares on points at rest, stations by rigid fits of points (Kabsch).
 
 Every ball of a station is a fixed point of the base frame, whatever the hand-eye transform. That is linear in the twelve
 entries of the transform once each point's own place is eliminated by subtracting means; so no first guess is needed.
@@ -17,7 +17,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 ROUNDS = 6
-NEAR_MM = 3.0  # a first guess that brings the points together this well needs no other start
+NEAR_MM = 3.0  # a given hand-eye that brings the points together this well needs no other start
 
 
 def start(obs: Observations, chain: Chain | None = None) -> CellState:
@@ -39,17 +39,17 @@ def start(obs: Observations, chain: Chain | None = None) -> CellState:
 
 
 def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
-    """T_flange_scanner (4, 4), or None where the poses do not determine it; a rotation that they do not see is taken from the guess."""
+    """T_flange_scanner (4, 4), or None where the poses do not determine it; an undetermined rotation is taken from the guess."""
     T = T_base_flange[obs.pose]
     R, t = T[:, :3, :3], T[:, :3, 3]
     group = _groups(obs)
     turning = (R[:, :, :, None] * obs.xyz[:, None, None, :]).reshape(len(R), 3, 9)
-    seen = np.abs(obs.xyz).max(initial=0.0) > 1e-9
-    columns = np.concatenate([turning, R], axis=2) if seen else R
+    off_origin = np.abs(obs.xyz).max(initial=0.0) > 1e-9
+    columns = np.concatenate([turning, R], axis=2) if off_origin else R
     solution = _linear_l1(columns, -t, group)
-    if solution is None and not seen:
+    if solution is None and not off_origin:
         return None
-    if solution is not None and seen:
+    if solution is not None and off_origin:
         rotation = solution[:9].reshape(3, 3)
         size = np.linalg.svd(rotation, compute_uv=False)
         if size[-1] < 0.5 or size[0] > 2.0:
@@ -88,37 +88,41 @@ def tracker_start(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndar
         if obs.rotation is not None:
             R_target = se3.nearest_rotation(np.median(np.swapaxes(T[:, :3, :3], 1, 2) @ R_bs @ obs.rotation[rows], axis=0))
         elif np.linalg.matrix_rank(centres - centres.mean(axis=0), tol=1.0) > 1:
-            R_target = match(centres, places, np.zeros(len(balls), int), 1)[0, :3, :3]
+            R_target = fit_rigid_transforms(centres, places, np.zeros(len(balls), int), 1)[0, :3, :3]
         targets.append(se3.transform(R_target, (places - centres @ R_target.T).mean(axis=0)))
     return targets[0], stations
 
 
 def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """T_base_station (S, 4, 4): given ones as given, the others by matching the points seen there."""
+    """T_base_station (S, 4, 4): given ones as given, the others by fitting the points measured there."""
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
     if cell.measurement == TARGET_IN_BASE:
         here, there = obs.xyz, se3.apply(T_base_scanner[obs.pose], cell.ball_centres[obs.ball])
     else:
         here, there = cell.ball_centres[obs.ball], se3.apply(T_base_scanner[obs.pose], obs.xyz)
-    out = match(here, there, obs.station[obs.pose], len(cell.stations))
+    out = fit_rigid_transforms(here, there, obs.station[obs.pose], len(cell.stations))
     for s, station in enumerate(cell.stations):
         if station.T_base_station is not None:
             out[s] = station.T_base_station
     return out
 
 
-def match(a: np.ndarray, b: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+def fit_rigid_transforms(a: np.ndarray, b: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
     """Rigid transforms (count, 4, 4) that bring the points a (M, 3) of each group onto b (Kabsch), reweighted against outliers."""
-    weight = np.ones(len(a))
-    for _ in range(ROUNDS):
-        ca, cb = _means(a, weight, group, count), _means(b, weight, group, count)
-        da, db = a - ca[group], b - cb[group]
-        product = (db[:, :, None] * (weight[:, None] * da)[:, None, :]).reshape(-1, 9)
-        R = se3.nearest_rotation(_sums(product, group, count).reshape(-1, 3, 3))
-        off = np.linalg.norm(db - np.einsum("mij,mj->mi", R[group], da), axis=1)
-        weight = 1.0 / np.maximum(off, 0.5 * np.median(off) + 1e-9)
+    R, ca, cb = _kabsch(a, b, np.ones(len(a)), group, count)
+    for _ in range(ROUNDS - 1):
+        off = np.linalg.norm(b - cb[group] - np.einsum("mij,mj->mi", R[group], a - ca[group]), axis=1)
+        R, ca, cb = _kabsch(a, b, 1.0 / np.maximum(off, 0.5 * np.median(off) + 1e-9), group, count)
     return se3.transform(R, cb - np.einsum("sij,sj->si", R, ca))
+
+
+def _kabsch(a: np.ndarray, b: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted best rotations (count, 3, 3) of a (M, 3) onto b (M, 3) by group (Kabsch 1976), and both weighted means (count, 3)."""
+    ca, cb = _means(a, weight, group, count), _means(b, weight, group, count)
+    da, db = a - ca[group], b - cb[group]
+    product = (db[:, :, None] * (weight[:, None] * da)[:, None, :]).reshape(-1, 9)
+    return se3.nearest_rotation(_sums(product, group, count).reshape(-1, 3, 3)), ca, cb
 
 
 def _sums(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
@@ -156,12 +160,7 @@ def _linear_l1(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np
     weight = np.ones(len(columns))
     x = None
     for _ in range(ROUNDS):
-
-        def centred(values, weight=weight):
-            flat = values.reshape(len(values), -1)
-            return (flat - _means(flat, weight, group, count)[group]).reshape(values.shape)
-
-        A, b = centred(columns), centred(target)
+        A, b = _centred(columns, weight, group, count), _centred(target, weight, group, count)
         flat = (A * weight[:, None, None]).reshape(-1, A.shape[2])
         normal = flat.T @ A.reshape(-1, A.shape[2])
         scale = np.sqrt(np.diag(normal))
@@ -176,7 +175,13 @@ def _linear_l1(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np
     return x
 
 
+def _centred(values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """values (M, ...) less the weighted mean of their group."""
+    flat = values.reshape(len(values), -1)
+    return (flat - _means(flat, weight, group, count)[group]).reshape(values.shape)
+
+
 def with_all_stations(obs: Observations, state: CellState) -> CellState:
-    """The state with every station placed by the points seen there."""
+    """The state with every station placed by the points measured there."""
     placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
     return replace(state, T_base_station=placed)

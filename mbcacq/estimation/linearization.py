@@ -63,7 +63,7 @@ class Lineariser:
         X[..., g + 6] = rows.pad(residual)
         if self.ball_columns is not None:
             count = int(self.layout.blocks[2].free.sum())
-            X[..., free : free + count] = rows.pad(self._balls(prediction))
+            X[..., free : free + count] = rows.pad(self._balls(prediction, self.ball_columns))
             free += count
         for one in self.options.terms:
             X[..., free : free + one.size] = rows.pad(terms.columns(obs, prediction, one))
@@ -78,11 +78,11 @@ class Lineariser:
         position = np.where(free, np.cumsum(free) - 1, -1).reshape(-1, 3)
         return position[self.obs.ball]
 
-    def _balls(self, prediction: forward_model.Prediction) -> np.ndarray:
+    def _balls(self, prediction: forward_model.Prediction, ball_columns: np.ndarray) -> np.ndarray:
         count = int(self.layout.blocks[2].free.sum())
         jacobian = forward_model.ball_jacobian(self.obs, prediction)
         width = prediction.gradient.shape[1]  # a measured orientation does not depend on a reflector's place
         out = np.zeros((self.obs.n_centres, width, count + 1))  # the last column takes what belongs to held balls
         centre = np.arange(self.obs.n_centres)[:, None, None]
-        out[centre, np.arange(3)[None, :, None], self.ball_columns[:, None, :]] = jacobian
+        out[centre, np.arange(3)[None, :, None], ball_columns[:, None, :]] = jacobian
         return out[..., :count]

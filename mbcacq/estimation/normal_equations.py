@@ -8,14 +8,14 @@ import numpy as np
 
 from mbcacq.estimation.whitening import PoseRows
 
-# Share of a station's largest information below which a direction counts as unseen: balls on one line but for a lever 3000 times smaller.
-UNSEEN = 1e-7
+# Share of a station's largest information below which a direction is unobservable: balls on one line but for a lever 3000 times smaller.
+UNOBSERVABLE = 1e-7
 STATION_SCALE = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Zero-mean rows besides the measured ones. sigma: (g,), inf = none; offset: (g,) present value minus the prior's centre.
+    """Zero-mean rows in addition to the measured ones. sigma: (g,), inf = none; offset: (g,) present value minus the prior's centre.
     station_information: (S', 6, 6) and station_offset: (S', 6), of placements that were given with an uncertainty."""
 
     sigma: np.ndarray
@@ -37,11 +37,11 @@ class Normal:
     """Whitened system of g parameters and 6 per station, reduced to g.
 
     information: (g, g) of the parameters with the stations' freedom taken out; gradient: (g,). Directions of a station
-    that its data do not see (two balls leave the turn about their line) are left out by a pseudo-inverse; station_rank: (S',).
+    that its data do not determine (two balls leave the rotation about their line) are excluded by a pseudo-inverse; station_rank: (S',).
     """
 
     def __init__(self, rows: PoseRows, X: np.ndarray, prior: Prior):
-        """X: whitened (P, B R, g + 7), as in :class:`Linear`."""
+        """X: whitened (P, B R, g + 7), as in :class:`mbcacq.estimation.linearization.Linearization`."""
         self.rows, self.size = rows, X.shape[2] - 7
         g = self.size
         flat = X.reshape(-1, g + 7)
@@ -56,9 +56,9 @@ class Normal:
         self.cost = float(whole[-1, -1]) + prior.cost
         scaled = STATION_SCALE[:, None] * Hss * STATION_SCALE
         value, vector = np.linalg.eigh(scaled)
-        seen = value > UNSEEN * np.maximum(value[:, -1:], 1e-300)
-        self.station_rank = seen.sum(axis=1)
-        root = np.where(seen, 1.0 / np.sqrt(np.where(seen, value, 1.0)), 0.0)
+        observable = value > UNOBSERVABLE * np.maximum(value[:, -1:], 1e-300)
+        self.station_rank = observable.sum(axis=1)
+        root = np.where(observable, 1.0 / np.sqrt(np.where(observable, value, 1.0)), 0.0)
         self.station_root = STATION_SCALE[:, None] * vector * root[:, None, :]  # F with F F' = pseudo-inverse of Hss
         self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg  # F' Hsg
         reduced_b = np.einsum("sji,sj->si", self.station_root, bs)
@@ -68,7 +68,7 @@ class Normal:
         self.gradient = b - tall.T @ reduced_b.reshape(-1)
 
     def decrease(self, step: np.ndarray) -> float:
-        """What the linear system promises to take off the cost with this step and the best stations."""
+        """Decrease of the cost that the linear system predicts for this step and the best stations."""
         return float(2 * step @ self.gradient - step @ self.information @ step + np.sum(self.station_b**2))
 
     def station_step(self, step: np.ndarray) -> np.ndarray:

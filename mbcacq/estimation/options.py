@@ -1,4 +1,4 @@
-"""What a calibration may vary, and what it takes for granted."""
+"""Options of a calibration: which parameters are free, which noise is assumed, how outliers are treated."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CalibrationOptions:
     balls: estimate the ball centres within the certificate's uncertainty.
     noise: 'auto' (a stated scanner noise is a prior of 30 %, joint repeatability is estimated), 'given' (stated figures are
     exact; joint repeatability from repeatability_mm), 'estimate' (stated figures are ignored).
-    robust: screen gross outliers (centres and poses).
+    robust: reject gross outliers (centres and poses).
     terms: effects to estimate with everything else. start: state to start from, instead of a closed form.
     refuse: raise CalibrationError where the data leave undetermined what another recording could determine; otherwise such parameters
     are held, and named.

@@ -1,5 +1,7 @@
-"""Gross outliers: centres that disagree with their pose (a ball taken for another), poses that disagree with the rest (a bumped
-tripod, a wrong pose). Thresholds follow a robust scale, so the screen works while the geometry is still coarse."""
+"""Robust estimation: rejection of gross outliers, by weights of 0 or 1 (Huber's weights would keep them with a share).
+
+Outliers are centres that disagree with their pose (a ball taken for another) and poses that disagree with the rest (a bumped tripod, a
+wrong pose). Thresholds follow a robust scale, the median, so that rejection works while the geometry is still coarse."""
 
 from __future__ import annotations
 
@@ -32,8 +34,8 @@ class OutlierDistances:
     pose_dof: np.ndarray
 
 
-def distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
-    """joint: (P, B R, n) columns of the joints; residual: (M, R). Every centre and pose is judged, left out or not."""
+def outlier_distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
+    """joint: (P, B R, n) columns of the joints; residual: (M, R). Every centre and pose is judged, rejected or not."""
     whiten = Whitening(rows, joint, noise, weights.centre, np.ones(rows.n_poses))
     sigma = noise.row_sigma(rows.width)
     scaled = residual / sigma
@@ -43,17 +45,17 @@ def distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: No
     gram[:, np.arange(n), np.arange(n)] += 1.0
     u = np.linalg.solve(gram, np.swapaxes(whiten.J, 1, 2) @ r)
     full = joint * rows.pad(np.broadcast_to(1 / sigma, residual.shape).copy())[..., None] * noise.joint
-    left = scaled - rows.unpad(full @ u)[..., 0]
+    remaining = scaled - rows.unpad(full @ u)[..., 0]
     by_pose = np.zeros(rows.n_poses)
     # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
-    used = rows.pad(left**2 * weights.centre[:, None]).sum(axis=1)
+    used = rows.pad(remaining**2 * weights.centre[:, None]).sum(axis=1)
     by_pose[rows.order] = used + np.sum(u[..., 0] ** 2, axis=1)
     dof = np.zeros(rows.n_poses)
     dof[rows.order] = rows.pad(np.repeat(weights.centre[:, None], rows.width, axis=1)).sum(axis=1)
-    return OutlierDistances(np.sum(left**2, axis=1), by_pose, rows.width, dof)
+    return OutlierDistances(np.sum(remaining**2, axis=1), by_pose, rows.width, dof)
 
 
-def screen(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:
+def reject_outliers(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:
     """New weights, 0 or 1. pose: (M,) the pose of each centre. The worst of a pose is judged before its companions, which it spoils."""
     n_poses = len(d.pose)
     count = np.bincount(pose, minlength=n_poses)
@@ -61,7 +63,7 @@ def screen(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:
     displaced = np.zeros(n_poses, bool)
     companions = count[pose] > 1
     if companions.any():
-        # The scale is that of all, left out or not: a median of the survivors would shrink from round to round.
+        # The scale is that of all, rejected or not: a median of the survivors would shrink from round to round.
         scale = max(np.median(d.centre[companions]) / chi2_quantile(np.array(float(d.centre_dof)), 0.0), 1e-300)
         worst = np.zeros(n_poses)
         np.maximum.at(worst, pose, d.centre)

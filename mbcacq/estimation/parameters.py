@@ -129,12 +129,12 @@ def _hand_eye(obs: Observations) -> ParameterBlock:
     names = tuple(f"hand_eye.{c}" for c in HAND_EYE)
     block = ParameterBlock("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
     if obs.cell.measurement == TARGET_IN_BASE:
-        blind = not obs.shows_target_orientation
+        unobservable = not obs.shows_target_orientation
         reason = "only the target's position is measured"
     else:
-        blind = bool(np.abs(obs.xyz).max(initial=0.0) < 1e-9)
+        unobservable = bool(np.abs(obs.xyz).max(initial=0.0) < 1e-9)
         reason = "only points at the scanner's origin are measured"
-    for i in range(3, 6) if blind else ():
+    for i in range(3, 6) if unobservable else ():
         block = block.hold(i, reason)
     return block
 
@@ -144,9 +144,9 @@ def _balls(obs: Observations, options: CalibrationOptions) -> ParameterBlock:
     ids = cell.ball_ids
     names = tuple(f"ball_{b}.{c}" for b in ids for c in "xyz")
     sigma = np.array([a.uncertainty_mm for a in cell.artefacts])[cell.ball_artefact]
-    seen = np.isin(np.arange(len(ids)), obs.ball)
+    measured = np.isin(np.arange(len(ids)), obs.ball)
     several = np.bincount(cell.ball_artefact, minlength=len(cell.artefacts))[cell.ball_artefact] > 1
-    free = seen & several & (sigma > 0) & options.balls
+    free = measured & several & (sigma > 0) & options.balls
     return ParameterBlock(
         "balls", names, ("mm",) * len(names), np.repeat(free, 3), np.repeat(sigma, 3), np.repeat(np.maximum(sigma, 1e-4), 3)
     )

@@ -19,7 +19,8 @@ def select_phases(obs: Observations, options: CalibrationOptions) -> Observation
         keep = obs.phase != "verification"
         keep = keep if keep.any() else ~keep
     if not keep.any() and options.phases:
-        raise ConfigError(f"there is no pose of phase {' or '.join(options.phases)}; these data have {', '.join(sorted(set(obs.phase)))}")
+        recorded = sorted(set([] if obs.phase is None else obs.phase.tolist()))
+        raise ConfigError(f"there is no pose of phase {' or '.join(options.phases)}; these data have {', '.join(recorded)}")
     keep &= np.bincount(obs.pose, minlength=obs.n_poses) > 0
     if not keep.any():
         asked = f" of phase {' or '.join(options.phases)}" if options.phases else ""

@@ -1,6 +1,6 @@
 """The scanner's scale, from the distances of balls within single scans against the certificate.
 
-A calibration cannot see a scale common to all scans: the arm's lengths and the hand-eye translation grow with it, and every distance
+A calibration cannot observe a scale common to all scans: the arm's lengths and the hand-eye translation grow with it, and every distance
 it measures later is wrong by that share. The scans themselves show it, whatever the arm did.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from mbcacq.estimation.initial_guess import match
+from mbcacq.estimation.initial_guess import fit_rigid_transforms
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
 from mbcacq.model.observations import Observations
 
@@ -60,11 +60,11 @@ def _of_artefact(obs: Observations, used: np.ndarray, a: int, noise: float) -> t
     if not rows.any():
         return None
     poses, group = np.unique(obs.pose[rows], return_inverse=True)
-    known, seen = cell.ball_centres[obs.ball[rows]], obs.xyz[rows]
-    turn = match(known, seen, group, len(poses))[:, :3, :3]
-    known, seen = _centred(known, group), _centred(seen, group)
+    known, measured = cell.ball_centres[obs.ball[rows]], obs.xyz[rows]
+    rotation = fit_rigid_transforms(known, measured, group, len(poses))[:, :3, :3]
+    known, measured = _centred(known, group), _centred(measured, group)
     size = np.bincount(group, np.sum(known**2, axis=1))
-    scale = np.bincount(group, np.sum(seen * np.einsum("mij,mj->mi", turn[group], known), axis=1)) / size - 1
+    scale = np.bincount(group, np.sum(measured * np.einsum("mij,mj->mi", rotation[group], known), axis=1)) / size - 1
     mean = float(np.average(scale, weights=size))
     by_noise = noise / np.sqrt(size.sum())
     scatter = np.sqrt(np.average((scale - mean) ** 2, weights=size) / (len(poses) - 1)) if len(poses) >= FEW else by_noise

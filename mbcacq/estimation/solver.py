@@ -1,4 +1,5 @@
-"""Levenberg-Marquardt on the manifold with fixed noise and weights, station poses eliminated."""
+"""Gauss-Newton with Levenberg-Marquardt damping, on the manifold of the cell's transforms; noise and weights are fixed, station poses
+eliminated."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ SMALLEST_SHARE = 1e-4
 
 @dataclass(frozen=True)
 class Weights:
-    """Trust in each centre (M,) and each pose (P,): 1 full, 0 left out."""
+    """Weight of each centre (M,) and each pose (P,): 1 full, 0 rejected."""
 
     centre: np.ndarray
     pose: np.ndarray
@@ -73,7 +74,7 @@ def solve(
     damping, share = 0.0, 1.0
     now = reweighted(lineariser, start, noise, weights) if isinstance(start, Solution) else system(lineariser, start, noise, weights)
     for iteration in range(1, limit + 1):
-        step = damped(now.normal, layout.gather("scale"), damping)
+        step = gauss_newton_step(now.normal, layout.gather("scale"), damping)
         promised = now.normal.decrease(step)
         if promised < tolerance or share < SMALLEST_SHARE:
             break
@@ -91,8 +92,9 @@ def solve(
     return now
 
 
-def damped(normal: Normal, scale: np.ndarray, damping: float) -> np.ndarray:
-    """Step (g,) of the reduced system; damping is relative to each parameter's own information."""
+def gauss_newton_step(normal: Normal, scale: np.ndarray, damping: float) -> np.ndarray:
+    """Step (g,) of the reduced normal equations: Gauss-Newton without ``damping``, Levenberg-Marquardt with it (relative to each
+    parameter's own information)."""
     H = scale[:, None] * normal.information * scale
     diagonal = np.diag(H).copy()
     H[np.diag_indices_from(H)] += damping * diagonal + 1e-14 * diagonal.max(initial=0.0)
@@ -109,16 +111,17 @@ def prior_rows(cell: Cell, layout: ParameterLayout, estimate: Estimate, stations
     for j, s in enumerate(stations):
         station = cell.stations[s]
         if station.T_base_station is not None:
-            information[j], twist[j] = known_placement(cell, s, estimate.state.T_base_station[s])
+            information[j], twist[j] = known_placement(cell, s, station.T_base_station, estimate.state.T_base_station[s])
     return Prior(layout.gather("sigma"), offset, information, twist)
 
 
-def known_placement(cell: Cell, s: int, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Information (6, 6) and offset (6,) of a station whose place was given with sigma_mm for each of its balls (0.05 mm if not said)."""
+def known_placement(cell: Cell, s: int, given: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information (6, 6) and offset (6,) of station ``s`` at T (4, 4), which was ``given`` (4, 4) with sigma_mm for each of its balls
+    (0.05 mm if not said)."""
     station = cell.stations[s]
     sigma = station.sigma_mm or 0.05
     points = cell.artefact(station.artefact).centres
     columns = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points)], axis=2)
-    off = se3.inverse(station.T_base_station) @ T
+    off = se3.inverse(given) @ T
     information = np.einsum("mri,mrj->ij", columns, columns) / sigma**2 / max(len(points) / 3, 1)
     return information, np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])

@@ -1,7 +1,7 @@
 """Effects that are linear in their coefficients: what they displace, and the derivative of the prediction by each coefficient.
 
-A term says where it acts and with which functions of the situation; everything else (displacements for the forward model,
-design matrix for a solver) follows from the few places at which anything can act.
+A term says where it acts and with which functions of the covariates; everything else (displacements for the forward model,
+design matrix for a solver) follows from the few locations at which an effect can act.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Noise estimated from the data: restricted maximum likelihood of variance components, with broad log-normal priors.
+"""Noise estimated from the data: restricted maximum likelihood (REML) of variance components, with broad log-normal priors.
 
 Components: scanner noise along each axis, turn of a measured orientation, repeatability of each joint. Stated figures are priors.
 Average-information scoring (Gilmour, Thompson, Cullis 1995) on the logarithms; degrees of freedom spent on the geometry are
@@ -15,7 +15,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.solver import Solution
 from mbcacq.model.cell import Cell
 
-# Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is anybody's guess.
+# Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is unknown.
 STATED, GUESSED, COMMON, JOINT, EXACT = 1.0, 2.0, 1.5, 0.1, 1e-3
 # No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
 LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
@@ -61,9 +61,9 @@ def unpack(theta: np.ndarray) -> Noise:
     return Noise(value[:3], value[3:-1], float(value[-1]))
 
 
-def improve(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
-    """One scoring step at a converged solution; also the largest change of a logarithm."""
-    score, information = score_and_information(solution, noise)
+def reml_step(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
+    """One step of average-information scoring (REML) at a converged solution; also the largest change of a logarithm."""
+    score, information = reml_score_and_information(solution, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
@@ -72,7 +72,7 @@ def improve(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Noise,
     return unpack(moved), float(np.abs(moved - theta).max())
 
 
-def score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+def reml_score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas."""
     W, normal = solution.whitening, solution.normal
     rows, g = normal.rows, normal.size

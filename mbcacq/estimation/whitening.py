@@ -1,4 +1,4 @@
-"""Rows grouped by pose, and the whitening of each pose by scanner noise and joint repeatability.
+"""Whitening of each pose by scanner noise and joint repeatability, on rows grouped by pose.
 
 All arrays (P, B R, k): B is the largest number of centres of a pose, poses with fewer have rows of zero.
 """
@@ -56,7 +56,7 @@ class Whitening:
 
     def __init__(self, rows: PoseRows, joint: np.ndarray, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray):
         """joint: (P, B R, n) derivative by the joints; weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of
-        the observations, 0 = left out, 1 = full (a share w counts as a variance 1 / w times as large)."""
+        the observations, 0 = rejected, 1 = full (a share w counts as a variance 1 / w times as large)."""
         scale = np.sqrt(weight)[:, None] / noise.row_sigma(rows.width)
         self.scale = rows.pad(scale)[..., None]
         self.pose_scale = np.sqrt(pose_weight[rows.order])[:, None, None]

@@ -1,13 +1,15 @@
-"""The twin: what a calibrated cell would record if it executed a plan, and nothing else were at work."""
+"""Simulation: what a calibrated cell would record if it executed a plan, without any other effect."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration import CalibratedCell, Calibration
 from mbcacq.calibration.result_io import state_from_dict
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
@@ -15,31 +17,50 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.workflow.load import as_plan, as_result
 
 
 def simulate(
+    plan: LoadedPlan | Path | str,
+    cell: Calibration | CalibratedCell | dict[str, Any] | Path | str | None = None,
+    *,
+    noise: bool = False,
+    seed: int = 0,
+) -> Observations:
+    """What a plan would record: P planned poses, M expected centres (mm, scanner frame) where the model puts them.
+
+    cell: a calibrated cell, or its result.json, or a run folder with one; default the nominal cell. noise: with the scatter of centres
+    and the repeatability of the joints, drawn with ``seed``. Raises ConfigError where the plan cannot be executed or the cell is another.
+    """
+    loaded = as_plan(plan)
+    poses = expand(loaded)
+    refuse_errors(loaded, poses)
+    return simulate_poses(loaded, poses, None if cell is None else as_result(cell), noise, seed)
+
+
+def simulate_poses(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None = None, noise: bool = False, seed: int = 0
 ) -> Observations:
-    """Every planned pose with its expected balls, where the model puts them (mm, scanner frame); times and senses of motion as planned.
+    """Every planned pose with its expected balls, where the model puts them (mm, scanner frame); times and directions of motion as planned.
 
-    result: the content of a result.json; default the nominal cell. Stations that the result does not know stand where the plan puts
+    result: the content of a result.json; default the nominal cell. Stations that the result does not have stand where the plan puts
     them. noise: add the scatter of centres and the repeatability of the joints (the result's, else the plan's and the data sheet's).
-    As in a run, the cell that is written says nothing of where stations stand; it states the scatter of a centre, for a solver that
-    has none to estimate it from. Raises ConfigError where result and plan do not match.
+    As in a run, the cell that is written has no placements of stations; it states the scatter of a centre, for a solver that has no
+    scatter to estimate it from. Raises ConfigError where result and plan do not match.
     """
     from mbcacq.design.simulated_observations import planned_observations
     from mbcacq.plan import path
     from mbcacq.plan.summary import summary
-    from mbcacq.workflow.run import solver_cell
+    from mbcacq.workflow.acquire import solver_cell
 
     starts = {p["pose"]: p["start_s"] for p in summary(loaded, poses)["poses"]}
     blank = planned_observations(loaded, poses, path(loaded, poses), [starts[p.number] for p in poses])
     state = cell_state(loaded, result)
     rng = np.random.default_rng(seed)
     scatter = _noise(loaded, poses, result) if noise else None
-    stood = blank if scatter is None else replace(blank, q=blank.q + scatter.joint * rng.standard_normal(blank.q.shape))
-    xyz = forward_model.predict(stood, state).xyz
+    scattered = blank if scatter is None else replace(blank, q=blank.q + scatter.joint * rng.standard_normal(blank.q.shape))
+    xyz = forward_model.predict(scattered, state).xyz
     if scatter is not None:
         xyz = xyz + scatter.point * rng.standard_normal(xyz.shape)
     return replace(blank, cell=replace(solver_cell(loaded), noise_mm=_noise(loaded, poses, result).point), xyz=xyz)

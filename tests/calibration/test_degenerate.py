@@ -11,12 +11,12 @@ from click.testing import CliRunner
 
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.compare_methods import compare
-from mbcacq.calibration.methods import RIVALS
+from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
 
 NOISE = (0.005, 0.005, 0.009)
-AXXB = [name for name in RIVALS if name.startswith("AX=XB")]
-PAPER = [name for name in RIVALS if name.startswith("paper")]
+AXXB = [name for name in COMPARED_METHODS if name.startswith("AX=XB")]
+PAPER = [name for name in COMPARED_METHODS if name.startswith("paper")]
 OURS = ["maximum likelihood"]
 JOINT = [*PAPER, "distances only", *OURS]
 pytestmark = pytest.mark.filterwarnings("error")
@@ -109,7 +109,7 @@ def test_every_method_refuses_what_it_cannot_determine(cell, recording):
     pytest.importorskip("cv2")
     obs = recording(cell)
     rows = {row.method: row for row in compare(obs, held_out=False)}
-    assert list(rows) == list(RIVALS)
+    assert list(rows) == list(COMPARED_METHODS)
     for name, row in rows.items():
         reason = UNDETERMINED[recording].get(name)
         if reason is None:

@@ -75,7 +75,7 @@ def test_how_the_scanner_names_its_axes(cell, found, options):
 
 
 @pytest.mark.parametrize("options", METHODS, ids=IDS)
-def test_senses_and_zeros_of_the_joints(cell, found, options):
+def test_directions_of_rotation_and_zeros_of_the_joints(cell, found, options):
     """The same arm with every angle counted the other way round, from another zero."""
     chain, obs = cell.observations.cell.robot.chain, cell.observations
     zero = np.array([0.3, -0.2, 0.5, 1.0, -0.7, 0.1])

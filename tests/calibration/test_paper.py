@@ -117,7 +117,7 @@ def test_distance_constraint_identifies_arm_and_hand_eye_without_noise():
     free = np.concatenate([b.free for b in method.published_layout(obs, CalibrationOptions()).blocks[:2]])
     free &= ~np.isin(np.arange(36), [0, 1, 25, 26, 27, 28, 29])  # theta_1, d_1 and the last link, so that the answer is unique
     at = distance_constraint.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
-    found = distance_constraint.identify(obs.cell.robot.chain, HAND_EYE, obs.q, obs.pose, obs.xyz, at, free)
+    found = distance_constraint.identify(obs.cell.robot.chain, HAND_EYE, obs, at, free)
     assert found.rms_after < 1e-3 < found.rms_before
     np.testing.assert_allclose(found.chain.rows - obs.cell.robot.chain.rows, cell.errors, atol=0.02)
 

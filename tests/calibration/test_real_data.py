@@ -40,7 +40,7 @@ def test_independent_simulation_is_explained_down_to_its_noise():
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 2 * expected < 0.05
 
 
-def test_left_out_stations_of_a_clean_cell_show_the_noise_only():
+def test_held_out_stations_of_a_clean_cell_show_the_noise_only():
     figure = held_out(load_observations(DATA / "example-none"), split="station")
     assert figure.fits == 16
     assert 0.0110 < figure.rms_mm < 0.0135
@@ -67,7 +67,7 @@ def test_blocks_are_judged_only_where_training_knows_the_socket():
     assert figure.rms_mm < 0.3
 
 
-def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_cannot_see():
+def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_leaves_open():
     found = calibrate(load_observations(DATA / "iiwa14-sockets"))
     assert {u.name for u in found.undetermined} == {"a_6", "alpha_6"}
     assert all(u.harmless for u in found.undetermined)

@@ -39,7 +39,7 @@ def three_reflectors(rng, orientation=False, poses=150):
     return measure(obs, truth, rng, np.full(3, 0.02), 1e-5), truth
 
 
-def test_turn_of_the_target_and_place_of_the_reflectors_are_recovered():
+def test_orientation_of_the_target_and_positions_of_the_reflectors_are_recovered():
     obs, truth = three_reflectors(np.random.default_rng(3))
     result = calibrate(obs)
     turn = se3.rotation_log((result.state.T_flange_scanner[:3, :3].T @ truth.T_flange_scanner[:3, :3])[None])[0]
@@ -53,7 +53,7 @@ def test_turn_of_the_target_and_place_of_the_reflectors_are_recovered():
 
 
 @pytest.mark.parametrize("orientation", [False, True])
-def test_columns_are_derivatives_of_what_is_seen(orientation):
+def test_columns_are_derivatives_of_what_is_measured(orientation):
     obs, truth = three_reflectors(np.random.default_rng(5), orientation, poses=12)
     options = CalibrationOptions()
     layout = parameters.build(obs, options)

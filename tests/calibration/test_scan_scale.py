@@ -21,7 +21,7 @@ def cell():
 
 
 @pytest.mark.parametrize("method", ["ml", "paper"])
-def test_a_scale_of_the_scanner_is_told_and_warned_of(cell, method):
+def test_a_scale_of_the_scanner_is_reported_with_a_warning(cell, method):
     """536 ppm leave the bar of 500 mm about 0.27 mm long, although each bar end is measured in the middle of the view."""
     options = CalibrationOptions(method=method, pairs="all", refuse=method == "ml")
     right, wrong = calibrate(cell.observations, options), calibrate(grown(cell.observations, 536), options)

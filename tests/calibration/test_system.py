@@ -8,7 +8,7 @@ from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.solver import Weights, damped, system
+from mbcacq.estimation.solver import Weights, gauss_newton_step, system
 from mbcacq.estimation.terms import Part, term
 
 
@@ -98,7 +98,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     r = now.X[..., -1].reshape(-1)
     H = A.T @ A + np.diag(np.concatenate([1 / now.prior.sigma**2, np.zeros(6 * stations)]))
     expected = np.linalg.solve(H, A.T @ r - np.concatenate([now.prior.offset / now.prior.sigma**2, np.zeros(6 * stations)]))
-    step = damped(now.normal, layout.gather("scale"), 0.0)
+    step = gauss_newton_step(now.normal, layout.gather("scale"), 0.0)
     np.testing.assert_allclose(step, expected[:g], rtol=1e-5, atol=1e-10)
     np.testing.assert_allclose(now.normal.station_step(step).reshape(-1), expected[g:], rtol=1e-5, atol=1e-9)
     C = np.linalg.inv(H)

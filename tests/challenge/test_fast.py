@@ -14,7 +14,7 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.strength import Gauge
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load
-from mbcacq.workflow.simulate import simulate
+from mbcacq.workflow.simulate import simulate_poses
 
 PLANS = Path(__file__).parents[2] / "plans"
 
@@ -83,7 +83,7 @@ def test_the_twin_of_the_nominal_cell_is_what_the_nominal_model_predicts(tmp_pat
 
 
 def test_noise_scatters_the_twin_by_what_the_plan_states(quick):
-    exact, first, again = simulate(*quick), simulate(*quick, noise=True, seed=4), simulate(*quick, noise=True, seed=4)
+    exact, first, again = simulate_poses(*quick), simulate_poses(*quick, noise=True, seed=4), simulate_poses(*quick, noise=True, seed=4)
     assert np.array_equal(first.xyz, again.xyz)
     assert np.array_equal(exact.q, first.q)
     # balls of one pose against each other: joint repeatability moves them together, scanner noise does not
@@ -98,8 +98,8 @@ def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
     from mbcacq.calibration import CalibrationOptions, calibrate
 
     cell = calibrate(observations, CalibrationOptions(kinematics=False))
-    twin = simulate(loaded, poses, cell.to_dict())
-    nominal = simulate(loaded, poses)
+    twin = simulate_poses(loaded, poses, cell.to_dict())
+    nominal = simulate_poses(loaded, poses)
     seen = {
         (int(observations.pose_id[p]), int(b)): x for p, b, x in zip(observations.pose, observations.ball, observations.xyz, strict=True)
     }
@@ -113,4 +113,4 @@ def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
 def test_a_result_of_another_arm_is_refused(quick):
     loaded, poses = quick
     with pytest.raises(ConfigError, match="not a calibration result"):
-        simulate(loaded, poses, {"format": "something else"})
+        simulate_poses(loaded, poses, {"format": "something else"})

@@ -20,7 +20,7 @@ from mbcacq.conformance.injection import NAMED, RECOVERED, UNREACHED
 from mbcacq.devices import MbcacqError, load_driver
 from mbcacq.plan import expand, load
 from mbcacq.recording import load_observations as load_recording
-from mbcacq.workflow import run as pipeline
+from mbcacq.workflow import acquire
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 LIMIT_S, NOISE_MM = 180.0, 0.15  # a ball's centre scatters by 0.01 mm; the next pose's is 10 mm away
@@ -139,7 +139,7 @@ class WholeRun:
             raise Wrong("wrong", f"the run ended well without some of its poses ({len(found)} of {len(self.centres)} centres)")
 
     def _execute(self, overrides: dict[str, dict[str, Any]], name: str) -> None:
-        run = pipeline.plan_run(self._loaded, self._poses, frozenset(), 0, "the fake cell of seed 3")
+        run = acquire.plan_acquisition(self._loaded, self._poses, frozenset(), 0, "the fake cell of seed 3")
         run.folder = self._folder / name
         run.folder.mkdir()
         run.execute(overrides)

@@ -14,7 +14,7 @@ from mbcacq.errors import ExitCode, MbcacqError
 from mbcacq.plan import expand, load
 from mbcacq.recording import Recording, find_gaps
 from mbcacq.recording import load_observations as load_run
-from mbcacq.workflow import run
+from mbcacq.workflow import acquire
 
 
 def short(plan):
@@ -39,8 +39,8 @@ def run_with(tmp_path, hurt, change=lambda plan: None):
     """Run; ``hurt(cell)`` is called once when the second pose is done. Returns the error that ended it, and the folder."""
     loaded = load(plan_file(tmp_path, lambda p: (short(p), change(p))))
     poses = expand(loaded)
-    acquisition = run.plan_run(loaded, poses, frozenset(), 0, "the fake cell")
-    acquisition.folder = run.new_run_folder(tmp_path / "run", "x")
+    acquisition = acquire.plan_acquisition(loaded, poses, frozenset(), 0, "the fake cell")
+    acquisition.folder = acquire.new_run_folder(tmp_path / "run", "x")
     done, still = [], []
 
     def watch(event):

@@ -199,7 +199,7 @@ def test_truncated_recording(tmp_path, keep):
 
 
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory as files here")
-def test_nothing_of_a_run_that_is_killed_with_all_its_children_stays_in_shared_memory(tmp_path):
+def test_a_run_killed_with_its_children_leaves_nothing_in_shared_memory(tmp_path):
     before = set(os.listdir("/dev/shm"))
     process = subprocess.Popen(
         [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", tmp_path / "run"],

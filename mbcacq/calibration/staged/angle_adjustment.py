@@ -15,7 +15,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LCurve:
-    """ridge: (L,) parameters; misfit: (L,) rad norm of what is left of the angles; size: (L,) mm norm of the corrections; corner: index
+    """ridge: (L,) parameters; misfit: (L,) rad norm of the remaining angle errors; size: (L,) mm norm of the corrections; corner: index
     of the one taken."""
 
     ridge: np.ndarray
@@ -75,8 +75,8 @@ def adjust(points: np.ndarray, certified: np.ndarray, ridge: float | None = None
     corner = len(grid) - 1 if ridge is not None else corner_of(misfit, size)
     curve = LCurve(grid, misfit, size, corner)
     step = np.einsum("pij,pi->pj", Vt, s / (s**2 + grid[corner]) * along)
-    left = np.eye(Vt.shape[2]) - np.swapaxes(Vt, 1, 2) @ ((s**2 / (s**2 + grid[corner]))[..., None] * Vt)
-    return points + step.reshape(points.shape), curve, left
+    smoother = np.eye(Vt.shape[2]) - np.swapaxes(Vt, 1, 2) @ ((s**2 / (s**2 + grid[corner]))[..., None] * Vt)
+    return points + step.reshape(points.shape), curve, smoother
 
 
 def corner_of(misfit: np.ndarray, size: np.ndarray) -> int:

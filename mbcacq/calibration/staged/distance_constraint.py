@@ -16,15 +16,16 @@ from mbcacq.calibration.staged.error_propagation import Measured, propagate
 from mbcacq.estimation.options import Noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.observations import Observations
 
-UNSEEN = 1e-10  # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unseen
+UNOBSERVABLE = 1e-10  # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unobservable
 __all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
 @dataclass(frozen=True)
 class Identified:
     """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters, with
-    the noise of ``propagation``, zero in the directions unseen (g, u), unit vectors of the free parameters; free: (5 n + 6,) bool."""
+    the noise of ``propagation``, zero in the directions ``unobservable`` (g, u), unit vectors; free: (5 n + 6,) bool."""
 
     chain: Chain
     T_flange_scanner: np.ndarray
@@ -32,7 +33,7 @@ class Identified:
     rms_after: float
     covariance: np.ndarray
     noise: Noise
-    unseen: np.ndarray
+    unobservable: np.ndarray
     free: np.ndarray
     iterations: int
 
@@ -40,9 +41,7 @@ class Identified:
 def identify(
     chain: Chain,
     hand_eye: np.ndarray,
-    q: np.ndarray,
-    pose: np.ndarray,
-    xyz: np.ndarray,
+    obs: Observations,
     distances: PairDistances,
     free: np.ndarray,
     measured: Measured | None = None,
@@ -50,13 +49,13 @@ def identify(
     limit: int = 50,
     tolerance: float = 1e-9,
 ) -> Identified:
-    """q: (P, n) rad; pose: (M,); xyz: (M, 3) mm in the scanner frame; free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
+    """From the centres of ``obs`` and their certified ``distances``. free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
 
     Redundant parameters may be free: the damping keeps them near their start, as the paper's does. measured: noise of the centres, for
     the covariance (default: 0.02 mm, centres not adjusted).
     """
     damping, scale = 1e-3, np.concatenate([np.tile([1e-3, 1.0, 1.0, 1e-3, 1e-3], chain.n), [1, 1, 1, 5e-3, 5e-3, 5e-3]])[free]
-    residual, J = _linearise(chain, hand_eye, q, pose, xyz, distances, free)
+    residual, J = _linearise(chain, hand_eye, obs, distances, free)
     before = cost = float(residual @ residual)
     iterations = 0
     while iterations < limit:
@@ -68,7 +67,7 @@ def identify(
         full = np.zeros(len(free))
         full[free] = step
         moved = chain.with_errors(full[:-6].reshape(-1, 5)), hand_eye @ se3.exp(full[-6:])
-        trial, J_trial = _linearise(*moved, q, pose, xyz, distances, free)
+        trial, J_trial = _linearise(*moved, obs, distances, free)
         new = float(trial @ trial)
         if new > cost:
             damping *= 10
@@ -80,10 +79,10 @@ def identify(
         if gained < tolerance * cost:
             break
     value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
-    seen = value > UNSEEN * value[-1]
-    inverse = scale[:, None] * (vector[:, seen] / value[seen]) @ vector[:, seen].T * scale
-    found = propagate(chain, hand_eye, q, pose, xyz, distances, J, residual, inverse, measured or Measured(np.full(3, 0.02)))
-    unseen = scale[:, None] * vector[:, ~seen]
+    observable = value > UNOBSERVABLE * value[-1]
+    inverse = scale[:, None] * (vector[:, observable] / value[observable]) @ vector[:, observable].T * scale
+    found = propagate(chain, hand_eye, obs, distances, J, residual, inverse, measured or Measured(np.full(3, 0.02)))
+    unobservable = scale[:, None] * vector[:, ~observable]
     count = max(len(residual), 1)
     return Identified(
         chain,
@@ -92,14 +91,17 @@ def identify(
         np.sqrt(cost / count),
         found.covariance,
         found.noise,
-        unseen / np.linalg.norm(unseen, axis=0),
+        unobservable / np.linalg.norm(unobservable, axis=0),
         free,
         iterations,
     )
 
 
-def _linearise(chain, hand_eye, q, pose, xyz, distances, free):
+def _linearise(
+    chain: Chain, hand_eye: np.ndarray, obs: Observations, distances: PairDistances, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Residual (K,) true minus measured distance, and its columns (K, g): the derivative of the measured distance."""
+    q, pose, xyz = obs.q, obs.pose, obs.xyz
     frames = chain.frames(q)
     T = frames[:, -1] @ hand_eye
     point = se3.apply(T[pose], xyz)

@@ -1,4 +1,4 @@
-"""How far off the distance constraint's answer is: the noise of every pose carried through its least squares.
+"""Error propagation: the noise of every pose carried through the least squares of the distance constraint.
 
 Distances are not independent. Each centre enters many of them, the angle adjustment ties the centres of a scan, and the repeatability of
 the joints moves all of them together; plain least squares of the distances understates the uncertainty several times. The method itself
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbcacq.calibration.staged.ball_pairs import PairDistances
-from mbcacq.estimation.initial_guess import match
+from mbcacq.estimation.initial_guess import fit_rigid_transforms
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import LEAST_POINT
 from mbcacq.geometry import se3
@@ -41,11 +41,11 @@ class Propagated:
 
 def scanner_noise(obs: Observations) -> np.ndarray:
     """(3,) mm: sigma of a centre along the scanner's axes, from the shape of each scan against the certificate; as the stated
-    noise among the axes, or alike. Poses with fewer than three balls tell nothing."""
+    noise among the axes, or alike. Poses with fewer than three balls are not used."""
     stated = np.ones(3) if obs.cell.noise_mm is None else np.maximum(obs.cell.noise_mm, LEAST_POINT)
-    T = match(obs.cell.ball_centres[obs.ball], obs.xyz, obs.pose, obs.n_poses)
+    T = fit_rigid_transforms(obs.cell.ball_centres[obs.ball], obs.xyz, obs.pose, obs.n_poses)
     known = se3.apply(T[obs.pose], obs.cell.ball_centres[obs.ball])
-    left, expected = 0.0, 0.0
+    squares, expected = 0.0, 0.0
     for p in np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3):
         rows = obs.pose == p
         around = known[rows] - known[rows].mean(axis=0)
@@ -53,24 +53,23 @@ def scanner_noise(obs: Observations) -> np.ndarray:
         U, size, _ = np.linalg.svd(rigid / np.linalg.norm(rigid, axis=0), full_matrices=False)
         U = U[:, size > 1e-6]
         e = (obs.xyz[rows] - known[rows]).reshape(-1)
-        left += float(np.sum((e - U @ (U.T @ e)) ** 2))
+        squares += float(np.sum((e - U @ (U.T @ e)) ** 2))
         expected += float(np.sum((1 - np.sum(U**2, axis=1)) * np.tile(stated**2, len(around))))
-    return np.maximum(np.sqrt(left / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
+    return np.maximum(np.sqrt(squares / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
 
 
 def propagate(
     chain: Chain,
     hand_eye: np.ndarray,
-    q: np.ndarray,
-    pose: np.ndarray,
-    xyz: np.ndarray,
+    obs: Observations,
     at: PairDistances,
     J: np.ndarray,
     residual: np.ndarray,
     inverse: np.ndarray,
     measured: Measured,
 ) -> Propagated:
-    """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unseen."""
+    """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unobservable."""
+    q, pose, xyz = obs.q, obs.pose, obs.xyz
     frames = chain.frames(q)
     T = frames[:, -1] @ hand_eye
     point = se3.apply(T[pose], xyz)
@@ -85,32 +84,32 @@ def propagate(
         shape=(len(rows), 3 * count),
     )
     S = (D.T @ J).reshape(count, 3, -1)
-    seen = np.zeros((count, 3, 3))
+    weight = np.zeros((count, 3, 3))
     square = u[:, :, None] * u[:, None, :]
     for ends in (at.a, at.b):
-        seen += np.stack([np.bincount(ends, square.reshape(-1, 9)[:, c], count) for c in range(9)], axis=1).reshape(-1, 3, 3)
+        weight += np.stack([np.bincount(ends, square.reshape(-1, 9)[:, c], count) for c in range(9)], axis=1).reshape(-1, 3, 3)
     twists = chain.joint_twists(frames)[pose]
     joint = np.swapaxes(twists[..., :3] + np.cross(twists[..., 3:], point[:, None]), 1, 2)  # (M, 3, n)
-    by_scanner, seen_scanner = _scanner(pose, T[pose, :3, :3], S, seen, measured)
+    by_scanner, scanner_trace = _scanner(pose, T[pose, :3, :3], S, weight, measured)
     by_pose = np.zeros((len(q), joint.shape[2], S.shape[2]))
     np.add.at(by_pose, pose, np.swapaxes(joint, 1, 2) @ S)
     by_joint = np.einsum("png,pnh->gh", by_pose, by_pose)
-    seen_joint = float(np.einsum("mik,mij,mjk->", joint, seen, joint))
+    joint_trace = float(np.einsum("mik,mij,mjk->", joint, weight, joint))
     # E |residual|^2 = tr(D Omega D') less what the fit takes of it.
-    expected_scanner = seen_scanner - np.sum(inverse * by_scanner)
-    expected_joint = seen_joint - np.sum(inverse * by_joint)
+    expected_scanner = scanner_trace - np.sum(inverse * by_scanner)
+    expected_joint = joint_trace - np.sum(inverse * by_joint)
     variance = max(float(residual @ residual) - expected_scanner, 0.0) / expected_joint if expected_joint > 0 else 0.0
     covariance = inverse @ (by_scanner + variance * by_joint) @ inverse
     return Propagated(covariance, Noise(measured.shape, np.full(chain.n, np.sqrt(variance))))
 
 
-def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, seen: np.ndarray, measured: Measured) -> tuple[np.ndarray, float]:
-    """(g, g) sum over poses of S' Omega S, and the trace of ``seen`` with Omega, for the scanner's noise. R: (M, 3, 3) scanner in base."""
+def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, weight: np.ndarray, measured: Measured) -> tuple[np.ndarray, float]:
+    """(g, g) sum over poses of S' Omega S, and the trace of ``weight`` Omega, for the scanner's noise. R: (M, 3, 3) scanner in base."""
     S = np.swapaxes(R, 1, 2) @ S
-    seen = np.swapaxes(R, 1, 2) @ seen @ R
+    weight = np.swapaxes(R, 1, 2) @ weight @ R
     if measured.smoother is None:
         weighed = measured.shape[:, None] * S
-        return np.einsum("mcg,mch->gh", weighed, weighed), float(np.einsum("mcc,c->", seen, measured.shape**2))
+        return np.einsum("mcg,mch->gh", weighed, weighed), float(np.einsum("mcc,c->", weight, measured.shape**2))
     total, trace = np.zeros((S.shape[2],) * 2), 0.0
     for p in np.unique(pose):
         rows = np.flatnonzero(pose == p)
@@ -118,5 +117,5 @@ def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, seen: np.ndarray, m
         own = A.T @ S[rows].reshape(-1, S.shape[2])
         total += own.T @ own
         blocks = A.reshape(len(rows), 3, -1)
-        trace += float(np.einsum("mci,mcd,mdi->", blocks, seen[rows], blocks))
+        trace += float(np.einsum("mci,mcd,mdi->", blocks, weight[rows], blocks))
     return total, trace

@@ -21,14 +21,14 @@ def rotation_from_translations(T_base_flange: np.ndarray, virtual: np.ndarray) -
     """
     R = T_base_flange[:, :3, :3]
     moved = np.einsum("pji,pj->pi", R, T_base_flange[:, :3, 3] - T_base_flange[:, :3, 3].mean(axis=0))
-    seen = -(virtual - virtual.mean(axis=0))
-    spread = np.linalg.svd(seen, compute_uv=False)
+    measured = -(virtual - virtual.mean(axis=0))
+    spread = np.linalg.svd(measured, compute_uv=False)
     if len(virtual) < 3 or spread[1] < 1.0:
         raise CalibrationError(
             "the translations do not span a plane, which leaves the hand-eye rotation undetermined; "
             "translate along base X, Y and Z by 20 mm and more"
         )
-    return se3.nearest_rotation(moved.T @ seen)
+    return se3.nearest_rotation(moved.T @ measured)
 
 
 def translation_from_orientations(T_base_flange: np.ndarray, virtual: np.ndarray, rotation: np.ndarray) -> np.ndarray:

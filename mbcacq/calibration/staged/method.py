@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.staged import distance_constraint
-from mbcacq.calibration.staged.ball_pairs import one_pair, several_balls
+from mbcacq.calibration.staged.ball_pairs import PairDistances, one_pair, several_balls
 from mbcacq.calibration.staged.error_propagation import Measured, scanner_noise
 from mbcacq.calibration.staged.stages import adjust_angles, preliminary
 from mbcacq.calibration.sufficiency import refuse_one_station
@@ -33,14 +33,14 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
             "the paper's method needs a scanner on the flange that sees several balls at a pose; use --method ml for this recording"
         )
     obs = several_balls(whole, options.pairs)
-    adjusted, stages, left = adjust_angles(obs)
+    adjusted, stages, smoother = adjust_angles(obs)
     X, more = preliminary(adjusted)
     nowhere = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     first = with_all_stations(adjusted, CellState(obs.cell.robot.chain, X, nowhere, obs.cell.ball_centres))
     position = np.zeros(obs.n_poses, bool) if obs.phase is None else obs.phase == "position"
     position = position if position.any() else ~position
     where = adjusted.select(position)
-    measured = Measured(scanner_noise(obs), tuple(left[p] for p in np.flatnonzero(position)))
+    measured = Measured(scanner_noise(obs), tuple(smoother[p] for p in np.flatnonzero(position)))
     layout = published_layout(obs, options)
     at = constraint(where, options.pairs)
     found = identify(where, first, at, layout, options, measured)
@@ -60,25 +60,20 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
     return _as_calibration(obs, options, layout, state, first, found, stages)
 
 
-def constraint(obs: Observations, how: str) -> distance_constraint.Distances:
+def constraint(obs: Observations, how: str) -> PairDistances:
     """The distances of the recording that count: between the balls of one pair of each artefact (how = 'one'), or between all of them."""
     at = distance_constraint.pairs(obs.pose, obs.station[obs.pose], obs.ball, obs.cell.ball_centres)
     if how != "one":
         return at
     keep = one_pair(obs)
     keep = keep[obs.ball[at.a]] & keep[obs.ball[at.b]]
-    return distance_constraint.Distances(at.a[keep], at.b[keep], at.certified[keep])
+    return PairDistances(at.a[keep], at.b[keep], at.certified[keep])
 
 
 def identify(
-    obs: Observations,
-    first: CellState,
-    at: distance_constraint.Distances,
-    layout: ParameterLayout,
-    options: CalibrationOptions,
-    measured: Measured,
+    obs: Observations, first: CellState, at: PairDistances, layout: ParameterLayout, options: CalibrationOptions, measured: Measured
 ) -> distance_constraint.Identified:
-    """The last stage. Raises CalibrationError where the distances leave a direction unseen that matters elsewhere in the workspace."""
+    """The last stage. Raises CalibrationError where the distances leave a direction undetermined that matters in the workspace."""
     free = np.concatenate([b.free for b in layout.blocks[:2]])
     if len(at.a) < free.sum():
         raise CalibrationError(
@@ -87,10 +82,10 @@ def identify(
         )
     if options.refuse:
         refuse_one_station(obs)
-    found = distance_constraint.identify(first.chain, first.T_flange_scanner, obs.q, obs.pose, obs.xyz, at, free, measured)
-    if found.unseen.shape[1] and options.refuse:
+    found = distance_constraint.identify(first.chain, first.T_flange_scanner, obs, at, free, measured)
+    if found.unobservable.shape[1] and options.refuse:
         scale = layout.gather("scale")
-        basis = np.linalg.qr(found.unseen / scale[:, None])[0]
+        basis = np.linalg.qr(found.unobservable / scale[:, None])[0]
         reference = scale[:, None] * identifiability.workspace_information(obs, first, layout) * scale
         effect, vector = np.linalg.eigh(basis.T @ reference @ basis)
         if effect[-1] > identifiability.VISIBLE_MM**2:
@@ -122,7 +117,7 @@ def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibr
     lineariser = Lineariser(obs, layout, replace(options, terms=()))
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     at = system(lineariser, Estimate(state), found.noise, weights)
-    seen = int(found.free.sum()) - found.unseen.shape[1] + 6 * len(lineariser.rows.stations)
+    rank = int(found.free.sum()) - found.unobservable.shape[1] + 6 * len(lineariser.rows.stations)
     whitened = lineariser.rows.unpad(at.X[..., -1:])[..., 0]
     return Calibration(
         obs,
@@ -138,8 +133,8 @@ def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibr
         at.linear.residual,
         whitened,
         float(np.sum(whitened**2)),
-        whitened.size - seen,
-        seen,
+        whitened.size - rank,
+        rank,
         found.iterations,
         extra={"stages": stages},
     )

@@ -19,21 +19,21 @@ def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.
     three balls stay as they are. Poses that show the same balls share a ridge parameter. Last, per pose, (3 B, 3 B) what the
     adjustment leaves of small errors of its B centres, in their order."""
     certified, xyz = obs.cell.ball_centres, obs.xyz.copy()
-    seen = np.zeros((obs.n_poses, len(certified)), bool)
-    seen[obs.pose, obs.ball] = True
+    visible = np.zeros((obs.n_poses, len(certified)), bool)
+    visible[obs.pose, obs.ball] = True
     curves = []
-    left = [np.eye(3 * k) for k in np.bincount(obs.pose, minlength=obs.n_poses)]
-    for mask in np.unique(seen, axis=0):
-        poses = np.flatnonzero((seen == mask).all(axis=1))
+    smoother = [np.eye(3 * k) for k in np.bincount(obs.pose, minlength=obs.n_poses)]
+    for mask in np.unique(visible, axis=0):
+        poses = np.flatnonzero((visible == mask).all(axis=1))
         balls = np.flatnonzero(mask)
         rows = np.flatnonzero(np.isin(obs.pose, poses))
         if len(balls) < 3 or len(rows) != len(poses) * len(balls):
             continue
         rows = rows[np.lexsort((obs.ball[rows], obs.pose[rows]))].reshape(len(poses), len(balls))
-        xyz[rows], curve, smoother = angle_adjustment.adjust(obs.xyz[rows], certified[balls])
+        xyz[rows], curve, of_pose = angle_adjustment.adjust(obs.xyz[rows], certified[balls])
         for k, p in enumerate(poses):
             order = (3 * np.argsort(rows[k])[:, None] + np.arange(3)).ravel()
-            left[p] = smoother[k][np.ix_(order, order)]
+            smoother[p] = of_pose[k][np.ix_(order, order)]
         curves.append((len(poses), curve))
     adjusted = replace(obs, xyz=xyz)
     moved = np.sqrt(np.mean(np.sum((xyz - obs.xyz) ** 2, axis=1)))
@@ -51,7 +51,7 @@ def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.
             "size_mm": largest.size.tolist(),
             "corner": largest.corner,
         }
-    return adjusted, [stage], left
+    return adjusted, [stage], smoother
 
 
 def shape_error(obs: Observations) -> float:

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq import __version__
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
+from mbcacq.version import __version__
 
 FORMAT = "mbcacq-result/1"
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))

@@ -1,0 +1,86 @@
+"""A calibrated cell read back from result.json: state, covariance and noise, without the observations they came from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import result_io
+from mbcacq.calibration.cell_methods import CalibratedCellMethods
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.model.observations import Observations
+
+
+@dataclass(frozen=True, repr=False)
+class CalibratedCell(CalibratedCellMethods):
+    """What :class:`mbcacq.calibration.calibrated.Calibrated` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
+    those of ``state.balls`` (K, 3) mm. content: the whole of result.json, as it was read."""
+
+    robot: str
+    state: CellState
+    preliminary: CellState
+    layout: ParameterLayout
+    covariance: np.ndarray
+    noise: Noise
+    stations: tuple[str, ...]
+    ball_ids: tuple[int, ...]
+    content: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> CalibratedCell:
+        """The cell of a result's content. Raises ConfigError where this is no result of a calibration, or a damaged one."""
+        state = result_io.state_from_dict(content)
+        try:
+            nominal, T = result_io.chain_of(content, "nominal"), np.array(content["preliminary"]["T_flange_scanner"], dtype=float)
+            layout = result_io.layout_from_dict(content)
+            covariance = np.array(content["covariance"], dtype=float).reshape(layout.size, layout.size)
+            noise = result_io.noise_from_dict(content["noise"])
+            robot = str(content["robot"]["name"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(
+                f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
+            ) from error
+        first = CellState(nominal, T, state.T_base_station, state.balls)
+        stations = tuple(str(s["id"]) for s in content["stations"])
+        return cls(robot, state, first, layout, covariance, noise, stations, tuple(b["id"] for b in content["balls"]), content)
+
+    @classmethod
+    def from_json(cls, source: str | Path) -> CalibratedCell:
+        """The cell of a result's JSON text, of a result.json, or of a run folder that holds one. Raises ConfigError."""
+        if isinstance(source, str) and source.lstrip().startswith("{"):
+            try:
+                return cls.from_dict(json.loads(source))
+            except ValueError as error:
+                raise ConfigError(f"the calibration result is not JSON ({error}); give the content of a result.json") from error
+        return cls.from_dict(result_io.read_result(Path(source)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return self.content
+
+    def to_json(self) -> str:
+        """:meth:`to_dict` as JSON text."""
+        return json.dumps(self.content, indent=1)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the covariance."""
+        return self.layout.names
+
+    def took_part(self, observations: Observations) -> bool | None:
+        """False where none of these stations belongs to the calibration; else None: result.json does not list poses."""
+        measured = {observations.cell.stations[s].id for s in np.unique(observations.station)}
+        return None if measured & set(self.stations) else False
+
+    def __repr__(self) -> str:
+        return f"CalibratedCell({self.robot}: {len(self.names)} parameters, {len(self.stations)} stations)"
+
+    def _repr_html_(self) -> str:
+        return result_io.html(self.content)

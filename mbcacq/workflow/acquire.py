@@ -1,0 +1,142 @@
+"""From a plan to a recording: the whole path is checked, the devices are opened, the runner's events are recorded."""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbcacq.acquisition.cell_devices import Overrides, create_devices
+from mbcacq.acquisition.event_bus import EventBus, Subscriber
+from mbcacq.acquisition.runner import Runner
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.model.cell import Cell
+from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.version import __version__
+from mbcacq.workflow.resume import measured_balls, merge_parts
+
+if TYPE_CHECKING:
+    from mbcacq.acquisition.runner import Pause
+    from mbcacq.plan.motion_preview import Swept
+
+
+def versions() -> dict[str, str]:
+    """Versions that decide a result, by name."""
+    named = {name: version(name) for name in ("numpy", "scipy", "rerun-sdk", "ruckig")}
+    return {"mbcacq": __version__, "python": platform.python_version(), **named}
+
+
+def new_run_folder(out: Path | None, name: str) -> Path:
+    """Create the folder of a run: ``out`` if given (must not hold a run yet), else runs/TIME_NAME."""
+    folder = out or Path("runs") / f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{re.sub(r'[^A-Za-z0-9_-]+', '-', name)}"
+    if (folder / "run.rrd").exists():
+        raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(f"cannot create the run folder {folder}: {error.strerror}; give another --out") from error
+    return folder
+
+
+def plan_acquisition(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int], part: int, cell: str) -> Acquisition:
+    """The whole path of the poses that remain, checked from home to home before anything is opened.
+
+    Raises ConfigError or SafetyStop where a limit, the workspace or a clearance would be broken anywhere on it.
+    """
+    from mbcacq.plan import path
+    from mbcacq.plan.motion_preview import refuse_unsafe, segments
+    from mbcacq.plan.routing import path_home
+
+    last = next(p for p in reversed(poses) if p.number not in done)
+    acquisition = Acquisition(loaded, poses, path(loaded, poses, done), path_home(loaded, last), Path(), part, done, cell)
+    refuse_unsafe(loaded, list(segments(loaded, poses, acquisition.paths, acquisition.path_home, done)))
+    return acquisition
+
+
+def solver_cell(loaded: LoadedPlan) -> Cell:
+    """The cell as a solver may know it: planned placements of stations are aims, not measurements, and are removed.
+
+    So is the scanner's stated noise: it is that of one exposure, and what the mean of several has is estimated from the data.
+    """
+    stations = tuple(replace(s, T_base_station=None, sigma_mm=None) for s in loaded.cell.stations)
+    return replace(loaded.cell, stations=stations, noise_mm=None)
+
+
+@dataclass
+class Acquisition:
+    """A checked path to execute, and the folder of its recording. part: number of the recording (0, but for a resumed run); done: numbers
+    of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it."""
+
+    loaded: LoadedPlan
+    poses: Sequence[PlannedPose]
+    paths: Sequence[Transit]
+    path_home: Sequence[np.ndarray]
+    folder: Path
+    part: int = 0
+    done: frozenset[int] = frozenset()
+    cell: str = ""
+
+    def sweep(self) -> Swept:
+        """The box that the arm will sweep, and its largest speed."""
+        from mbcacq.plan.motion_preview import segments, swept
+
+        return swept(self.loaded, list(segments(self.loaded, self.poses, self.paths, self.path_home, self.done)))
+
+    def execute(
+        self,
+        overrides: Overrides | None = None,
+        subscribers: Iterable[Subscriber] = (),
+        *,
+        live: bool = False,
+        confirm: Callable[[np.ndarray], None] | None = None,
+        message: Callable[[str], None] = lambda sentence: None,
+        pause: Pause | None = None,
+    ) -> None:
+        """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder.
+
+        live: serve the recording on 127.0.0.1 while it grows. confirm: called with the joint angles (n,) rad at the start, before any
+        motion. message: gets sentences for people, such as the address for the viewer. pause: asked before each pose.
+        """
+        from mbcacq.plan.routing import check_start
+        from mbcacq.recording import Journal, Recorder
+        from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
+        from mbcacq.recording.run_folder.recovery import WHOLE
+        from mbcacq.recording.run_folder.run_plan import keep_plan
+        from mbcacq.spheres import find_spheres
+
+        def gate(q: np.ndarray) -> None:
+            check_start(self.loaded, q)
+            if confirm is not None:
+                confirm(q)
+
+        (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
+        known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
+        keep_plan(self.folder, self.loaded.text, self.loaded.files, self.cell)
+        with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
+            if recorder.live_url:
+                message(f"watch it live: rerun {recorder.live_url}")
+            Runner(
+                self.loaded,
+                self.poses,
+                self.paths,
+                self.path_home,
+                create_devices(self.loaded, overrides),
+                EventBus([recorder, journal, *subscribers]),
+                find_spheres,
+                cell_to_yaml(solver_cell(self.loaded)),
+                versions(),
+                gate,
+                self.done,
+                pause,
+                known,
+            ).run()
+        if self.part:
+            merge_parts(self.folder, message)

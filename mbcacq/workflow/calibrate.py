@@ -1,0 +1,96 @@
+"""Calibrate, verify and compare, on observations in memory or from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbcacq import calibration as room
+from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.compare_methods import Comparison
+from mbcacq.calibration.compare_methods import compare as compare_methods
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.model.observations import Observations
+from mbcacq.workflow.load import as_observations
+
+
+@dataclass(frozen=True)
+class HeldOutOptions:
+    """Poses to leave out of repeated fits. split: 'station', 'random' or 'block'; size: poses of each random fit; fits: how many."""
+
+    split: str
+    size: int | None = None
+    fits: int | None = None
+    seed: int = 0
+
+
+def calibrate(data: Observations | Path | str, options: CalibrationOptions | None = None) -> Calibration:
+    """Identify the cell: errors of the arm's MD-H parameters (n, 5) in rad and mm, T_flange_scanner (4, 4), stations, ball centres, noise.
+
+    data: observations, or where they are (see :func:`mbcacq.load_observations`). Poses of phase 'verification' are kept apart.
+    Raises CalibrationError naming what the poses leave undetermined, ConfigError for options that do not fit.
+    """
+    return room.calibrate(as_observations(data), options)
+
+
+def verify(
+    data: Observations | Path | str,
+    calibration: Calibrated | CellState | Path | str,
+    *,
+    before: CellState | None = None,
+    limit_mm: float | None = None,
+) -> Verification:
+    """Sphere spacing errors (mm) at the verification poses, before and after calibration, with the uncertainty expected of each.
+
+    calibration: what :func:`mbcacq.calibrate` returned, or a result.json, or a run folder that holds one. Of a bare
+    :class:`mbcacq.estimation.forward_model.CellState`, ``before`` is what to compare with. limit_mm: largest error permitted.
+    """
+    if isinstance(calibration, Path | str):
+        calibration = room.CalibratedCell.from_json(Path(calibration))
+    return room.verify(as_observations(data), calibration, before=before, limit_mm=limit_mm)
+
+
+def compare(data: Observations | Path | str, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
+    """One row for each method of calibration (all, or those named): fit, sphere spacing error, held-out error, all in mm.
+
+    A method that these data do not determine has the reason in place of figures. Raises CalibrationError where no method is determined.
+    """
+    return compare_methods(as_observations(data), methods, held_out=held_out, seed=seed)
+
+
+def calibration_content(
+    data: Path, options: CalibrationOptions, *, held_out: HeldOutOptions | None = None, with_map: bool = False
+) -> dict[str, Any]:
+    """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
+    where asked for. Raises CalibrationError, ConfigError."""
+    from mbcacq.calibration.accuracy_map import accuracy_map
+    from mbcacq.calibration.cross_validation import held_out as cross_validate
+    from mbcacq.recording import find_gaps
+
+    observations = as_observations(data)
+    calibration = room.calibrate(observations, options)
+    content = calibration.to_dict()
+    content["verification"] = room.verify(observations, calibration).to_dict()
+    content["gaps"] = find_gaps(data)
+    if with_map:
+        content["accuracy_map"] = accuracy_map(calibration).to_dict()
+    if held_out is not None:
+        split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
+        content["held_out"] = split.to_dict()
+    return content
+
+
+def draw_l_curve(content: dict[str, Any], path: Path) -> None:
+    """The L-curve of a staged calibration as an HTML page. Raises ConfigError where the method has none."""
+    import numpy as np
+
+    from mbcacq.calibration.staged.angle_adjustment import LCurve
+    from mbcacq.errors import ConfigError
+
+    curve = next((s["l_curve"] for s in content.get("stages", ()) if "l_curve" in s), None)
+    if curve is None:
+        raise ConfigError("there is no L-curve: it belongs to the angle adjustment of --method paper")
+    LCurve(np.array(curve["ridge"]), np.array(curve["misfit_rad"]), np.array(curve["size_mm"]), curve["corner"]).plot(path)

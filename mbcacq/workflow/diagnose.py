@@ -1,0 +1,190 @@
+"""Diagnose a recording: poses at standstill, trajectories in time, or a run that has both."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.result import FORMAT, Diagnosis, EffectFound
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.model.trajectory import Trajectory
+from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
+
+Data = Observations | Trajectory | Path | str
+
+
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult:
+    """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
+
+    observations: what the diagnosis of the poses is of, None for one that was read from JSON. It pickles, with its pictures.
+    """
+
+    poses: Diagnosis | None = None
+    motion: MotionDiagnosis | None = None
+    observations: Observations | None = None
+
+    @property
+    def main(self) -> Diagnosis | MotionDiagnosis:
+        """The diagnosis whose verdict counts: that of the poses, where there is one."""
+        found = self.poses or self.motion
+        if found is None:
+            raise ConfigError("this diagnosis is of nothing; diagnose a recording with mbcacq.diagnose")
+        return found
+
+    @property
+    def verdict(self) -> str:
+        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'."""
+        return self.main.verdict
+
+    @property
+    def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
+        """The effects found, the largest first: name, where, parameters (value and std by name), p_value, held_out_gain, alternatives."""
+        return self.main.effects
+
+    @property
+    def text(self) -> str:
+        """The diagnosis in plain sentences, as the command line prints it."""
+        from mbcacq.diagnosis.motion.combine import combined_text
+        from mbcacq.diagnosis.motion.text import motion_text
+        from mbcacq.diagnosis.output.text import words
+
+        if self.poses is None:
+            return motion_text(self.motion) if self.motion else ""
+        return words(self.poses) if self.motion is None else combined_text(self.poses.to_json(), words(self.poses), self.motion)
+
+    def pictures(self) -> dict[str, Any]:
+        """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves. Raises
+        ConfigError for a diagnosis of trajectories alone, and for one that was read from JSON."""
+        from mbcacq.diagnosis.output.figures import pictures
+
+        if self.poses is None or self.poses.plot_data is None:
+            raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")
+        return pictures(self.poses)
+
+    def write_html(self, path: Path | str) -> Path:
+        """The diagnosis as one HTML page that opens offline."""
+        from mbcacq.report import write_diagnosis_page
+
+        return write_diagnosis_page(self.main.to_json(), self.pictures(), path)
+
+    def write_rrd(self, path: Path | str) -> Path:
+        """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""
+        from mbcacq.workflow.diagnosis_files import write_rrd
+
+        observations, drawn = self._drawable()
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path))
+        return Path(path)
+
+    def keep(self, run: Path | str) -> None:
+        """Write the diagnosis of the poses into the folder of their run, where report and viewer find it. Raises RecordingError."""
+        from mbcacq.workflow.diagnosis_files import keep_in_run
+
+        observations, drawn = self._drawable()
+        keep_in_run(self.main.to_json(), self._words_of_poses(), drawn, observations, Path(run))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON content, format mbcacq-diagnosis/1; where there are both, the motion stands under its own key."""
+        from mbcacq.diagnosis.motion.combine import combined
+
+        content = self.main.to_json()
+        return content if self.poses is None or self.motion is None else combined(content, self.motion)
+
+    def to_json(self) -> str:
+        """:meth:`to_dict` as JSON text."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> DiagnosisResult:
+        """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
+        try:
+            content = json.loads(text)
+        except ValueError as error:
+            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --json writes") from error
+        if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("fit"), dict):
+            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --json writes")
+        if "channels" in content["fit"]:
+            return cls(motion=MotionDiagnosis.from_json(content))
+        motion = content.get("motion")
+        return cls(Diagnosis.from_json(content), None if motion is None else MotionDiagnosis.from_json(motion))
+
+    def _drawable(self) -> tuple[Observations, dict[str, Any]]:
+        if self.observations is None:
+            raise ConfigError("there are no observations to draw; diagnose the recording anew")
+        return self.observations, self.pictures()
+
+    def _words_of_poses(self) -> str:
+        from mbcacq.diagnosis.output.text import words
+
+        return "" if self.poses is None else words(self.poses)
+
+    def __repr__(self) -> str:
+        return "\n".join(repr(found) for found in (self.poses, self.motion) if found is not None)
+
+    def _repr_html_(self) -> str:
+        return "".join(found._repr_html_() for found in (self.poses, self.motion) if found is not None)
+
+
+def diagnose(
+    data: Data | Sequence[Data], *, progress: Callable[[str], None] = lambda text: None, workers: int | None = None
+) -> DiagnosisResult:
+    """Find the effects that the model of the cell lacks, and say how sure that is.
+
+    data: observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets), one or
+    several together. Of a run whose controller recorded torques or joint-side angles, the motion between the poses is compared too.
+    progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core).
+
+    Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
+    """
+    several = list(data) if isinstance(data, Sequence) and not isinstance(data, str) else [data]
+    if all(_is_trajectory(one) for one in several):
+        return diagnose_motion([one for one in several if not isinstance(one, Observations)])
+    if len(several) > 1:
+        raise ConfigError("several DATA can be diagnosed together only if all are trajectory sets; diagnose the others one by one")
+    (one,) = several
+    if isinstance(one, Trajectory):
+        raise TypeError("a trajectory is diagnosed as motion")
+    found = diagnose_poses(as_observations(one), progress, workers)
+    return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
+
+
+def diagnose_motion(trajectories: Sequence[Trajectory | Path | str]) -> DiagnosisResult:
+    """The diagnosis of trajectories of one robot, together. Raises ConfigError where they do not fit together."""
+    from mbcacq.diagnosis.motion import diagnose_trajectories
+
+    return DiagnosisResult(motion=diagnose_trajectories(as_trajectories(trajectories)))
+
+
+def diagnose_poses(observations: Observations, progress: Callable[[str], None], workers: int | None) -> DiagnosisResult:
+    """The diagnosis of poses at standstill. Raises CalibrationError."""
+    from mbcacq.diagnosis import diagnose as room
+    from mbcacq.diagnosis.validation.workers import cores
+
+    return DiagnosisResult(room.diagnose(observations, progress=progress, workers=workers or cores()), observations=observations)
+
+
+def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:
+    """The diagnosis of the poses with that of the motion between them, where a run recorded torques or joint-side angles."""
+    from mbcacq.diagnosis.motion import diagnose_trajectories
+
+    if not (is_run_folder(recording) or recording.suffix == ".rrd"):
+        return found
+    try:
+        stretches = recorded_moves(recording)
+    except ConfigError:
+        return found
+    if not stretches:
+        return found
+    progress("comparing the motion between the poses")
+    return replace(found, motion=diagnose_trajectories(stretches))
+
+
+def _is_trajectory(data: Data) -> bool:
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
+
+    return isinstance(data, Trajectory) or (isinstance(data, Path | str) and is_trajectory_set(data))

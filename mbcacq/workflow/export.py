@@ -1,0 +1,114 @@
+"""Write recordings and results in the formats of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.exports.folder import Targets, contents, write_folder
+from mbcacq.model.observations import Observations
+from mbcacq.workflow.load import load_observations, refuse_existing
+
+Source = Calibration | CalibratedCell | Observations | Path | str
+
+
+def export(
+    source: Source,
+    *,
+    observations: Path | str | None = None,
+    scans: bool = False,
+    trajectory: Path | str | None = None,
+    results: Path | str | None = None,
+    targets: Targets | None = None,
+    force: bool = False,
+) -> list[dict[str, Any]]:
+    """Write what is asked for; one entry for each file or folder: its 'file', and what there is to say of it.
+
+    source: a run folder, a recording, an observation set, a result.json; or a calibration, observations. observations: folder for an
+    observation set (cell.yaml, poses.csv, centres.csv), with ``scans`` also the raw clouds. trajectory: folder for the controller cycles as
+    a trajectory set. results: folder for the calibration as JSON, CSV, KUKA, ROS and URDF, with ``targets``. force: replace what exists.
+
+    Raises ConfigError where nothing is asked for, where it exists already or does not fit, RecordingError where writing fails.
+    """
+    written = list(_results(source, Path(results), targets or Targets(), force)) if results is not None else []
+    folders = [None if folder is None else Path(folder) for folder in (observations, trajectory)]
+    if not (written or any(folders)):
+        raise ConfigError("nothing to export; say what and where, such as --observations DIR or --results DIR")
+    for folder in folders:
+        if folder is not None:
+            refuse_existing(folder / "cell.yaml", force, f"{folder} already holds a set; give another folder, or --force to replace it")
+    if folders[0] is not None:
+        written += _observations(source, folders[0], scans)
+    if folders[1] is not None:
+        written.append(_trajectory(source, folders[1]))
+    return written
+
+
+def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str | None = None, *, force: bool = False) -> dict[str, Any]:
+    """Write a certificate (CSV, YAML, DMIS output) as an artefact file (default: ID.yaml); its 'file', 'balls' and 'uncertainty_mm'.
+
+    Raises ConfigError for a damaged certificate or where the file exists, RecordingError where it cannot be written.
+    """
+    from mbcacq.exports.certificate import artefact_yaml, read_certificate
+
+    output = Path(out) if out is not None else Path(f"{artefact_id}.yaml")
+    refuse_existing(output, force, f"{output} exists; give another --output, or --force to replace it")
+    found = read_certificate(Path(certificate), artefact_id)
+    try:
+        output.write_text(artefact_yaml(found), encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{output}: cannot be written: {error.strerror}") from error
+    return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm}
+
+
+def _results(source: Source, folder: Path, targets: Targets, force: bool) -> Iterator[dict[str, Any]]:
+    from mbcacq.exports.result_json import load_result
+
+    measured = None
+    if isinstance(source, Calibration | CalibratedCell):
+        result = source.to_dict()
+        measured = source.observations if isinstance(source, Calibration) else None
+    else:
+        path = _path(source, "its calibration")
+        result = load_result(path)
+        if folder.resolve() == (path if path.is_dir() else path.parent).resolve():
+            raise ConfigError(f"{folder} is where the result lies; give another folder")
+    refuse_existing(folder / "result.json", force, f"{folder} already holds an export; give another folder, or --force to replace it")
+    if isinstance(source, Path | str) and Path(source).is_dir():
+        measured = load_observations(source)
+    for path in write_folder(contents(result, targets, measured), folder):
+        yield {"file": str(path)}
+
+
+def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, Any]]:
+    from mbcacq.recording import write_observation_set
+
+    if isinstance(source, CalibratedCell):
+        raise ConfigError("a calibrated cell holds no observations; give the recording")
+    if isinstance(source, Calibration):
+        measured = source.observations
+    else:
+        measured = source if isinstance(source, Observations) else load_observations(source)
+    write_observation_set(measured, folder)
+    written: list[dict[str, Any]] = [{"file": str(folder), "poses": measured.n_poses, "centres": measured.n_centres}]
+    if scans:
+        from mbcacq.recording.rrd.scan_export import write_scans
+
+        written.append({"file": str(folder / "scans"), "clouds": write_scans(_path(source, "its scans"), folder)})
+    return written
+
+
+def _trajectory(source: Source, folder: Path) -> dict[str, Any]:
+    from mbcacq.recording.rrd.trajectory_recording import export_trajectory
+
+    return {"file": str(folder), "samples": export_trajectory(_path(source, "its controller cycles"), folder)}
+
+
+def _path(source: Source, what: str) -> Path:
+    """The place of a recording. Raises ConfigError for an object in memory."""
+    if isinstance(source, Path | str):
+        return Path(source)
+    raise ConfigError(f"a recording is needed for {what}; give a run folder or a .rrd")

@@ -1,0 +1,99 @@
+"""Reading what a program works on: plans, observations, trajectories, results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mbcacq.calibration import Calibration
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.result_io import read_result
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.model.trajectory import Trajectory
+from mbcacq.plan import LoadedPlan
+from mbcacq.plan import load as read_plan
+
+
+def load_plan(path: Path | str) -> LoadedPlan:
+    """A plan with the robot and artefact files that it names. Raises ConfigError 'file:line: sentence'."""
+    return read_plan(path)
+
+
+def load_observations(path: Path | str) -> Observations:
+    """The observations in a run folder, a recording (.rrd) or an observation set (a folder with cell.yaml, poses.csv, centres.csv).
+
+    P poses of an n-axis arm: ``q`` (P, n) rad, ``station`` (P,). M measured centres: ``pose`` (M,), ``ball`` (M,), ``xyz`` (M, 3) mm in
+    the scanner frame. Raises ConfigError naming file, line and column of a fault, RecordingError where a recording is torn.
+    """
+    from mbcacq import recording
+
+    return recording.load_observations(path)
+
+
+def load_trajectories(*paths: Path | str) -> list[Trajectory]:
+    """One trajectory for each trajectory set (a folder with cell.yaml and trajectory.csv); of a recorded run, the stretches in which its
+    arm moves, as many as have torques or joint-side angles.
+
+    T samples: ``time_s`` (T,), ``q`` (T, n) rad, ``torque`` (T, n) N m; what was not recorded is None. Raises ConfigError.
+    """
+    from mbcacq.recording import read_trajectory_set
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
+
+    found: list[Trajectory] = []
+    for path in map(Path, paths):
+        if is_trajectory_set(path):
+            found.append(read_trajectory_set(path))
+        else:
+            found += recorded_moves(path)
+    return found
+
+
+def recorded_moves(recording: Path) -> list[Trajectory]:
+    """The stretches of a run folder or a .rrd in which the arm moves; none where neither torques nor joint-side angles were recorded.
+
+    Raises ConfigError where there is no recording of controller cycles.
+    """
+    from mbcacq.model.trajectory import moves
+    from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
+
+    trajectory = trajectory_of_run(recording)
+    return moves(trajectory) if trajectory.torque is not None or trajectory.q_joint is not None else []
+
+
+def is_run_folder(path: Path) -> bool:
+    """Whether this is the folder of a run, where results and diagnoses are kept with the recording."""
+    from mbcacq.recording.rrd import layout
+
+    return path.is_dir() and bool(layout.parts(path))
+
+
+def as_plan(plan: LoadedPlan | Path | str) -> LoadedPlan:
+    """A plan as it is, or read from its file. Raises ConfigError."""
+    return plan if isinstance(plan, LoadedPlan) else load_plan(plan)
+
+
+def as_observations(data: Observations | Path | str) -> Observations:
+    """Observations as they are, or read from their place; see :func:`load_observations`."""
+    return data if isinstance(data, Observations) else load_observations(data)
+
+
+def as_trajectories(data: Sequence[Trajectory | Path | str]) -> list[Trajectory]:
+    """Trajectories as they are, or read from their places; see :func:`load_trajectories`."""
+    return [t for one in data for t in ([one] if isinstance(one, Trajectory) else load_trajectories(one))]
+
+
+def as_result(cell: Calibration | CalibratedCell | dict[str, Any] | Path | str) -> dict[str, Any]:
+    """The content of result.json of a calibrated cell, or of the file or run folder that holds it. Raises ConfigError."""
+    if isinstance(cell, Calibration | CalibratedCell):
+        return cell.to_dict()
+    if isinstance(cell, dict):
+        return cell
+    return read_result(Path(cell))
+
+
+def refuse_existing(path: Path, force: bool, sentence: str) -> None:
+    """Raises ConfigError with ``sentence`` where ``path`` exists and must not be replaced."""
+    if path.exists() and not force:
+        raise ConfigError(sentence)

@@ -1,0 +1,84 @@
+"""The report of a run, a recording or a calibration: one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
+from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.result_io import read_result
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.workflow.diagnose import diagnose_poses
+from mbcacq.workflow.evaluate import determines_all
+from mbcacq.workflow.load import is_run_folder, load_observations
+
+
+def write_report(
+    data: Calibration | Path | str,
+    out: Path | str | None = None,
+    *,
+    diagnose: bool = False,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Path:
+    """Write one HTML page that opens offline and prints well; its path.
+
+    data: a calibration, or a run folder, a recording (.rrd), an observation set. A result.json in a run folder is used, otherwise the cell
+    is calibrated; so is a diagnosis that is kept there. out: the page (default: report.html in the folder). diagnose: make a diagnosis
+    where there is none. progress: gets a sentence a step. Raises ConfigError, CalibrationError, RecordingError.
+    """
+    from mbcacq.report import report_from_result
+
+    run = None if isinstance(data, Calibration) else Path(data)
+    if out is None and run is None:
+        raise ConfigError("a calibration has no folder; say where the report is to go")
+    if out is None and run is not None and run.is_file():
+        raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
+    observations = data.observations if isinstance(data, Calibration) else load_observations(data)
+    result = _result(data, observations, progress)
+    if run is not None and run.is_dir():
+        result["gaps"] = _gaps(run)
+    info = {} if run is None else _about(run)
+    if diagnose and "diagnosis" not in info:
+        info |= _diagnosis(observations, run, progress)
+    target = Path(out) if out is not None else Path(run or "") / "report.html"
+    return report_from_result(result, path=target, observations=observations, run_info=info)
+
+
+def _result(data: Calibration | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:
+    """The content of result.json with 'accuracy_map': the one that is kept in a run folder, or computed."""
+    kept = None
+    if not isinstance(data, Calibration) and Path(data).is_dir() and (Path(data) / "result.json").exists():
+        kept = read_result(Path(data))
+        if "accuracy_map" in kept:
+            return kept
+    if isinstance(data, Calibration):
+        calibration = data
+    else:
+        progress("calibrating")
+        calibration = calibrate(observations, CalibrationOptions(refuse=determines_all(observations)))
+    if kept is None:
+        kept = calibration.to_dict() | {"verification": verify(observations, calibration).to_dict()}
+    return kept | {"accuracy_map": accuracy_map(calibration).to_dict()}
+
+
+def _about(run: Path) -> dict[str, Any]:
+    from mbcacq.report import read_run_info
+
+    return {"folder": str(run), "name": run.name} | (read_run_info(run) if run.is_dir() else {})
+
+
+def _gaps(run: Path) -> list[str]:
+    from mbcacq.recording import find_gaps
+
+    return find_gaps(run)
+
+
+def _diagnosis(observations: Observations, run: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
+    """A new diagnosis for the report, kept in the folder of the run where there is one."""
+    found = diagnose_poses(observations, progress, 1)
+    if run is not None and is_run_folder(run):
+        found.keep(run)
+    return {"diagnosis": found.to_dict(), "pictures": found.pictures()}

@@ -1,0 +1,88 @@
+"""Resuming an interrupted run: which poses remain, which stations are measured anew, and the parts merged into one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbcacq.errors import RecordingError
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.workflow.load import load_observations
+
+if TYPE_CHECKING:
+    from mbcacq.recording.run_folder.progress import Progress
+
+
+def new_progress() -> Progress:
+    """The progress of a run that begins: no pose is measured."""
+    from mbcacq.recording.run_folder.progress import Progress
+
+    return Progress(frozenset(), 0, {})
+
+
+def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
+    """What an interrupted run has measured, its torn recordings made readable.
+
+    Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
+    """
+    from mbcacq.recording import repair_and_read_progress
+    from mbcacq.recording.run_folder.run_plan import refuse_change
+
+    refuse_change(folder, loaded.text, loaded.files, cell)
+    return repair_and_read_progress(folder)
+
+
+def partial_stations(poses: Sequence[PlannedPose], before: Progress) -> list[str]:
+    """Stations of which some poses are measured and others remain."""
+    remaining = {p.station for p in poses if p.number not in before.done}
+    return sorted(remaining & set(before.stations))
+
+
+def poses_to_skip(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], before: Progress, moved: Callable[[str], bool], measure_again: bool
+) -> frozenset[int]:
+    """Numbers of the poses that a resumed run passes over.
+
+    An artefact that was touched since stands elsewhere, and its station must be measured as a whole: so it is where ``measure_again`` says
+    so, or where a person moves the artefacts and ``moved(station)``, asked of the first partly measured station, says so. A positioner is
+    taken to have left it alone (a large move is found in the first scan).
+    """
+    partial = partial_stations(poses, before)
+    if not measure_again and partial and loaded.plan.positioner.driver == "manual":
+        measure_again = moved(partial[0])
+    return without_partial_stations(poses, before) if measure_again else before.done
+
+
+def without_partial_stations(poses: Sequence[PlannedPose], before: Progress) -> frozenset[int]:
+    """The measured poses but for those at stations of which others remain."""
+    remaining = {p.station for p in poses if p.number not in before.done}
+    return before.done - {number for station in remaining for number in before.stations.get(station, ())}
+
+
+def measured_balls(folder: Path, loaded: LoadedPlan, done: frozenset[int]) -> dict[str, dict[int, np.ndarray]]:
+    """Where the balls stood at the poses that count as done: station -> ball id -> (3,) mm, mean over its poses, base frame of the nominal
+    arm."""
+    from mbcacq.geometry import se3
+
+    obs = load_observations(folder)
+    T = obs.cell.robot.chain.flange(obs.q) @ loaded.cell.T_flange_scanner
+    in_base = se3.apply(T[obs.pose], obs.xyz)
+    measured: dict[str, dict[int, list[np.ndarray]]] = {}
+    for row, (pose, ball) in enumerate(zip(obs.pose, obs.ball, strict=True)):
+        if int(obs.pose_id[pose]) in done:
+            station = obs.cell.stations[obs.station[pose]].id
+            measured.setdefault(station, {}).setdefault(obs.cell.ball_ids[ball], []).append(in_base[row])
+    return {station: {ball: np.mean(points, axis=0) for ball, points in balls.items()} for station, balls in measured.items()}
+
+
+def merge_parts(folder: Path, message: Callable[[str], None]) -> None:
+    """Merge the parts of a resumed run into one recording, whole.rrd; ``message`` gets a sentence where the disk does not take it."""
+    from mbcacq.recording import recover
+
+    try:
+        recover(folder)
+    except RecordingError as error:
+        message(f"the parts of {folder} were not merged into one recording: {error}; later: mbcacq recover {folder}")
