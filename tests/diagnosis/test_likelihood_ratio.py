@@ -24,7 +24,7 @@ def test_likelihood_ratio_without_an_effect_is_chi_square(plan):
     tail = []
     for seed in range(16):
         setup = prepare(simulated.observe(plan, 900 + seed))
-        setup = replace(setup, first=NoiseEstimate(setup.prior_noise.point * 1.2, setup.prior_noise.joint * 1.5))
+        setup = replace(setup, prior_noise=NoiseEstimate(setup.prior_noise.point * 1.2, setup.prior_noise.joint * 1.5))
         sought = [c for c in setup.candidates if c.key in SOUGHT]
         tail += [chi2.sf(max(likelihood_ratio(setup, EffectSet(((c, None),))), 0.0), c.k) for c in sought]
 

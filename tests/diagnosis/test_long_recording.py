@@ -27,11 +27,11 @@ def test_orders_of_two_gears_explain_nearly_all(reported):
     assert reported.effects[0].name == "gear_transmission_error"
     assert set(reported.effects[0].where) == {"A1", "A3"}
     assert reported.effects[0].held_out_gain > 0.9
-    assert sorted(reported.effects[0].parameters["A1.order"]["value"]) == pytest.approx([13.4, 23.0], abs=0.1)
+    assert sorted(reported.effects[0].parameters["A1.order"].value) == pytest.approx([13.4, 23.0], abs=0.1)
 
 
 def test_several_orders_of_a_joint_are_one_location(reported):
-    locations = [(m["at"], m["depends_on"]) for m in reported.mismatch]
+    locations = [(m.at, m.depends_on) for m in reported.mismatch]
     assert locations[0] == ("A1", "q1")
     assert len(locations) == len(set(locations))
-    assert reported.mismatch[0]["share"] > 0.5
+    assert reported.mismatch[0].share > 0.5

@@ -12,7 +12,7 @@ from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.verdict import worth_telling
+from mbcacq.diagnosis.verdict import reportable
 
 
 @pytest.fixture(scope="module")
@@ -21,20 +21,20 @@ def setup(plan):
 
 
 def removing(share):
-    return EffectFound("backlash", ["A2"], "direction_2", {}, 1e-4, share)
+    return EffectFound("backlash", ("A2",), {}, 1e-4, share, depends_on="direction_2")
 
 
 @pytest.mark.parametrize(("verdict", "least"), [("unexplained", 0.05), ("partly_explained", 0.005)])
 def test_an_effect_that_explains_next_to_nothing_is_not_reported(verdict, least):
     effects = [removing(share) for share in (0.9 * least, 1.1 * least, 0.5)]
 
-    assert worth_telling(effects, verdict) == effects[1:]
+    assert reportable(effects, verdict) == effects[1:]
 
 
 def test_where_effects_explain_all_a_small_one_is_reported_too():
     effects = [removing(0.001), removing(0.9)]
 
-    assert worth_telling(effects, "explained") == effects
+    assert reportable(effects, "explained") == effects
 
 
 def test_a_long_recording_counts_all_directions_alike(setup):

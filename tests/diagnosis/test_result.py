@@ -4,7 +4,7 @@ import json
 import pickle
 from dataclasses import replace
 
-import made
+import simulated
 import numpy as np
 import pytest
 
@@ -48,7 +48,7 @@ FOUND = Diagnosis(
 
 @pytest.fixture(scope="module")
 def diagnosis(plan):
-    return diagnose(made.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]), folds=2)
+    return diagnose(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]), folds=2)
 
 
 def test_a_diagnosis_goes_to_json_and_back():
