@@ -95,5 +95,5 @@ def kinds(text: str, missing: Sequence[str] = ()) -> list[str]:
     impossible = {name for column in missing for name in NEEDS[column]}
     left = [k for k in dict.fromkeys(out) if k not in impossible]
     if not left:
-        raise ConfigError(f"without {' and '.join(missing)} none of the effects '{text}' can be told; inject others")
+        raise ConfigError(f"without {' and '.join(missing)} none of the effects '{text}' can be identified; inject others")
     return left

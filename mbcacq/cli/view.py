@@ -25,7 +25,7 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
       mbcacq view runs/today
       mbcacq view runs/today --screenshot pictures/ --pose 30
 
-    The viewer of rerun reports anonymous usage unless told not to: rerun analytics disable
+    The viewer of rerun reports anonymous usage unless that is switched off: rerun analytics disable
     """
     from mbcacq.errors import ConfigError
     from mbcacq.recording.viewer import open_viewer

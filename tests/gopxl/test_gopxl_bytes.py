@@ -34,8 +34,8 @@ MEASUREMENT = bytes.fromhex(
 NULL = bytes.fromhex("2e000000 0a00 22000000 00 00 00 00000000 00000000 0300 743a59 0100 73 0700000000000000 01 0300 0600 19fcffff")
 
 
-def collected(*messages: bytes) -> gdp.DataSet:
-    found = gdp.DataSet()
+def collected(*messages: bytes) -> gdp.GdpSet:
+    found = gdp.GdpSet()
     for message in messages:
         view = memoryview(message)
         gdp.add(found, view, gdp.parse_common(view))
@@ -102,7 +102,7 @@ def test_no_shortened_message_is_read_as_a_whole_one(message):
             found = collected(short)
         except ProtocolError:
             continue
-        assert found == gdp.DataSet() or found.stamp is None, length
+        assert found == gdp.GdpSet() or found.stamp is None, length
         assert found.surface is None, length
         assert found.measurements in ({}, {2: 1.25}), length
 

@@ -17,21 +17,7 @@ from scipy.sparse.csgraph import connected_components
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("mbcacq", "drivers", "fakes")
 PACKAGES = ("mbcacq", "mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq_fakes")
-REPLACED = {
-    "told",
-    "chance",
-    "crew",
-    "atlas",
-    "ledger",
-    "worth",
-    "envelope",
-    "envelopes",
-    "readmit",
-    "leftover",
-    "wiggle",
-    "prospect",
-    "foreseen",
-}
+REPLACED = {"told", "chance", "crew", "atlas", "ledger", "worth", "envelope", "envelopes", "leftover", "wiggle", "prospect", "foreseen"}
 
 
 @cache

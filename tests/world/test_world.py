@@ -119,10 +119,10 @@ def test_the_operator_follows_the_plan(cell_facts):
 
 
 def test_equal_poses_at_two_stations_are_served_in_the_plans_order(cell_facts):
-    from mbcacq_fakes.world.operator import Operator
+    from mbcacq_fakes.world.operator import FakeOperator
 
     a, b = poses_q()[:2]
-    operator = Operator(np.array([a, b, a, b]), np.array([0, 0, 1, 1]), cell_facts.station_artefact)
+    operator = FakeOperator(np.array([a, b, a, b]), np.array([0, 0, 1, 1]), cell_facts.station_artefact)
     assert [operator.station_for(q) for q in (a, a, b, a, a, b)] == [0, 0, 0, 1, 1, 1]
 
 

@@ -18,7 +18,7 @@ NOT_FOUND = -999
 MAX_BETWEEN = 10_000  # notifications before a reply
 
 
-class Refused(DeviceFault):
+class GoPxLRefused(DeviceFault):
     """GoPxL answered, and said no. status: its code."""
 
     def __init__(self, text: str, status: int) -> None:
@@ -64,7 +64,7 @@ class GoPxLControl:
         """As ``read``, but {} where this firmware has no such resource."""
         try:
             return self.read(path, **args)
-        except Refused as error:
+        except GoPxLRefused as error:
             if error.status != NOT_FOUND:
                 raise
             return {}
@@ -95,7 +95,7 @@ class GoPxLControl:
             try:
                 self._send(sock, frames.request(method, path, payload, args), limit_s)
                 return self._answer(sock, path, deadline, cancelled)
-            except Refused:
+            except GoPxLRefused:
                 raise
             except BaseException:
                 self.close()  # a late reply would be taken for that to the next request
@@ -132,7 +132,7 @@ class GoPxLControl:
         if not isinstance(status, int) or not isinstance(payload, dict):
             raise ProtocolError(f"the answer of GoPxL to {path} has no status or no payload")
         if status != OK:
-            raise Refused(f"GoPxL refuses {path}: {meaning(status)}{_described(payload)}", status)
+            raise GoPxLRefused(f"GoPxL refuses {path}: {meaning(status)}{_described(payload)}", status)
         return payload
 
 

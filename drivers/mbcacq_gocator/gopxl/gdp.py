@@ -32,14 +32,14 @@ class Common(NamedTuple):
     transformed: bool
 
 
-class Stamp(NamedTuple):
+class GdpStamp(NamedTuple):
     frame: int
     timestamp: int
     system_time_s: float
 
 
 @dataclass(frozen=True)
-class Surface:
+class GdpSurface:
     """raw: (L, W, 3) or, uniform, (L, W) int16, -32768 where invalid. scale, offset: (3,) mm. intensity: (L, W) uint8 or None."""
 
     raw: np.ndarray
@@ -51,20 +51,20 @@ class Surface:
 
 
 @dataclass
-class DataSet:
+class GdpSet:
     """What came until the message marked as last. measurements by output id; refused: status by output id of what could not be made."""
 
-    stamp: Stamp | None = None
-    surface: Surface | None = None
+    stamp: GdpStamp | None = None
+    surface: GdpSurface | None = None
     measurements: dict[int, float] = field(default_factory=dict)
     refused: dict[int, int] = field(default_factory=dict)
     other: set[int] = field(default_factory=set)
 
 
-def read_set(reader: MessageReader, deadline: float) -> DataSet:
+def read_set(reader: MessageReader, deadline: float) -> GdpSet:
     """The next whole set. Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
     reader.rewind()
-    found = DataSet()
+    found = GdpSet()
     for _ in range(MAX_MESSAGES):
         message = reader.read(deadline).data
         common = parse_common(message)
@@ -74,7 +74,7 @@ def read_set(reader: MessageReader, deadline: float) -> DataSet:
     raise ProtocolError(f"a GDP set of more than {MAX_MESSAGES} messages has no end")
 
 
-def add(found: DataSet, message: memoryview, common: Common) -> None:
+def add(found: GdpSet, message: memoryview, common: Common) -> None:
     """Put one message into the set. Raises ProtocolError."""
     try:
         if common.type == STAMP:
@@ -120,11 +120,11 @@ def _text(message: memoryview, at: int) -> tuple[str, int]:
     return bytes(message[at + 2 : end]).decode("utf-8", "replace"), end
 
 
-def stamp(message: memoryview, at: int) -> Stamp:
+def stamp(message: memoryview, at: int) -> GdpStamp:
     size, frame, timestamp, _, _, _, seconds, nanoseconds = _STAMP.unpack_from(message, at)
     if size < _STAMP.size:
         raise struct.error
-    return Stamp(frame, timestamp, seconds + nanoseconds * 1e-9)
+    return GdpStamp(frame, timestamp, seconds + nanoseconds * 1e-9)
 
 
 def measurement(message: memoryview, at: int) -> float:
@@ -133,7 +133,7 @@ def measurement(message: memoryview, at: int) -> float:
     return float("nan") if value == NO_VALUE or decision >> 1 else value
 
 
-def surface(message: memoryview, common: Common) -> Surface:
+def surface(message: memoryview, common: Common) -> GdpSurface:
     """The arrays are views into the message. Raises ProtocolError where they do not fit into it."""
     at, points = common.body, common.type == SURFACE_POINTS
     size, rows, columns, grey_rows, grey_columns, *rest = _SURFACE.unpack_from(message, at)
@@ -151,7 +151,7 @@ def surface(message: memoryview, common: Common) -> Surface:
     grey = _intensity(message, start + 2 * count, grey_rows, grey_columns, pixel_format)
     if grey is not None and grey.shape != (rows, columns):
         raise ProtocolError(f"the intensity image is {grey.shape} but the surface {(rows, columns)}")
-    return Surface(raw, scale, offset, exposure_ns * 1e-3, grey, common.transformed)
+    return GdpSurface(raw, scale, offset, exposure_ns * 1e-3, grey, common.transformed)
 
 
 def _intensity(message: memoryview, start: int, rows: int, columns: int, pixel_format: int) -> np.ndarray | None:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq_gocator.gopxl.gdp import Surface
+from mbcacq_gocator.gopxl.gdp import GdpSurface
 
 INVALID = -32768
 
 
-def points_of(surface: Surface, right_handed: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def points_of(surface: GdpSurface, right_handed: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """points: (N, 3) float32 mm; pixel: (N,) int32 = row * columns + column of each.
 
     A pixel with any invalid coordinate has no point. Copies: nothing refers to the message afterwards.

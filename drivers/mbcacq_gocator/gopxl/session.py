@@ -44,7 +44,7 @@ class GoPxLSession:
         self.control = GoPxLControl(options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s, cancelled)
         self.info: tree.SensorInfo | None = None
         self.found, self._first = found or Found(), found is None
-        self._scanner: tree.Scanner | None = None
+        self._scanner: tree.ScannerPaths | None = None
         self._data: socket.socket | None = None
         self._reader: wire.MessageReader | None = None
         self._running = False
@@ -53,7 +53,7 @@ class GoPxLSession:
         self.exposure_us: float | None = None
 
     @property
-    def scanner(self) -> tree.Scanner:
+    def scanner(self) -> tree.ScannerPaths:
         assert self._scanner is not None, "the session is not open"
         return self._scanner
 
@@ -206,7 +206,7 @@ class GoPxLSession:
         while select.select([self._data], [], [], 0)[0]:
             self._note(gdp.read_set(self._reader, deadline))
 
-    def _note(self, found: gdp.DataSet) -> bool:
+    def _note(self, found: gdp.GdpSet) -> bool:
         """Whether the set is newer than all before it. A sensor that sends no stamps is believed: what was older was discarded."""
         if found.stamp is None:
             return not self._stamped
@@ -214,7 +214,7 @@ class GoPxLSession:
         self._last_frame = max(self._last_frame, found.stamp.frame)
         return newer
 
-    def _wait_for_surface(self) -> gdp.DataSet:
+    def _wait_for_surface(self) -> gdp.GdpSet:
         assert self._reader is not None
         deadline = time.monotonic() + self.options.timeout_s
         other = ""
@@ -259,5 +259,5 @@ class GoPxLSession:
             self.control.call(tree.START, limit_s=STATE_S)
 
 
-def _status(found: gdp.DataSet) -> str:
+def _status(found: gdp.GdpSet) -> str:
     return meaning(next(iter(found.refused.values())))

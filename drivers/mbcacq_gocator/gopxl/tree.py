@@ -28,7 +28,7 @@ class SensorInfo:
 
 
 @dataclass(frozen=True)
-class Scanner:
+class ScannerPaths:
     """Paths of the sensor group and of the sensor in it."""
 
     group: str
@@ -71,13 +71,13 @@ def check_identity(info: SensorInfo, model: str, serial: int | None, address: st
         )
 
 
-def find_scanner(control: GoPxLControl, serial: int) -> Scanner:
+def find_scanner(control: GoPxLControl, serial: int) -> ScannerPaths:
     """The sensor with this serial number, by engines, scanners and sensors. Raises ConfigError where there is none."""
     for engine in children(control.read("/scan/engines")):
         for group in children(control.read(f"{engine}/scanners")):
             for sensor in children(control.read(f"{group}/sensors")):
                 if str(control.read(sensor).get("serialNumber", "")) == str(serial):
-                    return Scanner(group, sensor)
+                    return ScannerPaths(group, sensor)
     raise ConfigError(f"GoPxL lists no sensor with serial {serial} in any scanner; add it on the page Scan of its web interface")
 
 
@@ -99,7 +99,7 @@ def _href(item: Any) -> str:
     return href if isinstance(href, str) else ""
 
 
-def surface_source(control: GoPxLControl, scanner: Scanner, uniform: bool, asked: str = "") -> str:
+def surface_source(control: GoPxLControl, scanner: ScannerPaths, uniform: bool, asked: str = "") -> str:
     """Id of the data source of the scanner's own surface.
 
     asked: the plan's choice. Raises ConfigError naming what there is, where there is none, or more than one to choose from.

@@ -9,7 +9,7 @@ from mbcacq_fakes.world.camera import ArmReadout, Camera
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.environment import Environment
 from mbcacq_fakes.world.noise import ScannerNoise
-from mbcacq_fakes.world.operator import Operator
+from mbcacq_fakes.world.operator import FakeOperator
 from mbcacq_fakes.world.options import FakeOptions, arm_errors
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.scanner import FringeScanner
@@ -44,7 +44,7 @@ def make_camera(
     check(options, world.facts)
     noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm)
     scanner = FringeScanner(Grid.with_pitch(world.facts.view, options.pitch_mm), noise)
-    operator = Operator(planned_q, planned_station, world.facts.station_artefact)
+    operator = FakeOperator(planned_q, planned_station, world.facts.station_artefact)
     return Camera(world, scanner, operator, arm, options, right_exposure_us, clock_start_s)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_fakes.world.hooks import Moments
-from mbcacq_fakes.world.operator import NOBODY, Operator
+from mbcacq_fakes.world.operator import NOBODY, FakeOperator
 from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import FringeScanner
 from mbcacq_fakes.world.world import SCAN, World
@@ -34,7 +34,7 @@ class Camera:
         self,
         world: World,
         scanner: FringeScanner,
-        operator: Operator,
+        operator: FakeOperator,
         arm: ArmReadout,
         options: FakeOptions,
         right_exposure_us: float | None = None,

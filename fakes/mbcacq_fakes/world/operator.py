@@ -10,7 +10,7 @@ NOBODY = -1
 
 
 @dataclass
-class Operator:
+class FakeOperator:
     """Follows the plan: the artefact stands at the station of the planned pose whose joints are nearest to the arm's.
 
     q: (P, n) rad and station: (P,) index, of the planned poses in running order. Mishaps are set from outside.

@@ -14,7 +14,7 @@ from mbcacq.diagnosis.output.text import number
 
 
 @dataclass(frozen=True)
-class Estimate:
+class SingleEstimate:
     """A value with its standard deviation."""
 
     value: float
@@ -30,8 +30,8 @@ class ParameterAgreement:
 
     name: str
     parameter: str
-    poses: Estimate
-    motion: Estimate
+    poses: SingleEstimate
+    motion: SingleEstimate
     sigmas: float
     agrees: bool
 
@@ -55,10 +55,10 @@ def agreement(poses: dict[str, Any], motion: MotionDiagnosis, sigmas: float = DE
     return out
 
 
-def _estimate(entry: Any) -> Estimate | None:
+def _estimate(entry: Any) -> SingleEstimate | None:
     """None for a parameter that is missing, not finite or a list."""
     value, std = entry.get("value"), entry.get("std")
-    return None if value is None or std is None or np.ndim(value) or np.ndim(std) else Estimate(value, std)
+    return None if value is None or std is None or np.ndim(value) or np.ndim(std) else SingleEstimate(value, std)
 
 
 def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 
 from mbcacq_fakes.protocols.gopxl.faults import GoPxLFaults
-from mbcacq_fakes.protocols.gopxl.resources import OK, Refused
+from mbcacq_fakes.protocols.gopxl.resources import OK, RequestRefused
 
 _REQUEST, _REPLY = struct.Struct("<IHI"), struct.Struct("<IHiI")
 _TYPE, _MAX = 0xB000, 32 * 2**20
@@ -31,9 +31,9 @@ def serve(sock: socket.socket, handle: Handler, faults: GoPxLFaults) -> None:
         status = faults.use("status", path.rstrip("/"))
         try:
             if status is not None:
-                raise Refused(status, "as the fault says")
+                raise RequestRefused(status, "as the fault says")
             payload, status = handle(method, path, asked.get("payload") or {}, asked.get("args") or {}), OK
-        except Refused as error:
+        except RequestRefused as error:
             payload, status = {"errors": [{"status": error.status, "description": str(error)}]}, error.status
         if not _send(sock, status, {"type": "response", "status": status, "path": path, "payload": payload}):
             return

@@ -15,7 +15,7 @@ STAMP, POINTS, UNIFORM = (f"{PREFIX}{key}" for key in ("stamp", "sensor-0Surface
 EXPOSURE_LIMITS_US = (100.0, 100_000.0)
 
 
-class Refused(Exception):
+class RequestRefused(Exception):
     """A request that a sensor answers with a status other than 1."""
 
     def __init__(self, status: int, description: str) -> None:
@@ -58,7 +58,7 @@ class Resources:
             return self._call(path, payload)
         if method in ("sub", "unSub", "unsub", "stream", "cancelStream"):
             return {}
-        raise Refused(-998, f"method {method} is not known")
+        raise RequestRefused(-998, f"method {method} is not known")
 
     def _read(self, path: str, args: dict[str, Any]) -> dict[str, Any]:
         readers: dict[str, Callable[[], dict[str, Any]]] = {
@@ -83,7 +83,7 @@ class Resources:
             f"{SENSOR}/metrics": lambda: {"cameraTemp0": self.temperature_C, "projectorTemp": self.temperature_C + 4},
         }
         if path not in readers:
-            raise Refused(NOT_FOUND, "not found")
+            raise RequestRefused(NOT_FOUND, "not found")
         return readers[path]()
 
     def _visible(self) -> dict[str, Any]:
@@ -101,13 +101,13 @@ class Resources:
             return {}
         target = {GROUP: self.group, SENSOR: self.sensor}.get(path)
         if target is None:
-            raise Refused(NOT_FOUND, "not found")
+            raise RequestRefused(NOT_FOUND, "not found")
         if self.running:
-            raise Refused(WRONG_STATE, "settings cannot be changed while the system runs")
+            raise RequestRefused(WRONG_STATE, "settings cannot be changed while the system runs")
         wanted = merged(target, payload.get("parameters", {}))
         low, high = EXPOSURE_LIMITS_US
         if path == SENSOR and not low <= float(wanted["exposureSettings"]["singleExposure"]) <= high:
-            raise Refused(PARAMETER, f"singleExposure is out of range {low:g} to {high:g}")
+            raise RequestRefused(PARAMETER, f"singleExposure is out of range {low:g} to {high:g}")
         target.update(wanted)
         return {}
 
@@ -124,7 +124,7 @@ class Resources:
             "/controls/gocator/outputs/commands/removeAll": lambda _: self.outputs.clear(),
         }
         if path not in calls:
-            raise Refused(NOT_FOUND, "not found")
+            raise RequestRefused(NOT_FOUND, "not found")
         calls[path](payload)
         return {}
 
@@ -133,24 +133,24 @@ class Resources:
 
     def _load(self, payload: dict[str, Any]) -> None:
         if self.running:
-            raise Refused(WRONG_STATE, "a job cannot be loaded while the system runs")
+            raise RequestRefused(WRONG_STATE, "a job cannot be loaded while the system runs")
         name = str(payload.get("name", ""))
         if name not in self.jobs:
-            raise Refused(NOT_FOUND, f"there is no job {name}")
+            raise RequestRefused(NOT_FOUND, f"there is no job {name}")
         self.loaded_job = name
         self.outputs.clear()  # outputs belong to the job
 
     def _software_trigger(self) -> None:
         if not self.running or self.group["triggerSettings"]["source"] != 3:
-            raise Refused(WRONG_STATE, "the scanner does not wait for a software trigger")
+            raise RequestRefused(WRONG_STATE, "the scanner does not wait for a software trigger")
         self._trigger()
 
     def _add_output(self, payload: dict[str, Any]) -> None:
         source, number = payload.get("source"), payload.get("outputId")
         if source not in (STAMP, POINTS, UNIFORM) or not isinstance(number, int):
-            raise Refused(PARAMETER, f"there is no data source {source}")
+            raise RequestRefused(PARAMETER, f"there is no data source {source}")
         if any(o["source"] == source for o in self.outputs):
-            raise Refused(EXISTS, f"{source} is an output already")
+            raise RequestRefused(EXISTS, f"{source} is an output already")
         for entry in self.outputs:
             entry["outputId"] += entry["outputId"] >= number and bool(payload.get("autoShift"))
         self.outputs.append({"source": source, "outputId": number})
@@ -158,7 +158,7 @@ class Resources:
     def _remove_output(self, payload: dict[str, Any]) -> None:
         left = [o for o in self.outputs if o["outputId"] != payload.get("outputId")]
         if len(left) == len(self.outputs):
-            raise Refused(NOT_FOUND, "there is no such output")
+            raise RequestRefused(NOT_FOUND, "there is no such output")
         self.outputs[:] = left
 
 

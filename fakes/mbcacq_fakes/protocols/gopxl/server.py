@@ -171,7 +171,7 @@ class FakeGoPxL:
         try:
             self._asked.put_nowait(None)
         except queue.Full:
-            raise resources.Refused(-981, "too many triggers wait") from None
+            raise resources.RequestRefused(-981, "too many triggers wait") from None
 
     def _run(self) -> None:
         while not self._closing.is_set():

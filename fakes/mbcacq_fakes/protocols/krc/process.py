@@ -16,7 +16,7 @@ from math import radians
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
-from mbcacq_fakes.protocols.krc.session import OPERATOR, RsiSession
+from mbcacq_fakes.protocols.krc.session import OPERATOR, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
@@ -170,7 +170,7 @@ class RsiController:
     # sessions and faults
 
     def _begin_session(self) -> None:
-        self._session = RsiSession(self._settings, self._arm.q)
+        self._session = FakeRsiSession(self._settings, self._arm.q)
         self._planned_pose = self._kinematics.pose(self._arm.q)
         self._sessions += 1
         self._missed = self._told = 0

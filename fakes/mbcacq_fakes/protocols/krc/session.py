@@ -12,7 +12,7 @@ OPERATOR, LATE, OVERSPEED, MONITOR, SOFT_LIMIT = 1, 2, 3, 4, 5  # indices into a
 PC_STOP = 0
 
 
-class RsiSession:
+class FakeRsiSession:
     """From RSI_ON to RSI_OFF. ``set_point`` is where the arm shall be; ``ended`` is None or why the session is over."""
 
     def __init__(self, settings: KrcSettings, start: Sequence[float]) -> None:
