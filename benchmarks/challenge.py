@@ -42,9 +42,9 @@ CELLS = 40
 POWER_TEXT = """
 Share of cells in which the diagnosis, proof included, names the effect at its location (or as one of two that it cannot tell apart), and
 in brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and location and
-estimate the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples of that
-at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative normal), the
-ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with
+estimate the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples
+of that at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative
+normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with
 2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
 INTRODUCTION = """# Challenges
 

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -55,27 +56,33 @@ def start(*arguments: object) -> subprocess.Popen:
 
 
 def compare(folder: Path, whole) -> str:
-    """'' if the observations of a run folder are those of the undisturbed run, else what differs."""
+    """'' if the observations of a run folder are those of the undisturbed run, else the first thing that differs."""
+    return next(differences(folder, whole), "")
+
+
+def differences(folder: Path, whole) -> Iterator[str]:
+    """What differs between a run folder and the undisturbed run, in words; nothing more once poses or balls are others."""
     from mbcacq.recording import load_observations
 
     found = load_observations(folder)
     if sorted(found.pose_id.tolist()) != whole.pose_id.tolist():
-        return f"poses {sorted(found.pose_id.tolist())}"
+        yield f"poses {sorted(found.pose_id.tolist())}"
+        return
     order = np.argsort(found.pose_id)
     rank = np.argsort(order)
     rows = np.lexsort((np.arange(found.n_centres), rank[found.pose]))
     if not np.array_equal(found.ball[rows], whole.ball):
-        return "other balls"
+        yield "other balls"
+        return
     if not np.array_equal(found.xyz[rows], whole.xyz):
-        return f"centres differ by up to {np.abs(found.xyz[rows] - whole.xyz).max():.2e} mm"
+        yield f"centres differ by up to {np.abs(found.xyz[rows] - whole.xyz).max():.2e} mm"
     if (away := np.abs(found.q[order] - whole.q).max()) > SAME_Q:
-        return f"joint angles differ by up to {away:.2e} rad"
+        yield f"joint angles differ by up to {away:.2e} rad"
     if not np.array_equal(found.direction[order], whole.direction):
-        return "the arm came from another side"
+        yield "the arm came from another side"
     merged = load_observations(folder / "whole.rrd") if (folder / "whole.rrd").exists() else found
     if not np.array_equal(merged.xyz, found.xyz) or not np.array_equal(merged.q, found.q):
-        return "the merged recording differs from its parts"
-    return ""
+        yield "the merged recording differs from its parts"
 
 
 def one_round(plan: Path, folder: Path, after_s: float, whole) -> tuple[str, str]:

@@ -121,7 +121,7 @@ def test_phases_are_compared_around_the_circle_and_by_order():
     )
 
 
-def test_vectors_count_by_their_worst_component_and_numbers_without_a_sigma_not_at_all():
+def test_vectors_count_by_their_worst_component_and_not_without_a_sigma():
     truth = {"name": "scanner_warmup", "where": ["scanner"], "offset_mm": [0.1, 0.0, -0.2], "time_constant_s": 500.0}
     reported = {"offset_mm": {"value": [0.11, 0.0, -0.21], "std": [0.01, 0.01, 0.002]}, "time_constant_s": {"value": 300.0, "std": 0.0}}
     assert parameter_errors(truth, reported) == pytest.approx({"offset_mm": 5.0})

@@ -4,9 +4,9 @@ import json
 import pickle
 from dataclasses import replace
 
-import simulated
 import numpy as np
 import pytest
+import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.output.figures import pictures
