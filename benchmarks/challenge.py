@@ -44,8 +44,8 @@ Share of cells in which the diagnosis, proof included, names the effect at its l
 in brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and location and
 estimate the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples
 of that at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative
-normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows nothing, with
-2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
+normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows
+nothing, with 2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
 INTRODUCTION = """# Challenges
 
 Made by `python benchmarks/challenge.py` on the poses of `plans/seeing.yaml` (128 poses, 605 centres, the fast path of

@@ -29,7 +29,7 @@ NOT_A_FIGURE = re.compile(
     r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}"  # an identifier
     r"|\d{4}-\d\d-\d\d[T ]\d\d[:-]\d\d[:-]\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"  # a date with its time
     r"|\S*/\S*"  # a path
-    r"|\"(?:time|duration|seconds|wall|elapsed|created|cpu|rss|version)[a-z_]*\": *[^,}\n]+"
+    r"|\"(?:diagnosis_s|time|duration|seconds|wall|elapsed|created|cpu|rss|version)[a-z_]*\": *[^,}\n]+"
     r"|\b\d+(?:\.\d+)? ?(?:s|min|ms|MB|GB|MiB|GiB|%)(?= |,|;|\)|$)(?<!%)"  # durations and sizes; a percentage is a figure
     r"|localhost:\d+|127\.0\.0\.1(?::\d+)?|pid \d+",
     re.MULTILINE,
