@@ -62,6 +62,7 @@ class Gocator:
         self._before: Before | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
+        self._warnings: list[str] = []  # found since the last scan that was returned
         self._wanted_exposure_us = self.options.exposure_us
         self._description = Description("scanner", model or "LMI Gocator", _FIELDS)
 
@@ -165,16 +166,22 @@ class Gocator:
         return session
 
     def _bracket(self, session: GocatorSession) -> Scan:
-        """One scan of all exposures of the plan."""
-        if not self.options.exposures_us:
-            return self._expose(session, self._wanted_exposure_us)
-        scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us]
-        return best(scans) if self.options.bracket == "best" else merged(scans)
+        """One scan of all exposures of the plan, with every warning since the last one."""
+        scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us or (self._wanted_exposure_us,)]
+        scan = scans[0] if len(scans) == 1 else best(scans) if self.options.bracket == "best" else merged(scans)
+        news, self._warnings = tuple(self._warnings), []
+        return replace(scan, warnings=news)
 
     def _expose(self, session: GocatorSession, exposure_us: float | None) -> Scan:
-        self._guard.look(session.health.values())
+        """A sensor above the stop limit is not exposed at all. What was found before an exposure that fails is reported with the next scan."""
+        self._watch(session)
         scan = expose(session, exposure_us)
-        return replace(scan, warnings=self._guard.look(scan.health))
+        self._watch(session)
+        return scan
+
+    def _watch(self, session: GocatorSession) -> None:
+        if session.health.settled:
+            self._warnings += self._guard.look(session.health.values())
 
     def _restore(self) -> None:
         """Over the connection that stands, or a new one where a fault has cut it. What cannot be restored is said, not raised."""

@@ -44,6 +44,7 @@ INDICATORS = {
 }
 _HOTTEST_C = 200  # some firmware counts degrees, some hundredths: no sensor survives this many degrees
 _SILENT_S = 10.0  # messages come about once a second
+_FIRST_S = 3.0  # until the first one is there
 
 
 class HealthReader:
@@ -55,7 +56,7 @@ class HealthReader:
     def __init__(self, address: str, port: int, connect_timeout_s: float) -> None:
         self._address, self._port, self._connect_timeout_s = address, port, connect_timeout_s
         self._values: dict[str, float] = {}
-        self._heard = 0.0
+        self._heard = self._opened = 0.0
         self._sock = None
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
@@ -64,12 +65,18 @@ class HealthReader:
         """Raises ConnectError if nothing listens."""
         self._sock = wire.connect(self._address, self._port, "health", self._connect_timeout_s)
         self._closing.clear()
+        self._opened = time.monotonic()
         self._thread = threading.Thread(target=self._run, args=(self._sock,), name="gocator-health", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
         return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def settled(self) -> bool:
+        """Whether ``values`` can be judged: a message came over this connection, or has been due for long."""
+        return self._heard > self._opened or time.monotonic() - self._opened > _FIRST_S
 
     def values(self) -> dict[str, float]:
         """Newest value by name; an indicator of a further instance is called ``name.instance``."""
