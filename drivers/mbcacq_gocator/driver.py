@@ -173,7 +173,7 @@ class Gocator:
         return replace(scan, warnings=news)
 
     def _expose(self, session: GocatorSession, exposure_us: float | None) -> Scan:
-        """A sensor above the stop limit is not exposed at all. What was found before an exposure that fails is reported with the next scan."""
+        """A sensor above the stop limit is not exposed at all. Warnings found before an exposure that fails come with the next scan."""
         self._watch(session)
         scan = expose(session, exposure_us)
         self._watch(session)
