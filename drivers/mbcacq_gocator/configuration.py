@@ -11,10 +11,8 @@ import math
 from typing import overload
 from xml.etree import ElementTree
 
-from defusedxml import ElementTree as SafeTree
-from defusedxml.common import DefusedXmlException
-
 from mbcacq.devices import ConfigError, ProtocolError
+from mbcacq_gocator import xmlfile
 
 TRIGGER_SOURCES = {0: "time", 1: "encoder", 2: "input", 3: "software"}
 SCAN_MODES = {0: "video", 1: "range", 2: "profile", 3: "surface"}
@@ -22,21 +20,13 @@ EXPOSURE_MODES: dict[float, str] = {0: "single", 1: "multiple", 2: "dynamic"}
 SOFTWARE, SURFACE, SINGLE = 3, 3, 0
 _DEVICE = "Setup/Devices/Device[@role='0']"
 _ADDED_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "value"}
-_MAX_SIZE = 16 * 2**20
 
 
 class Configuration:
     """One reading of ``_live.cfg``. Raises ProtocolError where the file is not what a sensor serves."""
 
     def __init__(self, data: bytes) -> None:
-        if len(data) > _MAX_SIZE:
-            raise ProtocolError(f"the sensor's configuration has {len(data)} bytes, more than {_MAX_SIZE}")
-        try:
-            self._root = SafeTree.fromstring(data, forbid_dtd=True)
-        except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:  # LookupError: an encoding nobody knows
-            raise ProtocolError(f"the sensor's configuration cannot be read as XML: {error}") from None
-        if self._root.tag != "Configuration":
-            raise ProtocolError(f"the sensor's configuration starts with <{self._root.tag}> instead of <Configuration>")
+        self._root = xmlfile.parse(data, "configuration", "Configuration")
 
     @property
     def trigger_source(self) -> int:

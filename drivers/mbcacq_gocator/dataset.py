@@ -41,10 +41,16 @@ def read_set(reader: MessageReader, deadline: float) -> DataSet:
         elif isinstance(message, ArrayMessage):
             result.arrays.append(message)
         elif isinstance(message, Measurement):
-            for index, value in enumerate(message.value.tolist()):
-                result.measurements[f"measurement_{message.id}" + (f".{index}" if index else "")] = value
+            _add(result.measurements, message)
         elif isinstance(message, Unknown):
             result.skipped.add(message.type)
         if last:
             return result
     raise ProtocolError(f"the Gocator sent {_MAX_MESSAGES} messages without ending its data set")
+
+
+def _add(measurements: dict[str, float], message: Measurement) -> None:
+    if len(measurements) + len(message.value) > layouts.MAX_VALUES:
+        raise ProtocolError(f"the Gocator sent more than {layouts.MAX_VALUES} measurements in one data set")
+    for index, value in enumerate(message.value.tolist()):
+        measurements[f"measurement_{message.id}" + (f".{index}" if index else "")] = value

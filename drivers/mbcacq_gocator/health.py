@@ -44,6 +44,7 @@ INDICATORS = {
 }
 _HOTTEST_C = 200  # some firmware counts degrees, some hundredths: no sensor survives this many degrees
 _SILENT_S = 10.0  # messages come about once a second
+_MAX_MESSAGE, _MAX_NAMES = 64 * 1024, 4096
 _FIRST_S = 3.0  # until the first one is there
 
 
@@ -90,18 +91,24 @@ class HealthReader:
         self._sock = self._thread = None
 
     def _run(self, sock) -> None:
-        reader = wire.MessageReader(sock, "health message", self._closing.is_set)
+        reader = wire.MessageReader(sock, "health message", self._closing.is_set, lambda kind: _MAX_MESSAGE)
         try:
             while not self._closing.is_set():
                 reader.rewind()
                 message, _ = decode(reader.read(float("inf")))
                 if isinstance(message, Health):
-                    self._values = self._values | named(message.items)
+                    self._values = newest(self._values, named(message.items))
                     self._heard = time.monotonic()
         except MbcacqError:
             pass  # values() goes empty by itself, and the next capture connects again
         finally:
             wire.shut(sock)
+
+
+def newest(known: dict[str, float], received: dict[str, float]) -> dict[str, float]:
+    """Known values updated by those received. Names beyond the limit replace the ones that were longest without news."""
+    merged = {**{name: value for name, value in known.items() if name not in received}, **received}
+    return dict(list(merged.items())[-_MAX_NAMES:])
 
 
 def named(items: np.ndarray) -> dict[str, float]:

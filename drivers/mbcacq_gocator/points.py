@@ -35,7 +35,7 @@ def surface_points(message: ArrayMessage) -> SurfaceMessage:
     scale, offset = _scales(message)
     raw = message.array
     if not raw.size:  # 0 rows may announce any number of columns; nothing is to be made for them
-        return SurfaceMessage(np.empty((0, 3), np.float32), np.empty(0, np.int32), np.zeros(raw.shape, bool))
+        return SurfaceMessage(np.empty((0, 3), np.float32), np.empty(0, np.int32), np.zeros(raw.shape[:2], bool))
     heights = raw[..., 2] if message.type == SURFACE_POINTS else raw
     valid = heights != INVALID
     flat = valid.reshape(-1)

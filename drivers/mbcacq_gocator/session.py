@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, IdentityError, MbcacqError
-from mbcacq_gocator import commands, information, jobs, wire
+from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel, SensorRefused
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
@@ -50,7 +50,7 @@ class GocatorSession:
                 self.control.request(commands.STOP)
             self.health.open()
             self._data = wire.connect(options.address, options.data_port, "data", options.connect_timeout_s, _RECEIVE_BUFFER)
-            self.reader = wire.MessageReader(self._data, "scan", self._cancelled)
+            self.reader = wire.MessageReader(self._data, "scan", self._cancelled, layouts.size_limit)
             self.before = self.before or jobs.Before.of(self.files)
             self._choose_job(self.before)
             self.configuration = self._read_configuration()

@@ -13,6 +13,7 @@ from defusedxml.common import DefusedXmlException
 from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, EXISTS, FORMAT, NOT_FOUND, CommandRefused
 
 CAPACITY = 256 * 2**20
+_MAX_DEPTH = 64
 EXPOSURE = "Setup/Devices/Device[@role='0']/Exposure"  # us
 LIVE_CFG, LIVE_TFM, LIVE_JOB, LIVE_LOG = "_live.cfg", "_live.tfm", "_live.job", "_live.log"
 
@@ -116,9 +117,27 @@ class Files:
         self.modified = True
 
 
+class _BoundedBuilder(ElementTree.TreeBuilder):
+    """Refuses what is nested deeper than any configuration, and would end the process when it is discarded."""
+
+    depth = 0
+
+    def start(self, tag, attrs, /):
+        self.depth += 1
+        if self.depth > _MAX_DEPTH:
+            raise CommandRefused(FORMAT)
+        return super().start(tag, attrs)
+
+    def end(self, tag, /):
+        self.depth -= 1
+        return super().end(tag)
+
+
 def _parse(data: bytes) -> ElementTree.Element:
+    parser = SafeTree.DefusedXMLParser(target=_BoundedBuilder(), forbid_dtd=True)
     try:
-        root = SafeTree.fromstring(data, forbid_dtd=True)
+        parser.feed(data)
+        root = parser.close()
     except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError):
         raise CommandRefused(FORMAT) from None
     if root.tag != "Configuration":
