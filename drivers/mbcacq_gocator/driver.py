@@ -31,8 +31,9 @@ from mbcacq_gocator.generation import gopxl_answers
 from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
+from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
-from mbcacq_gocator.session import GocatorSession
+from mbcacq_gocator.session import GocatorSession, check_unchanged
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, float32"),
@@ -160,10 +161,22 @@ class Gocator:
                 raise elsewhere(error, self._place) from None
             finally:
                 self._before = session.before
+            self._describe(session)
         self._session = session
-        assert session.info is not None
-        self._description = Description("scanner", session.info.model, _FIELDS, str(session.info.serial), session.info.firmware_text)
         return session
+
+    def _describe(self, session: GocatorSession) -> None:
+        """Raises DeviceFault, and closes the session, where the sensor is not set up as at the first connection."""
+        try:
+            settings = session.settings()
+            if self._description.settings:
+                check_unchanged(self._description.settings, settings)
+        except MbcacqError:
+            session.close()
+            raise
+        info = session.info
+        assert info is not None  # the session is open
+        self._description = Description("scanner", info.model, _FIELDS, str(info.serial), info.firmware_text, settings=settings)
 
     def _bracket(self, session: GocatorSession) -> Scan:
         """One scan of all exposures of the plan, with every warning since the last one."""
@@ -196,6 +209,7 @@ class Gocator:
                 return before.restore(session.files)
         try:
             spare.open()
+            log_in(spare, place.password)
             spare.request(commands.STOP)
             before.restore(SensorFiles(spare))
         except MbcacqError as error:

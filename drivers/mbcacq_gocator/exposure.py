@@ -22,6 +22,7 @@ def expose(session: GocatorSession, exposure_us: float | None) -> Scan:
     if not session.health.alive:
         with suppress(MbcacqError):
             session.health.open()
+    session.check_alignment()
     by_trigger = session.options.mode == "trigger"
     if by_trigger:
         session.start()

@@ -8,7 +8,7 @@ from mbcacq.devices import ConfigError, ProtocolError
 from mbcacq_gocator import commands, information
 from mbcacq_gocator.control import ControlChannel
 
-LIVE_CONFIGURATION, LIVE_JOB = "_live.cfg", "_live.job"
+LIVE_CONFIGURATION, LIVE_JOB, LIVE_TRANSFORM = "_live.cfg", "_live.job", "_live.tfm"
 _MAX_FILES = 10_000
 _NAME = struct.Struct("<64s")
 

@@ -100,6 +100,14 @@ class Files:
             _assign(self._node(path), f"{value:g}")
             self._stored[LIVE_CFG] = _serialise(self._tree)
 
+    def set_transform(self, terms: Mapping[str, float]) -> None:
+        """Terms of the main sensor's transformation (X, Y, Z mm, XAngle.. deg); those not named become 0."""
+        with self._lock:
+            tree = SafeTree.fromstring(self._stored[LIVE_TFM])
+            for node in tree.iterfind("Devices/Device/*"):
+                node.text = f"{terms.get(node.tag, 0):g}"
+            self._stored[LIVE_TFM] = _serialise(tree)
+
     def _node(self, path: str) -> ElementTree.Element:
         node = self._tree.find(path)
         if node is None:
