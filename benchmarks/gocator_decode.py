@@ -63,12 +63,14 @@ def cases(points: ModuleType) -> dict[str, tuple[int, Callable[[], object]]]:
         cloud = encode.surface_points(seen.xyz, scaling, 0)
         raw, raised_grey, grid = uniform_grid(seen.xyz, seen.intensity)
         height = encode.uniform_surface(raw, grid, 0)
+        assert seen.intensity is not None
+        assert raised_grey is not None
         greys = encode.surface_intensity(seen.intensity, scaling, 0), encode.surface_intensity(raised_grey, grid, 0)
 
-        def surface(message: bytes) -> object:
+        def surface(message: bytearray) -> object:
             return points.surface_points(decode(message)[0])
 
-        def with_intensity(message: bytes, grey: bytes) -> object:
+        def with_intensity(message: bytearray, grey: bytearray) -> object:
             return points.intensity_of(decode(grey)[0], points.surface_points(decode(message)[0]))
 
         share = f"{missing:.0%} invalid"

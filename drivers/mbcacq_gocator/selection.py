@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from mbcacq.devices import ConfigError
 from mbcacq_gocator.decode import ArrayMessage
 from mbcacq_gocator.layouts import SURFACE_INTENSITY, SURFACE_POINTS, TYPE_NAMES, UNIFORM_SURFACE
@@ -28,7 +30,7 @@ def scan_surface(arrays: Iterable[ArrayMessage]) -> ArrayMessage | None:
         raise ConfigError(
             f"the Gocator sends only outputs of tools ({_listed(surfaces)}); under Output > Ethernet tick the surface of the scanner itself"
         )
-    chosen = [array for array in own if _preference(array) == min(map(_preference, own))]
+    chosen = _different([array for array in own if _preference(array) == min(map(_preference, own))])
     if len(chosen) > 1 or len({_source(array) for array in own}) > 1:
         raise ConfigError(
             f"the Gocator sends several surfaces for one scan ({_listed(own)}), and nobody can tell which one is meant; under "
@@ -41,7 +43,7 @@ def scan_intensity(arrays: Iterable[ArrayMessage], surface: ArrayMessage) -> Arr
     """The grey values that belong to ``surface``: of the same source, step and part where that is stated. Raises ConfigError."""
     images = [array for array in _own([a for a in arrays if a.type == SURFACE_INTENSITY]) if _source(array) == _source(surface)]
     exact = [array for array in images if _origin(array) == _origin(surface)]
-    found = exact or images
+    found = _different(exact or images)
     if len(found) > 1:
         raise ConfigError(f"the Gocator sends several intensity images of one scan ({_listed(found)}); under Output > Ethernet tick one")
     return found[0] if found else None
@@ -49,6 +51,17 @@ def scan_intensity(arrays: Iterable[ArrayMessage], surface: ArrayMessage) -> Arr
 
 def _own(arrays: Sequence[ArrayMessage]) -> list[ArrayMessage]:
     return [array for array in arrays if _step(array) in _OWN_STEPS]
+
+
+def _different(arrays: Sequence[ArrayMessage]) -> list[ArrayMessage]:
+    """Without those that repeat another one to the last value: a message that came twice is no second surface."""
+    found: list[ArrayMessage] = []
+    for array in arrays:
+        if not any(array.attributes == other.attributes and np.array_equal(array.array, other.array) for other in found):
+            found.append(array)
+            if len(found) > 1:
+                break  # already ambiguous: no need to compare all with all
+    return found
 
 
 def _preference(array: ArrayMessage) -> tuple[bool, int]:

@@ -82,10 +82,20 @@ def test_a_point_cloud_is_taken_before_a_uniform_surface_and_a_surface_before_a_
     assert scan_surface([array(INTENSITY)]) is None
 
 
+def test_a_message_that_came_twice_is_one_surface():
+    one, same, other = array(), array(), array()
+    other.array[0, 0, 0] = 1
+    assert scan_surface([one, same]) is one
+    assert scan_intensity([array(INTENSITY), array(INTENSITY)], one) is not None
+    with pytest.raises(ConfigError, match="several surfaces"):
+        scan_surface([one, same, other])
+
+
 def test_a_surface_of_old_firmware_that_states_no_step_is_the_scan():
     old = ArrayMessage(UNIFORM, {"source": 0}, np.zeros((1, 1), "<i2"))
     assert scan_surface([old]) is old
-    assert scan_surface([array(UNIFORM, stream_step=-1), array(UNIFORM, stream_step=TOOL)]).attributes["stream_step"] == -1
+    unstated = array(UNIFORM, stream_step=-1)
+    assert scan_surface([unstated, array(UNIFORM, stream_step=TOOL)]) is unstated
 
 
 def test_parts_of_one_frame_are_not_one_scan():
