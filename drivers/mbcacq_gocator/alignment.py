@@ -23,7 +23,7 @@ class Alignment:
 
     @classmethod
     def read(cls, control: ControlChannel, files: SensorFiles) -> Alignment:
-        """Raises ProtocolError for a transformation that makes no sense, and what the channel raises."""
+        """Raises ProtocolError for a transformation that is not made of numbers, and what the channel raises."""
         states = information.parse_states(control.request(commands.STATES))
         return cls(states.get("alignment_state", 0) != 0, main_transform(files.read(LIVE_TRANSFORM)))
 

@@ -94,7 +94,7 @@ def test_the_pattern_of_the_projector_is_described(fake):
     assert Configuration(data).scan_settings()["pattern"] == "PatternSequenceType 2"
 
 
-def test_transformations_that_make_no_sense_are_refused():
+def test_a_transformation_that_is_no_number_is_refused():
     whole = (
         b'<Transform version="100"><Devices><Device role="1"><X>9</X></Device><Device role="0"><X>1.5</X></Device></Devices></Transform>'
     )
