@@ -15,7 +15,7 @@ from mbcacq.devices import ProtocolError
 MAX_SIZE, MAX_DEPTH, MAX_PARTS = 4 * 2**20, 64, 100_000  # a live configuration has some 10 kB and 200 elements 6 deep, more with tools
 
 
-class _BoundedBuilder(ElementTree.TreeBuilder):
+class _BoundedXml(ElementTree.TreeBuilder):
     """Raises ProtocolError where elements are nested too deep, or elements and attributes are too many."""
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ def parse(data: bytes, what: str, root: str) -> ElementTree.Element:
     """The root element, which must be called ``root``. Raises ProtocolError naming the file as ``what``."""
     if len(data) > MAX_SIZE:
         raise ProtocolError(f"the sensor's {what} has {len(data)} bytes, more than {MAX_SIZE}")
-    parser = SafeTree.DefusedXMLParser(target=_BoundedBuilder(), forbid_dtd=True)
+    parser = SafeTree.DefusedXMLParser(target=_BoundedXml(), forbid_dtd=True)
     try:
         parser.feed(data)
         found = parser.close()

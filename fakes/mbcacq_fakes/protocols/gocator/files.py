@@ -125,7 +125,7 @@ class Files:
         self.modified = True
 
 
-class _BoundedBuilder(ElementTree.TreeBuilder):
+class _BoundedConfiguration(ElementTree.TreeBuilder):
     """Refuses what is nested deeper than any configuration, and would end the process when it is discarded."""
 
     depth = 0
@@ -142,7 +142,7 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
 
 
 def _parse(data: bytes) -> ElementTree.Element:
-    parser = SafeTree.DefusedXMLParser(target=_BoundedBuilder(), forbid_dtd=True)
+    parser = SafeTree.DefusedXMLParser(target=_BoundedConfiguration(), forbid_dtd=True)
     try:
         parser.feed(data)
         root = parser.close()
