@@ -1,25 +1,31 @@
 """How fast a Gocator's 2-megapixel surface becomes points in mm, against a plain copy of the same bytes.
 
-Usage: python benchmarks/gocator_decode.py [repetitions]. Prints a table and writes benchmarks/gocator_decode.md.
-The copy goes into memory that is already mapped, which is the hardest comparison; the decoder makes new arrays.
+Usage: python benchmarks/gocator_decode.py [repetitions] [--before FILE]. Prints a table and writes benchmarks/gocator_decode.md.
+FILE is another version of mbcacq_gocator/points.py to compare with. The repetitions of the copy and of the versions take turns, so that
+whatever else the computer does concerns all of them. The copy goes into memory that is already mapped, which is the hardest comparison;
+the decoder makes new arrays.
 """
 
 from __future__ import annotations
 
+import argparse
+import importlib.util
 import platform
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from mbcacq_fakes.protocols.gocator import FakeGocator, encode
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, uniform_grid
 from mbcacq_fakes.world.frame import ScannerFrame
+from mbcacq_gocator import points
 from mbcacq_gocator.decode import decode
 from mbcacq_gocator.driver import Gocator
-from mbcacq_gocator.points import intensity_of, surface_points
 
 SHAPE = (1250, 1650)
 
@@ -37,40 +43,62 @@ def frame(missing: float) -> ScannerFrame:
     return ScannerFrame(xyz, (x + y).astype(np.uint32).astype(np.uint8))
 
 
-def seconds(action: Callable[[], object], repetitions: int, clock: Callable[[], float] = time.thread_time) -> float:
-    """Median time of one call, by default the processor time of this thread."""
-    times = []
+def medians(actions: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
+    """Median processor time of this thread in s for one call of each action; they take turns."""
+    times: list[list[float]] = [[] for _ in actions]
     for _ in range(repetitions):
-        start = clock()
-        action()
-        times.append(clock() - start)
-    return statistics.median(times)
+        for own, action in zip(times, actions, strict=True):
+            start = time.thread_time()
+            action()
+            own.append(time.thread_time() - start)
+    return [statistics.median(own) for own in times]
 
 
-def rows(repetitions: int) -> list[tuple[str, float, float, float, float]]:
-    """(what, MB, ms, GB/s, share of the copy's speed) a row."""
-    result = []
+def cases(points: ModuleType) -> dict[str, tuple[int, Callable[[], object]]]:
+    """By name: bytes of the messages, and what decodes them by ``points``."""
+    found = {}
     for missing in (0.0, 0.3):
         seen = frame(missing)
         scaling = Scaling.over(*extent(seen.xyz))
         cloud = encode.surface_points(seen.xyz, scaling, 0)
-        grey = encode.surface_intensity(seen.intensity, scaling, 0)
-        height = encode.uniform_surface(*uniform_grid(seen.xyz, None)[::2], 0)
+        raw, raised_grey, grid = uniform_grid(seen.xyz, seen.intensity)
+        height = encode.uniform_surface(raw, grid, 0)
+        assert seen.intensity is not None
+        assert raised_grey is not None
+        greys = encode.surface_intensity(seen.intensity, scaling, 0), encode.surface_intensity(raised_grey, grid, 0)
 
-        def with_intensity(cloud: bytes = cloud, grey: bytes = grey) -> None:
-            intensity_of(decode(grey)[0], surface_points(decode(cloud)[0]))
+        def surface(message: bytearray) -> object:
+            return points.surface_points(decode(message)[0])
 
-        cases = (
-            ("surface point cloud", len(cloud), lambda cloud=cloud: surface_points(decode(cloud)[0])),
-            ("point cloud and intensity", len(cloud) + len(grey), with_intensity),
-            ("uniform surface", len(height), lambda height=height: surface_points(decode(height)[0])),
-        )
-        for name, size, action in cases:
-            source, target = np.zeros(size, np.uint8) + 1, np.zeros(size, np.uint8) + 1
-            copy_s = seconds(lambda target=target, source=source: np.copyto(target, source), repetitions)
-            decode_s = seconds(action, repetitions)
-            result.append((f"{name}, {missing:.0%} invalid", size / 1e6, decode_s * 1e3, size / decode_s / 1e9, copy_s / decode_s))
+        def with_intensity(message: bytearray, grey: bytearray) -> object:
+            return points.intensity_of(decode(grey)[0], points.surface_points(decode(message)[0]))
+
+        share = f"{missing:.0%} invalid"
+        for name, message, grey in (("surface point cloud", cloud, greys[0]), ("uniform surface", height, greys[1])):
+            found[f"{name}, {share}"] = len(message), partial(surface, message)
+            found[f"{name} and intensity, {share}"] = len(message) + len(grey), partial(with_intensity, message, grey)
+    return found
+
+
+def rows(repetitions: int, before: ModuleType | None) -> list[tuple[str, float, list[float]]]:
+    """(what, MB, medians in ms of copy, decoder and earlier decoder) a row."""
+    versions = [cases(each) for each in (points, before) if each is not None]
+    result = []
+    for name, (size, _) in versions[0].items():
+        source, target = np.zeros(size, np.uint8) + 1, np.zeros(size, np.uint8) + 1
+        actions = [partial(np.copyto, target, source), *(version[name][1] for version in versions)]
+        result.append((name, size / 1e6, [1e3 * t for t in medians(actions, repetitions)]))
     return result
+
+
+def loaded(path: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("points_before", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
 
 
 def captures(repetitions: int) -> float:
@@ -90,20 +118,36 @@ def captures(repetitions: int) -> float:
         ) as scanner,
     ):
         scanner.capture()
-        return seconds(scanner.capture, repetitions, time.perf_counter)
+        times = []
+        for _ in range(repetitions):
+            start = time.perf_counter()
+            scanner.capture()
+            times.append(time.perf_counter() - start)
+    return statistics.median(times)
 
 
 def main() -> None:
-    repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 41
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("repetitions", type=int, nargs="?", default=41)
+    parser.add_argument("--before", metavar="FILE", help="another version of points.py")
+    given = parser.parse_args()
+    before = loaded(given.before) if given.before else None
+    extra = " before | before / copy | before / now |" if before else ""
     lines = [
-        f"{SHAPE[0]} x {SHAPE[1]} pixels, median of {repetitions}, numpy {np.__version__}, {platform.machine()}.",
+        f"{SHAPE[0]} x {SHAPE[1]} pixels, median processor time in ms of {given.repetitions} turns, "
+        f"numpy {np.__version__}, {platform.machine()}.",
         "",
-        "| message | MB | ms | GB/s | of a plain copy of the same bytes |",
-        "|---|---|---|---|---|",
+        f"| message | MB | copy | now | now / copy |{extra}",
+        "|---|---|---|---|---|" + ("---|---|---|" if before else ""),
     ]
-    lines += [f"| {name} | {size:.1f} | {ms:.2f} | {speed:.1f} | {ratio:.2f} |" for name, size, ms, speed, ratio in rows(repetitions)]
-    whole_ms = captures(max(repetitions // 4, 5)) * 1e3
+    for name, size, (copy, now, *rest) in rows(given.repetitions, before):
+        columns = [f"{copy:.2f}", f"{now:.2f}", f"{now / copy:.1f}"]
+        columns += [column for old in rest for column in (f"{old:.2f}", f"{old / copy:.1f}", f"{old / now:.2f}")]
+        lines.append(f"| {name} | {size:.1f} | {' | '.join(columns)} |")
+    whole_ms = captures(max(given.repetitions // 4, 5)) * 1e3
     lines += ["", f"Snapshot to points over the loopback, sensor and driver in one process: {whole_ms:.0f} ms."]
+    if before:
+        lines += ["", "'before': the same messages by the version of points.py that `--before` named, in turn with the others."]
     text = "\n".join(lines)
     print(text)
     Path(__file__).with_suffix(".md").write_text("# Gocator decode\n\n" + text + "\n")

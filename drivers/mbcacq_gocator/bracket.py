@@ -66,5 +66,4 @@ def merged(scans: Sequence[Scan]) -> Scan:
         intensity=intensity,
         exposure_us=scans[int(np.argmax(share))].exposure_us,
         health=scans[-1].health,
-        warnings=tuple(w for scan in scans for w in scan.warnings),
     )

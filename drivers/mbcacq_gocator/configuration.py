@@ -8,35 +8,33 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from typing import overload
 from xml.etree import ElementTree
 
-from defusedxml import ElementTree as SafeTree
-from defusedxml.common import DefusedXmlException
-
 from mbcacq.devices import ConfigError, ProtocolError
+from mbcacq_gocator import xmlfile
 
 TRIGGER_SOURCES = {0: "time", 1: "encoder", 2: "input", 3: "software"}
 SCAN_MODES = {0: "video", 1: "range", 2: "profile", 3: "surface"}
 EXPOSURE_MODES: dict[float, str] = {0: "single", 1: "multiple", 2: "dynamic"}
 SOFTWARE, SURFACE, SINGLE = 3, 3, 0
 _DEVICE = "Setup/Devices/Device[@role='0']"
+_SCAN_SETTINGS = {
+    "scan_mode": "ScanMode",
+    "uniform_spacing": "UniformSpacingEnabled",
+    "intensity": "IntensityEnabled",
+    "occlusion_reduction": "OcclusionReductionEnabled",
+}
+_PATTERN = re.compile("Pattern|Projector")
 _ADDED_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "value"}
-_MAX_SIZE = 16 * 2**20
 
 
 class Configuration:
     """One reading of ``_live.cfg``. Raises ProtocolError where the file is not what a sensor serves."""
 
     def __init__(self, data: bytes) -> None:
-        if len(data) > _MAX_SIZE:
-            raise ProtocolError(f"the sensor's configuration has {len(data)} bytes, more than {_MAX_SIZE}")
-        try:
-            self._root = SafeTree.fromstring(data, forbid_dtd=True)
-        except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:  # LookupError: an encoding nobody knows
-            raise ProtocolError(f"the sensor's configuration cannot be read as XML: {error}") from None
-        if self._root.tag != "Configuration":
-            raise ProtocolError(f"the sensor's configuration starts with <{self._root.tag}> instead of <Configuration>")
+        self._root = xmlfile.parse(data, "configuration", "Configuration")
 
     @property
     def trigger_source(self) -> int:
@@ -46,6 +44,16 @@ class Configuration:
     def exposure_us(self) -> float | None:
         """Of the main sensor; None if the file does not say."""
         return _float(self._root.findtext(_DEVICE + "/Exposure"), None)
+
+    def scan_settings(self) -> dict[str, str]:
+        """What decides which points a surface has and where they are, except the exposure; as the sensor writes it."""
+        setup = {name: self._root.findtext(f"Setup/{tag}", "").strip() for name, tag in _SCAN_SETTINGS.items()}
+        parts = {"filters": self._root.find("Setup/Filters"), "active_area": self._root.find(_DEVICE + "/ActiveArea")}
+        device = self._root.find(_DEVICE)
+        pattern = [node for node in (device if device is not None else ()) if _PATTERN.search(node.tag)]
+        listed = {name: ", ".join(_leaves(node)) for name, node in parts.items() if node is not None}
+        listed["pattern"] = ", ".join(f"{node.tag} {leaf}".strip() for node in pattern for leaf in _leaves(node))
+        return {name: text for name, text in {**setup, **listed}.items() if text}
 
     def exposes_for(self, exposure_us: float) -> bool:
         """Whether this already is the exposure, to a nanosecond."""
@@ -92,6 +100,13 @@ class Configuration:
         if value is None:
             raise ProtocolError(f"the sensor's configuration says '{node.text}' for {path} instead of a number")
         return value
+
+
+def _leaves(node: ElementTree.Element, above: str = "") -> list[str]:
+    """Path and text of every element below that has no children; of ``node`` itself, its text alone."""
+    if not len(node):
+        return [f"{above} {(node.text or '').strip()}".strip()]
+    return [leaf for child in node for leaf in _leaves(child, f"{above}/{child.tag}".lstrip("/"))]
 
 
 @overload

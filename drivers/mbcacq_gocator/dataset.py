@@ -17,19 +17,14 @@ class DataSet:
     """Arrays are views into the reader's buffer, valid until the next set is read."""
 
     stamp: Stamp | None = None
-    arrays: dict[int, ArrayMessage] = field(default_factory=dict)
+    arrays: list[ArrayMessage] = field(default_factory=list)
     measurements: dict[str, float] = field(default_factory=dict)
     skipped: set[int] = field(default_factory=set)
 
     @property
-    def surface(self) -> ArrayMessage | None:
-        """The point cloud, or the uniform surface where the job switches uniform spacing on."""
-        return self.arrays.get(layouts.SURFACE_POINTS) or self.arrays.get(layouts.UNIFORM_SURFACE)
-
-    @property
     def contents(self) -> str:
         """What came besides the stamp, for messages to people."""
-        names = [layouts.TYPE_NAMES.get(kind, f"type {kind}") for kind in sorted(self.arrays.keys() | self.skipped)]
+        names = [layouts.TYPE_NAMES.get(kind, f"type {kind}") for kind in sorted({a.type for a in self.arrays} | self.skipped)]
         return ", ".join(names + (["measurements"] if self.measurements else []))
 
 
@@ -44,13 +39,18 @@ def read_set(reader: MessageReader, deadline: float) -> DataSet:
                 result = DataSet()  # the end of the frame before was lost: its arrays are not this frame's
             result.stamp = message
         elif isinstance(message, ArrayMessage):
-            # The first of a kind is the scan; further ones are outputs of tools.
-            result.arrays.setdefault(message.type, message)
+            result.arrays.append(message)
         elif isinstance(message, Measurement):
-            for index, value in enumerate(message.value.tolist()):
-                result.measurements[f"measurement_{message.id}" + (f".{index}" if index else "")] = value
+            _add(result.measurements, message)
         elif isinstance(message, Unknown):
             result.skipped.add(message.type)
         if last:
             return result
     raise ProtocolError(f"the Gocator sent {_MAX_MESSAGES} messages without ending its data set")
+
+
+def _add(measurements: dict[str, float], message: Measurement) -> None:
+    if len(measurements) + len(message.value) > layouts.MAX_VALUES:
+        raise ProtocolError(f"the Gocator sent more than {layouts.MAX_VALUES} measurements in one data set")
+    for index, value in enumerate(message.value.tolist()):
+        measurements[f"measurement_{message.id}" + (f".{index}" if index else "")] = value

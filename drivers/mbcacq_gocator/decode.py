@@ -140,6 +140,8 @@ def _stamp(view: memoryview) -> Stamp:
 
 
 def _measurement(identifier: int, view: memoryview, at: int, count: int) -> Measurement:
+    if count > layouts.MAX_VALUES:
+        raise ProtocolError(f"a Gocator measurement announces {count} values, more than {layouts.MAX_VALUES}")
     items = _items(layouts.MEASUREMENT, view, at, count, layouts.MEASUREMENT_ITEM)
     value = np.where(items["value"] == layouts.INVALID_MEASUREMENT, np.nan, items["value"] / 1000.0)
     return Measurement(identifier, value, (items["decision"] & 1).astype(bool))

@@ -31,8 +31,9 @@ from mbcacq_gocator.generation import gopxl_answers
 from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
+from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
-from mbcacq_gocator.session import GocatorSession
+from mbcacq_gocator.session import GocatorSession, check_unchanged
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, float32"),
@@ -62,6 +63,7 @@ class Gocator:
         self._before: Before | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
+        self._warnings: list[str] = []  # found since the last scan that was returned
         self._wanted_exposure_us = self.options.exposure_us
         self._description = Description("scanner", model or "LMI Gocator", _FIELDS)
 
@@ -159,22 +161,40 @@ class Gocator:
                 raise elsewhere(error, self._place) from None
             finally:
                 self._before = session.before
+            self._describe(session)
         self._session = session
-        assert session.info is not None
-        self._description = Description("scanner", session.info.model, _FIELDS, str(session.info.serial), session.info.firmware_text)
         return session
 
+    def _describe(self, session: GocatorSession) -> None:
+        """Raises DeviceFault, and closes the session, where the sensor is not set up as at the first connection."""
+        try:
+            settings = session.settings()
+            if self._description.settings:
+                check_unchanged(self._description.settings, settings)
+        except MbcacqError:
+            session.close()
+            raise
+        info = session.info
+        assert info is not None  # the session is open
+        self._description = Description("scanner", info.model, _FIELDS, str(info.serial), info.firmware_text, settings=settings)
+
     def _bracket(self, session: GocatorSession) -> Scan:
-        """One scan of all exposures of the plan."""
-        if not self.options.exposures_us:
-            return self._expose(session, self._wanted_exposure_us)
-        scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us]
-        return best(scans) if self.options.bracket == "best" else merged(scans)
+        """One scan of all exposures of the plan, with every warning since the last one."""
+        scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us or (self._wanted_exposure_us,)]
+        scan = scans[0] if len(scans) == 1 else best(scans) if self.options.bracket == "best" else merged(scans)
+        news, self._warnings = tuple(self._warnings), []
+        return replace(scan, warnings=news)
 
     def _expose(self, session: GocatorSession, exposure_us: float | None) -> Scan:
-        self._guard.look(session.health.values())
+        """A sensor above the stop limit is not exposed at all. Warnings found before an exposure that fails come with the next scan."""
+        self._watch(session)
         scan = expose(session, exposure_us)
-        return replace(scan, warnings=self._guard.look(scan.health))
+        self._watch(session)
+        return scan
+
+    def _watch(self, session: GocatorSession) -> None:
+        if session.health.settled:
+            self._warnings += self._guard.look(session.health.values())
 
     def _restore(self) -> None:
         """Over the connection that stands, or a new one where a fault has cut it. What cannot be restored is said, not raised."""
@@ -189,6 +209,7 @@ class Gocator:
                 return before.restore(session.files)
         try:
             spare.open()
+            log_in(spare, place.password)
             spare.request(commands.STOP)
             before.restore(SensorFiles(spare))
         except MbcacqError as error:

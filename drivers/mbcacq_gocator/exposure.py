@@ -8,8 +8,9 @@ from contextlib import suppress
 from mbcacq.devices import DeviceTimeout, MbcacqError, Scan
 from mbcacq_gocator import commands
 from mbcacq_gocator.dataset import DataSet, read_set
-from mbcacq_gocator.layouts import SURFACE_INTENSITY
+from mbcacq_gocator.decode import ArrayMessage, Stamp
 from mbcacq_gocator.points import intensity_of, surface_points
+from mbcacq_gocator.selection import scan_intensity, scan_surface
 from mbcacq_gocator.session import GocatorSession
 
 
@@ -21,16 +22,17 @@ def expose(session: GocatorSession, exposure_us: float | None) -> Scan:
     if not session.health.alive:
         with suppress(MbcacqError):
             session.health.open()
+    session.check_alignment()
     by_trigger = session.options.mode == "trigger"
     if by_trigger:
         session.start()
     asked = session.time_stamp()
     session.control.request(commands.TRIGGER if by_trigger else commands.SNAPSHOT)
-    return _scan(session, _wait_for_surface(session, asked))
+    return _scan(session, *_wait_for_surface(session, asked))
 
 
-def _wait_for_surface(session: GocatorSession, asked: int) -> DataSet:
-    """The first data set with a surface that was exposed after ``asked`` (ticks)."""
+def _wait_for_surface(session: GocatorSession, asked: int) -> tuple[DataSet, Stamp, ArrayMessage]:
+    """The first data set with a surface that was exposed after ``asked`` (ticks), its stamp and that surface."""
     assert session.reader is not None
     deadline = time.monotonic() + session.options.timeout_s
     stamp_only, early, other = 0, 0, ""
@@ -43,8 +45,8 @@ def _wait_for_surface(session: GocatorSession, asked: int) -> DataSet:
             other = ", ".join(filter(None, (data.contents, "without a stamp")))
         elif data.stamp.timestamp < asked:
             early += 1
-        elif data.surface is not None:
-            return data
+        elif (surface := scan_surface(data.arrays)) is not None:
+            return data, data.stamp, surface
         elif data.contents:
             other = data.contents
         else:
@@ -71,19 +73,17 @@ def _explained(session: GocatorSession, error: DeviceTimeout, stamp_only: int, e
     )
 
 
-def _scan(session: GocatorSession, data: DataSet) -> Scan:
-    assert data.surface is not None
-    assert data.stamp is not None
+def _scan(session: GocatorSession, data: DataSet, stamp: Stamp, message: ArrayMessage) -> Scan:
     assert session.configuration is not None
-    surface = surface_points(data.surface)
-    grey = data.arrays.get(SURFACE_INTENSITY)
+    grey = scan_intensity(data.arrays, message)
+    surface = surface_points(message)
     return Scan(
         points=surface.points,
         pixel=surface.pixel,
         shape=surface.valid.shape,
         intensity=None if grey is None else intensity_of(grey, surface),
-        time_s=data.stamp.time_s,
-        frame=data.stamp.frame,
+        time_s=stamp.time_s,
+        frame=stamp.frame,
         exposure_us=session.configuration.exposure_us or 0.0,
         measurements=data.measurements,
         health=session.health.values(),

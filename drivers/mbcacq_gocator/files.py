@@ -8,7 +8,8 @@ from mbcacq.devices import ConfigError, ProtocolError
 from mbcacq_gocator import commands, information
 from mbcacq_gocator.control import ControlChannel
 
-LIVE_CONFIGURATION, LIVE_JOB = "_live.cfg", "_live.job"
+LIVE_CONFIGURATION, LIVE_JOB, LIVE_TRANSFORM = "_live.cfg", "_live.job", "_live.tfm"
+_MAX_FILES = 10_000
 _NAME = struct.Struct("<64s")
 
 
@@ -24,7 +25,7 @@ class SensorFiles:
     def jobs(self) -> list[str]:
         body = self._control.request(commands.LIST_FILES, _NAME.pack(b""))
         (count,) = unpack("<I", body, "list of files")
-        if 4 + 64 * count > len(body):
+        if 4 + 64 * count > len(body) or count > _MAX_FILES:
             raise ProtocolError(f"the Gocator announces {count} files but its list has {len(body)} bytes")
         names = [information.text(body[4 + 64 * i : 68 + 64 * i]) for i in range(count)]
         return [name for name in names if name.endswith(".job") and not name.startswith("_live")]

@@ -44,6 +44,8 @@ INDICATORS = {
 }
 _HOTTEST_C = 200  # some firmware counts degrees, some hundredths: no sensor survives this many degrees
 _SILENT_S = 10.0  # messages come about once a second
+_MAX_MESSAGE, _MAX_NAMES = 64 * 1024, 4096
+_FIRST_S = 3.0  # until the first one is there
 
 
 class HealthReader:
@@ -55,7 +57,7 @@ class HealthReader:
     def __init__(self, address: str, port: int, connect_timeout_s: float) -> None:
         self._address, self._port, self._connect_timeout_s = address, port, connect_timeout_s
         self._values: dict[str, float] = {}
-        self._heard = 0.0
+        self._heard = self._opened = 0.0
         self._sock = None
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
@@ -64,12 +66,18 @@ class HealthReader:
         """Raises ConnectError if nothing listens."""
         self._sock = wire.connect(self._address, self._port, "health", self._connect_timeout_s)
         self._closing.clear()
+        self._opened = time.monotonic()
         self._thread = threading.Thread(target=self._run, args=(self._sock,), name="gocator-health", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
         return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def settled(self) -> bool:
+        """Whether ``values`` can be judged: a message came over this connection, or has been due for long."""
+        return self._heard > self._opened or time.monotonic() - self._opened > _FIRST_S
 
     def values(self) -> dict[str, float]:
         """Newest value by name; an indicator of a further instance is called ``name.instance``."""
@@ -83,18 +91,24 @@ class HealthReader:
         self._sock = self._thread = None
 
     def _run(self, sock) -> None:
-        reader = wire.MessageReader(sock, "health message", self._closing.is_set)
+        reader = wire.MessageReader(sock, "health message", self._closing.is_set, lambda kind: _MAX_MESSAGE)
         try:
             while not self._closing.is_set():
                 reader.rewind()
                 message, _ = decode(reader.read(float("inf")))
                 if isinstance(message, Health):
-                    self._values = self._values | named(message.items)
+                    self._values = newest(self._values, named(message.items))
                     self._heard = time.monotonic()
         except MbcacqError:
             pass  # values() goes empty by itself, and the next capture connects again
         finally:
             wire.shut(sock)
+
+
+def newest(known: dict[str, float], received: dict[str, float]) -> dict[str, float]:
+    """Known values updated by those received. Names beyond the limit replace the ones that were longest without news."""
+    merged = {**{name: value for name, value in known.items() if name not in received}, **received}
+    return dict(list(merged.items())[-_MAX_NAMES:])
 
 
 def named(items: np.ndarray) -> dict[str, float]:

@@ -19,6 +19,8 @@ LAST = 0x8000
 ATTRIBUTES_AT = 8  # behind header and the u16 attribute size
 INVALID = -32768  # a height or coordinate without a measurement; -1 is a valid one
 INVALID_MEASUREMENT = -2147483648
+MAX_VALUES = 10_000  # measurements of one data set; a job sends some dozens
+MAX_SMALL = 2**20  # bytes of a message that carries no array
 
 HEALTH, STAMP, VIDEO = 0, 1, 2
 RANGE, RANGE_INTENSITY = 3, 4
@@ -26,6 +28,9 @@ PROFILE_POINTS, UNIFORM_PROFILE, PROFILE_INTENSITY = 5, 6, 7
 UNIFORM_SURFACE, SURFACE_INTENSITY = 8, 9
 MEASUREMENT, ALIGNMENT_RESULT, EXPOSURE_RESULT = 10, 11, 12
 SECTION, EVENT, SURFACE_POINTS, GENERIC, NULL, MEASUREMENT_2 = 20, 22, 28, 29, 30, 31
+
+MAX_MESSAGE = 256 * 2**20
+_WITHOUT_ARRAY = frozenset({HEALTH, STAMP, MEASUREMENT, ALIGNMENT_RESULT, EXPOSURE_RESULT, EVENT, NULL, MEASUREMENT_2})
 
 TYPE_NAMES = {
     HEALTH: "health",
@@ -131,3 +136,8 @@ def known_fields(layout: ArrayLayout, attribute_size: int) -> tuple[struct.Struc
         code += kind
         names.append(name)
     return struct.Struct(code), tuple(names)
+
+
+def size_limit(kind: int) -> int:
+    """The largest message of a type that may be received, in bytes."""
+    return MAX_SMALL if kind in _WITHOUT_ARRAY else MAX_MESSAGE

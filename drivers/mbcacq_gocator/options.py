@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from mbcacq.devices import ConfigError
 
 MODES = ("snapshot", "trigger")
 BRACKETS = ("merge", "best")
-_MAX_BRACKET = 16
+_MAX_BRACKET, _MAX_PASSWORD = 16, 63
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,8 @@ class GocatorOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
     store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the
     protocol's own time limit of every command. retries: attempts after a dropped connection. exposures_us: all of them at every
-    capture, made into one scan as ``bracket`` says.
+    capture, made into one scan as ``bracket`` says. allow_aligned: accept points that are not in the sensor's own coordinates. password: of
+    the sensor's administrator, where its security is on; "$NAME" takes that environment variable, so that no plan need hold it.
     """
 
     address: str = ""
@@ -35,6 +37,8 @@ class GocatorOptions:
     bracket: str = "merge"
     temperature_warning_C: float | None = None
     temperature_stop_C: float | None = None
+    allow_aligned: bool = False
+    password: str = field(default="", repr=False)
     restore: bool = True
     timeout_s: float = 10.0
     connect_timeout_s: float = 3.0
@@ -67,13 +71,27 @@ class GocatorOptions:
         _number(name, given, "serial", int, 1, 2**32 - 1)
         _one_of(name, given, "mode", MODES)
         _one_of(name, given, "bracket", BRACKETS)
-        for key in ("replace_job", "restore"):
+        for key in ("replace_job", "allow_aligned", "restore"):
             if not isinstance(given.get(key, False), bool):
                 raise ConfigError(f"scanner '{name}': {key} must be true or false, not {given[key]!r}")
         exposures = _exposures(name, given.get("exposures_us", ()))
         if exposures and given.get("exposure_us") is not None:
             raise ConfigError(f"scanner '{name}': give either exposure_us or exposures_us, not both")
-        return cls(**{**given, "exposures_us": exposures})
+        return cls(**{**given, "exposures_us": exposures, "password": _password(name, given.get("password", ""))})
+
+
+def _password(name: str, given: Any) -> str:
+    """Errors do not show it."""
+    found = given
+    if isinstance(given, str) and given.startswith("$"):
+        found = os.environ.get(given[1:])
+        if found is None:
+            raise ConfigError(f"scanner '{name}': the environment variable {given[1:]} that shall hold the password is not set")
+    if not isinstance(found, str) or len(found.encode()) > _MAX_PASSWORD:
+        raise ConfigError(
+            f"scanner '{name}': password must be a text of up to {_MAX_PASSWORD} bytes, or $ and the name of an environment variable"
+        )
+    return found
 
 
 def _text(name: str, given: Mapping[str, Any], key: str) -> None:

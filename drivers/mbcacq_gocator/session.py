@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceFault, IdentityError, MbcacqError
-from mbcacq_gocator import commands, information, jobs, wire
+from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError
+from mbcacq_gocator import commands, information, jobs, layouts, wire
+from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel, SensorRefused
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
 from mbcacq_gocator.health import HealthReader
 from mbcacq_gocator.information import SystemInfo
+from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
 
 _RECEIVE_BUFFER = 4 * 2**20
@@ -38,6 +41,7 @@ class GocatorSession:
         self.reader: wire.MessageReader | None = None
         self.info: SystemInfo | None = None
         self.configuration: Configuration | None = None
+        self.alignment: Alignment | None = None
         self.running = False
         self._settings = threading.Lock()
 
@@ -50,11 +54,14 @@ class GocatorSession:
                 self.control.request(commands.STOP)
             self.health.open()
             self._data = wire.connect(options.address, options.data_port, "data", options.connect_timeout_s, _RECEIVE_BUFFER)
-            self.reader = wire.MessageReader(self._data, "scan", self._cancelled)
+            self.reader = wire.MessageReader(self._data, "scan", self._cancelled, layouts.size_limit)
             self.before = self.before or jobs.Before.of(self.files)
             self._choose_job(self.before)
             self.configuration = self._read_configuration()
             self._check_job(self.configuration)
+            self.alignment = Alignment.read(self.control, self.files)
+            if not options.allow_aligned:
+                self.alignment.refuse()
             for exposure_us in options.exposures_us:
                 self.configuration.check_exposure(exposure_us)
             if options.exposure_us is not None:
@@ -84,13 +91,31 @@ class GocatorSession:
         """The sensor's clock, in the unit of a stamp's timestamp."""
         return unpack("<Q", self.control.request(commands.TIME_STAMP), "time stamp")[0]
 
-    def states(self) -> dict[str, int]:
-        return information.parse_states(self.control.request(commands.STATES))
+    def settings(self) -> dict[str, str]:
+        """How the sensor is set up, for the records. The hash is of the live configuration as it would be written back."""
+        assert self.configuration is not None
+        return {
+            "job": self._job_name(),
+            "alignment": str(self.alignment),
+            **self.configuration.scan_settings(),
+            "configuration_sha256": hashlib.sha256(self.configuration.values_only()).hexdigest(),
+        }
+
+    def check_alignment(self) -> None:
+        """Raises DeviceFault where somebody has aligned the sensor, or cleared its alignment, since it was connected."""
+        now = Alignment.read(self.control, self.files)
+        if now != self.alignment:
+            raise DeviceFault(
+                f"the Gocator's alignment changed during the run, from '{self.alignment}' to '{now}'; scans before and after cannot be "
+                "compared: keep others away from its web page, and start a new run"
+            )
 
     def set_exposure(self, exposure_us: float) -> None:
         """Write the exposure into the live job, if it is another one; a running sensor is stopped for it."""
         with self._settings:
             configuration = self._read_configuration()
+            if self.configuration is not None:
+                check_unchanged(self.configuration.scan_settings(), configuration.scan_settings())
             if not configuration.exposes_for(exposure_us):
                 if self.running:
                     self.stop()
@@ -132,9 +157,7 @@ class GocatorSession:
             )
         if info.state == information.CONFLICT:
             raise DeviceFault(f"the Gocator {info.model} (serial {info.serial}) reports a conflict; see its web page, and restart it")
-        states = self.states()
-        if states.get("security") and not states.get("login"):
-            raise ConnectError(f"the Gocator {info.model} (serial {info.serial}) demands a log-in; switch its security off in its web page")
+        log_in(self.control, self.options.password)
         if self.options.mode == "snapshot" and info.firmware[:3] < _SNAPSHOT_SINCE:
             raise ConfigError(f"firmware {info.firmware_text} of the Gocator has no snapshot; set the scanner option mode: trigger")
         return info
@@ -157,3 +180,14 @@ class GocatorSession:
             return self.files.loaded_job()
         except (SensorRefused, MbcacqError):
             return "live"
+
+
+def check_unchanged(before: Mapping[str, str], now: Mapping[str, str]) -> None:
+    """Raises DeviceFault naming a setting that has changed; the hash changes with every exposure and does not count."""
+    for name in sorted((before.keys() | now.keys()) - {"configuration_sha256"}):
+        old, new = before.get(name, ""), now.get(name, "")
+        if old != new:
+            raise DeviceFault(
+                f"the Gocator's setting '{name}' changed during the run, from '{old}' to '{new}'; scans before and after cannot be "
+                "compared: keep others away from its web page, and start a new run"
+            )

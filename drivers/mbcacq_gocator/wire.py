@@ -9,10 +9,9 @@ from collections.abc import Callable
 import numpy as np
 
 from mbcacq.devices import Aborted, ConnectError, DeviceTimeout, ProtocolError
-from mbcacq_gocator.layouts import HEADER
+from mbcacq_gocator.layouts import HEADER, LAST, MAX_MESSAGE
 
-MAX_MESSAGE = 512 * 2**20
-MAX_SET = 1024 * 2**20
+MAX_SET = 512 * 2**20
 _POLL_S = 0.1
 _FIRST_STEP = 4 * 2**20
 
@@ -71,11 +70,17 @@ def receive_exactly(
 class MessageReader:
     """Messages of the data or health channel, received into one buffer that grows to the largest data set and is then reused.
 
-    A returned message is a view into that buffer: decode it before ``rewind``.
+    A returned message is a view into that buffer: decode it before ``rewind``. limit: the largest size of a message, by its type.
     """
 
-    def __init__(self, sock: socket.socket, what: str, cancelled: Callable[[], bool] = lambda: False) -> None:
-        self._sock, self._what, self._cancelled = sock, what, cancelled
+    def __init__(
+        self,
+        sock: socket.socket,
+        what: str,
+        cancelled: Callable[[], bool] = lambda: False,
+        limit: Callable[[int], int] = lambda kind: MAX_MESSAGE,
+    ) -> None:
+        self._sock, self._what, self._cancelled, self._limit = sock, what, cancelled, limit
         self._buffer = np.empty(65536, np.uint8)
         self._used = 0
 
@@ -88,9 +93,9 @@ class MessageReader:
         header = memoryview(bytearray(HEADER.size))
         receive_exactly(self._sock, header, self._what, deadline, self._cancelled)
         size, control = HEADER.unpack(header)
-        if not HEADER.size <= size <= MAX_MESSAGE or self._used + size > MAX_SET:
+        if not HEADER.size <= size <= self._limit(control & ~LAST) or self._used + size > MAX_SET:
             raise ProtocolError(
-                f"the Gocator's {self._what} announces a message of {size} bytes (type {control & 0x7FFF}); "
+                f"the Gocator's {self._what} announces a message of {size} bytes (type {control & ~LAST}); "
                 "something else answers at this port, or the stream is out of step"
             )
         start, have = self._used, HEADER.size

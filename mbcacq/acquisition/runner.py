@@ -103,6 +103,8 @@ class Runner:
         for name, device in self.devices.all.items():
             about = device.describe()
             self.bus.message("info", " ".join(part for part in (f"{name}:", about.model, about.serial, about.firmware) if part))
+            if about.settings:
+                self.bus.message("info", f"{name}: " + "; ".join(f"{key}: {value}" for key, value in about.settings.items()))
 
     def _measure_all(self) -> str:
         """Home, every pose, home. Returns one sentence on how it went."""

@@ -23,7 +23,10 @@ class Field:
 
 @dataclass(frozen=True)
 class Description:
-    """What a device is and delivers. Known before connecting, except what only the device can tell (serial, firmware)."""
+    """What a device is and delivers. Known before connecting, except what only the device can tell (serial, firmware, settings).
+
+    settings: how the device is set up, by name, as far as results depend on it and the plan does not say it.
+    """
 
     kind: str
     model: str
@@ -31,6 +34,7 @@ class Description:
     serial: str = ""
     firmware: str = ""
     verified_on_hardware: bool = False
+    settings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from mbcacq_fakes.protocols.gocator.discovery import Discovery
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
 from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_fakes.protocols.krc.wire import RobTemplate
-from mbcacq_gocator import control, dataset, decode, health, information, points, wire
+from mbcacq_gocator import control, dataset, decode, health, information, points, selection, wire
 from mbcacq_gocator.configuration import Configuration
 from mbcacq_gocator.discovery import parse_reply
 from mbcacq_kuka.eki import telegrams
@@ -187,8 +187,8 @@ def gocator_message(data: bytes) -> None:
 
 def gocator_set(data: bytes) -> None:
     found = dataset.read_set(wire.MessageReader(Stub(data), "scan"), float("inf"))
-    if found.surface is not None:
-        points.surface_points(found.surface)
+    if (surface := selection.scan_surface(found.arrays)) is not None:
+        points.surface_points(surface)
 
 
 def gocator_health(data: bytes) -> None:

@@ -180,15 +180,6 @@ def test_no_health_port_is_named(fake, driver):
             driver(health_port=unused.getsockname()[1]).connect()
 
 
-def test_security_is_named(fake, driver, monkeypatch):
-    from mbcacq_fakes.protocols.gocator import commands
-
-    states = commands.HANDLERS[STATES]
-    monkeypatch.setitem(commands.HANDLERS, STATES, lambda s, p: states(s, p)[:64] + b"\x01\0\0\0" + states(s, p)[68:])
-    with pytest.raises(ConnectError, match="demands a log-in; switch its security off"):
-        driver().connect()
-
-
 def test_faults_wear_off_and_are_known_by_name():
     faults = Faults()
     faults.set("stall", times=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -93,3 +94,33 @@ def test_intensity_follows_the_pixels_and_must_fit_the_surface():
     assert intensity_of(grey, surface_points(decode(cloud(raw))[0])).tolist() == [1, 6]
     with pytest.raises(ProtocolError, match="intensity"):
         intensity_of(grey, surface_points(decode(cloud(np.zeros((3, 3, 3))))[0]))
+
+
+@pytest.mark.parametrize("make", [cloud, height_map], ids=["cloud", "uniform"])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 100_000), (100_000, 1), (500, 301)])
+def test_a_whole_frame_of_any_shape_is_converted_as_one_with_holes(make, shape):
+    raw = np.random.default_rng(3).integers(-32767, 32768, (*shape, 3)[: 3 if make is cloud else 2])
+    whole = surface_points(decode(make(raw))[0])
+    assert whole.valid.all()
+    assert whole.pixel.tolist() == list(range(shape[0] * shape[1]))
+    raw[-1, -1] = -32768
+    holed = surface_points(decode(make(raw))[0])
+    np.testing.assert_array_equal(holed.pixel, whole.pixel[:-1])
+    np.testing.assert_array_equal(holed.points, whole.points[:-1])
+
+
+@pytest.mark.parametrize(
+    ("make", "missing"), [(cloud, 0.0), (height_map, 0.0), (height_map, 0.3)], ids=["cloud", "uniform", "uniform with holes"]
+)
+def test_decoding_needs_hardly_more_memory_than_its_result(make, missing):
+    rng = np.random.default_rng(4)
+    raw = rng.integers(-32767, 32768, (1000, 1000, 3)[: 3 if make is cloud else 2])
+    raw[rng.random((1000, 1000)) < missing] = -32768
+    message = make(raw)
+    tracemalloc.start()
+    try:
+        surface = surface_points(decode(message)[0])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.3 * sum(array.nbytes for array in (surface.points, surface.pixel, surface.valid))

@@ -42,6 +42,7 @@ def main() -> None:
     parser.add_argument("--uniform", action="store_true", help="switch uniform spacing on in the jobs")
     parser.add_argument("--pixels", type=int, nargs=2, default=(1200, 1600), metavar=("ROWS", "COLUMNS"))
     parser.add_argument("--scan-time", type=float, default=0.1, metavar="S", help="duration of an exposure")
+    parser.add_argument("--frame-rate", type=float, default=0.0, metavar="HZ", help="trigger jobs by time, so often; 0: by software")
     given = parser.parse_args()
     frame = ball_on_plate(*given.pixels)
     done = threading.Event()
@@ -57,6 +58,7 @@ def main() -> None:
         generation=given.generation,
         uniform=given.uniform,
         scan_time_s=given.scan_time,
+        frame_rate_hz=given.frame_rate,
     )
     with FakeGocator(lambda exposure_us: frame, options) as sensor:
         print(json.dumps({"host": given.host, **sensor.ports._asdict(), "model": given.model, "serial": options.serial}), flush=True)

@@ -7,10 +7,11 @@ import threading
 
 from mbcacq_fakes.protocols.gocator import encode
 from mbcacq_fakes.protocols.gocator.files import EXPOSURE
-from mbcacq_fakes.protocols.gocator.replies import BUSY, INVALID_STATE, UNKNOWN_COMMAND, CommandRefused
+from mbcacq_fakes.protocols.gocator.replies import BUSY, INVALID_STATE, NOT_LOGGED_IN, UNKNOWN_COMMAND, CommandRefused
 from mbcacq_fakes.protocols.gocator.state import SensorState
 
 _REBOOT_S = 3.0
+_ALIGNED = {"Z": -12.5, "YAngle": 0.25}
 
 
 def start(state: SensorState) -> None:
@@ -55,10 +56,24 @@ def reboot(state: SensorState) -> None:
 
 
 def align(state: SensorState) -> int:
-    """The number of the operation; its result follows on the data channel."""
+    """The number of the operation; its result follows on the data channel. The state and the transformation change, the points do not."""
     number = _next_operation(state)
+    state.files.set_transform(_ALIGNED)
+    state.settings["alignment_state"] = 1
     state.data.publish([encode.operation_result(encode.ALIGNMENT_RESULT, number)])
     return number
+
+
+def clear_alignment(state: SensorState) -> None:
+    state.files.set_transform({})
+    state.settings["alignment_state"] = 0
+
+
+def log_in(state: SensorState, user: int, password: str) -> None:
+    """User 0 logs out. Raises CommandRefused for a wrong password."""
+    if user and password != state.options.password:
+        raise CommandRefused(NOT_LOGGED_IN)
+    state.settings["login"] = user
 
 
 def expose_automatically(state: SensorState) -> int:

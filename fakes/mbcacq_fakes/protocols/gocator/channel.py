@@ -6,8 +6,8 @@ import logging
 import socket
 import struct
 
-from mbcacq_fakes.protocols.gocator.commands import HANDLERS, STREAMED
-from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, INVALID_STATE, OK, UNKNOWN_COMMAND, CommandRefused
+from mbcacq_fakes.protocols.gocator.commands import HANDLERS, STREAMED, WITHOUT_LOGIN
+from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, INVALID_STATE, NOT_LOGGED_IN, OK, UNKNOWN_COMMAND, CommandRefused
 from mbcacq_fakes.protocols.gocator.state import SensorState
 
 MAX_REQUEST = 64 * 2**20
@@ -17,7 +17,8 @@ _log = logging.getLogger("mbcacq.fakes.gocator")
 
 
 def converse(state: SensorState, sock: socket.socket) -> None:
-    """Answer requests until the client closes, sends nonsense, or the sensor stops. Never raises."""
+    """Answer requests until the client closes, sends nonsense, or the sensor stops. Never raises. A new client is not logged in."""
+    state.settings["login"] = 0
     try:
         while (request := _receive(sock)) is not None:
             identifier, payload = request
@@ -52,6 +53,8 @@ def reply_to(state: SensorState, identifier: int, payload: bytes) -> bytes:
 
 def _executed(state: SensorState, identifier: int, answered: int, payload: bytes) -> bytes:
     """The reply of the command's handler, under the number ``answered``. Raises what the handler raises."""
+    if state.options.password and not state.settings["login"] and identifier not in WITHOUT_LOGIN:
+        raise CommandRefused(NOT_LOGGED_IN)
     if identifier in STREAMED:
         return _streamed(identifier, STREAMED[identifier](state, payload))
     handler = HANDLERS.get(identifier)

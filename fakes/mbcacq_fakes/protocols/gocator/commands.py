@@ -18,12 +18,12 @@ from mbcacq_fakes.protocols.gocator.state import SensorState
 
 Handler = Callable[[SensorState, bytes], bytes]
 
-# No reply payload and no effect that a client could see: change password, buddies, alignment clearing, replay, seek, step,
+# No reply payload and no effect that a client could see: change password, buddies, replay, seek, step,
 # statistics, outputs, log, date and time, address, factory restore, ping...
 # fmt: off
 ACCEPTED = frozenset({
-    0x4004, 0x4005, 0x4011, 0x4012, 0x4013, 0x101E, 0x3013, 0x100E, 0x4301, 0x1014, 0x4102,
-    0x4513, 0x4503, 0x4501, 0x4526, 0x4518, 0x4519, 0x4538, 0x460A, 0x4610, 0x101D, 0x4003,
+    0x4004, 0x4005, 0x4011, 0x4012, 0x4013, 0x101E, 0x3013, 0x100E, 0x4301, 0x1014,
+    0x4513, 0x4503, 0x4501, 0x4526, 0x4518, 0x4519, 0x4538, 0x460A, 0x4610, 0x101D,
 })
 # fmt: on
 # number of the setter, number of the getter, struct code, name among ``SensorState.settings``
@@ -77,9 +77,9 @@ def _states(state: SensorState, payload: bytes) -> bytes:
     setting = state.settings
     items = [
         1 if state.running else 0,
-        0,
+        setting["login"],
         setting["alignment_reference"],
-        1,
+        setting["alignment_state"],
         setting["recording"],
         setting["playback_source"],
         seconds,
@@ -91,7 +91,7 @@ def _states(state: SensorState, payload: bytes) -> bytes:
         0,
         0,
         setting["quick_edit"],
-        0,
+        1 if state.options.password else 0,
         0,
     ]
     items = items[:11] if state.generation < 5 else items
@@ -171,6 +171,12 @@ def _get_flag(state: SensorState, payload: bytes) -> bytes:
         raise CommandRefused(NOT_FOUND) from None
 
 
+def _log_in(state: SensorState, payload: bytes) -> bytes:
+    (user,) = struct.unpack_from("<i", payload)
+    actions.log_in(state, user, name_at(payload, 4))
+    return b""
+
+
 def _action(act: Callable[[SensorState], None]) -> Handler:
     """An action that takes no payload and gives none."""
 
@@ -204,6 +210,8 @@ HANDLERS: dict[int, Handler] = {
     0x4528: _action(actions.snapshot),
     0x4510: _action(actions.trigger),
     0x4300: _action(actions.reboot),
+    0x4102: _action(actions.clear_alignment),
+    0x4003: _log_in,
     0x1005: lambda s, p: struct.pack("<i", int(s.files.number("Setup/ScanMode"))),
     0x100A: lambda s, p: struct.pack("<Q", s.ticks()),
     0x101C: lambda s, p: struct.pack("<q", s.encoder),
@@ -222,6 +230,9 @@ HANDLERS: dict[int, Handler] = {
     **{getter: _getter(code, name) for _, getter, code, name in _SETTINGS},
     **{number: lambda s, p: b"" for number in ACCEPTED},
 }
+
+# Answered before a log-in where security is on: probe, version, identity, states, log-in.
+WITHOUT_LOGIN = frozenset({0, 0x1100, 0x4511, 0x4002, 0x4010, 0x4525, 0x4003})
 
 # Answered by a total and progress, then pushed in pieces as replies numbered 0x5000.
 STREAMED: dict[int, Handler] = {0x4529: lambda s, p: s.files.read(name_at(p)), 0x4507: lambda s, p: b"", 0x4508: lambda s, p: b""}

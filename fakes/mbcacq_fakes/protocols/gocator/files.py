@@ -13,6 +13,7 @@ from defusedxml.common import DefusedXmlException
 from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, EXISTS, FORMAT, NOT_FOUND, CommandRefused
 
 CAPACITY = 256 * 2**20
+_MAX_DEPTH = 64
 EXPOSURE = "Setup/Devices/Device[@role='0']/Exposure"  # us
 LIVE_CFG, LIVE_TFM, LIVE_JOB, LIVE_LOG = "_live.cfg", "_live.tfm", "_live.job", "_live.log"
 
@@ -99,6 +100,14 @@ class Files:
             _assign(self._node(path), f"{value:g}")
             self._stored[LIVE_CFG] = _serialise(self._tree)
 
+    def set_transform(self, terms: Mapping[str, float]) -> None:
+        """Terms of the main sensor's transformation (X, Y, Z mm, XAngle.. deg); those not named become 0."""
+        with self._lock:
+            tree = SafeTree.fromstring(self._stored[LIVE_TFM])
+            for node in tree.iterfind("Devices/Device/*"):
+                node.text = f"{terms.get(node.tag, 0):g}"
+            self._stored[LIVE_TFM] = _serialise(tree)
+
     def _node(self, path: str) -> ElementTree.Element:
         node = self._tree.find(path)
         if node is None:
@@ -116,9 +125,27 @@ class Files:
         self.modified = True
 
 
+class _BoundedConfiguration(ElementTree.TreeBuilder):
+    """Refuses what is nested deeper than any configuration, and would end the process when it is discarded."""
+
+    depth = 0
+
+    def start(self, tag, attrs, /):
+        self.depth += 1
+        if self.depth > _MAX_DEPTH:
+            raise CommandRefused(FORMAT)
+        return super().start(tag, attrs)
+
+    def end(self, tag, /):
+        self.depth -= 1
+        return super().end(tag)
+
+
 def _parse(data: bytes) -> ElementTree.Element:
+    parser = SafeTree.DefusedXMLParser(target=_BoundedConfiguration(), forbid_dtd=True)
     try:
-        root = SafeTree.fromstring(data, forbid_dtd=True)
+        parser.feed(data)
+        root = parser.close()
     except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError):
         raise CommandRefused(FORMAT) from None
     if root.tag != "Configuration":

@@ -26,7 +26,8 @@ class FakeGocatorOptions:
     scan_time_s: duration of an exposure. generation: 4, 5 or 6, the firmware whose message layouts are used. part_number: '' for the
     one that belongs to the model. intensity, uniform: what the jobs switch on. clock: the world's time in s; with it
     ``ScannerFrame.time_s`` becomes the stamp, without it the sensor counts from its start. volume: (low, high) (3,) mm of the measuring
-    volume, None for the extent of each frame.
+    volume, None for the extent of each frame. frame_rate_hz: 0 for jobs triggered by software, else they are triggered by time.
+    password: '' with security off, else what the administrator logs in with.
     """
 
     host: str = "127.0.0.1"
@@ -47,3 +48,5 @@ class FakeGocatorOptions:
     clock: Callable[[], float] | None = None
     volume: tuple[np.ndarray, np.ndarray] | None = None
     health_period_s: float = 1.0
+    frame_rate_hz: float = 0.0
+    password: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 OK = 1
 INVALID_STATE, NOT_FOUND, UNKNOWN_COMMAND, BAD_PARAMETER, NOT_SUPPORTED = -1000, -999, -998, -997, -996
-EXISTS, FORMAT, BUSY = -987, -984, -981
+EXISTS, FORMAT, BUSY, NOT_LOGGED_IN = -987, -984, -981, -2001
 
 
 class CommandRefused(Exception):

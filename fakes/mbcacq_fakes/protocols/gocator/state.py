@@ -26,9 +26,19 @@ class SensorState:
     def __init__(self, options: FakeGocatorOptions) -> None:
         self.options = options
         self.firmware, self.protocol = _FIRMWARE[options.generation], _PROTOCOL[options.generation]
-        switches = {"Setup/IntensityEnabled": options.intensity, "Setup/UniformSpacingEnabled": options.uniform}
+        switches: dict[str, float] = {"Setup/IntensityEnabled": options.intensity, "Setup/UniformSpacingEnabled": options.uniform}
+        if options.frame_rate_hz:
+            switches |= {"Setup/Trigger/Source": 0, "Setup/Trigger/FrameRate": options.frame_rate_hz}
         self.files, self.faults = Files(tuple(options.jobs), switches), Faults()
-        self.settings: dict[str, int] = {"alignment_reference": 0, "recording": 0, "playback_source": 0, "autostart": 0, "quick_edit": 0}
+        self.settings: dict[str, int] = {
+            "alignment_reference": 0,
+            "alignment_state": 0,
+            "login": 0,
+            "recording": 0,
+            "playback_source": 0,
+            "autostart": 0,
+            "quick_edit": 0,
+        }
         self.variables: list[int] = [0, 0, 0, 0]
         self.flags: dict[str, bytes] = {}
         self.encoder, self.temperature_C = 0, 41.0
