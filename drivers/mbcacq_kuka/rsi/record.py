@@ -7,10 +7,17 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import Cycles
-from mbcacq_kuka.rsi.shared import FIXED, Shared
+from mbcacq_kuka.rsi.shared import COUNTED, FIXED, Shared
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-_RENAMED = {"MACur": "current_percent", "Delay.D": "delay", "IPOC": "ipoc"}
+_RENAMED = {
+    "MACur": "current_percent",
+    "Delay.D": "delay",
+    "IPOC": "ipoc",
+    "EIPos": "external_axes",
+    "ESPos": "external_axes_set",
+    "MECur": "external_current_percent",
+}
 
 
 class CycleReader:
@@ -69,7 +76,9 @@ class CycleReader:
 def _columns(names: list[str]) -> dict[str, Any]:
     """Column name -> where it is in a row. Elements with attributes become one (k, n) column under the element's name."""
     offset = len(FIXED)
-    where: dict[str, Any] = {"host_time_s": 0, "time_s": 1, "flags": 2, "q_command": slice(4, 10)}
+    where: dict[str, Any] = {name: FIXED.index(name) for name in ("host_time_s", "time_s", "flags")}
+    where |= {f"{name}_telegrams": FIXED.index(name) for name in COUNTED}
+    where["q_command"] = slice(FIXED.index("cA1"), FIXED.index("cA6") + 1)
     grouped: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         if name in _RENAMED or "." not in name:
