@@ -154,9 +154,9 @@ def test_the_first_nearly_empty_telegram_of_old_controllers_is_answered_with_its
         shared.close()
 
 
-@pytest.mark.parametrize(("cycles", "fine"), [(30, True), (80, False)])
+@pytest.mark.parametrize(("cycles", "fine"), [(20, True), (80, False)])
 def test_the_arm_may_lag_but_must_follow(bench, cycles, fine):
-    """A third of a second behind is too much, an eighth is a lag."""
+    """A third of a second behind is too much, a twelfth is a lag."""
     one = bench()
     one.move((100.0, *START[1:]))
     past = [START] * cycles

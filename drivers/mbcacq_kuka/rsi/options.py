@@ -78,7 +78,7 @@ class RsiOptions:
     recover_s: float = 0.0
     follow_tolerance_deg: float = 0.5
     follow_cycles: int = 25
-    follow_lag_s: float = 0.16
+    follow_lag_s: float = 0.1
     check_set_point: bool = True
     cpu: int | None = None
 

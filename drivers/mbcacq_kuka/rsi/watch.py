@@ -13,7 +13,7 @@ from collections.abc import Sequence
 _BLOCK = 8  # cycles; bounds are kept by block, so that the oldest can be forgotten without going through every cycle
 _SPAN_S = 0.048  # speeds are compared as angles travelled in this time: long enough to stand out from rounded angles
 _OVERSHOOT = 0.25  # share of the commanded speed by which a servo may be off for longer than a moment
-_FROZEN_CYCLES = 10  # outside the band of speeds
+_FROZEN_CYCLES = 6  # outside the band of speeds
 _FASTEST_DEG_S = 800.0  # of an axis whose largest speed the plan does not say
 _JUMP_DEG = 0.25  # rounding of the telegrams
 _JUMP_SHARE = 2.0  # of the axis' largest speed: an arm cannot, a telegram that arrives a cycle late can look like it

@@ -21,7 +21,6 @@ from mbcacq_fakes.protocols.krc.session import OPERATOR, RsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
-_PATIENCE_S = (0.5, 0.01)  # lock-step: how long to wait for an answer, and when the last cycle had none at all
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = ((2.0, 0.004), (1.0, 0.001))  # lock-step: after standing still so long (robot s), sleep so long a cycle
 
@@ -75,8 +74,9 @@ class RsiController:
     def _exchange(self, moved: bool) -> None:
         faults, session = self._faults, self._session
         if self._settings.realtime:
+            period = self._cycle_s * self._settings.stretch
             time.sleep(max(0.0, self._next - time.monotonic()))
-            self._next = max(self._next, time.monotonic() - self._cycle_s) + self._cycle_s
+            self._next = max(self._next, time.monotonic() - period) + period
         if faults["delay_ms"]:
             time.sleep(min(faults["delay_ms"] * 1e-3, self._cycle_s))
         ipoc = self._ipoc + (1 if self._counted("wrong_ipoc") else 0)
@@ -105,7 +105,7 @@ class RsiController:
         if self._settings.realtime:
             deadline = self._next
         elif self._session.active and on_its_way:
-            deadline = sent + _PATIENCE_S[self._unheard]
+            deadline = sent + self._settings.patience_s[self._unheard]
         else:
             deadline = sent + self._cycle_s
         wanted, answer, self._unheard = str(ipoc), None, True
