@@ -104,8 +104,8 @@ class RsiController:
         """The first answer of this cycle that belongs to it, else the last one that came; and how long it took."""
         if self._settings.realtime:
             deadline = self._next
-        elif self._session.active and on_its_way:
-            deadline = sent + self._settings.patience_s[self._unheard]
+        elif on_its_way:
+            deadline = sent + self._settings.patience_s[self._unheard or not self._session.active]
         else:
             deadline = sent + self._cycle_s
         wanted, answer, self._unheard = str(ipoc), None, True
