@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,11 @@ def array(name: str, key: str, value: Any, shape: tuple[int, ...]) -> np.ndarray
 
 
 def check_numbers(name: str, options: Any, ranges: Mapping[str, tuple[float, float, bool]]) -> None:
-    """ranges: option -> lowest, highest, whether it must be whole. None is let through."""
+    """ranges: option -> lowest, highest, whether it must be whole. None is let through where the option's type has it."""
+    optional = {field.name for field in fields(options) if "None" in str(field.type)}
     for key, (low, high, whole) in ranges.items():
         value = getattr(options, key)
-        if value is None:
+        if value is None and key in optional:
             continue
         if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
             raise ConfigError(

@@ -76,6 +76,11 @@ class EkiController:
         return self.system.rob_timer - beat
 
     @property
+    def heard(self) -> bool:
+        """A telegram has come that the link program has not read yet."""
+        return any(self.system.flag[number] for number in self.channel.config.flags.values())
+
+    @property
     def idle(self) -> bool:
         return self._still_s > _IDLE_S or not self.program.globals.mb_linked
 
@@ -146,7 +151,7 @@ def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.
         while controller.ahead_ms() > _AHEAD_MS and time.monotonic() < patience and commands.empty():
             time.sleep(0.0002)
             controller.channel.poll()
-            if controller.system.flag[111] or controller.channel.client is None:
+            if controller.heard or controller.channel.client is None:
                 break
 
 
