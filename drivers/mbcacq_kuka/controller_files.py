@@ -63,7 +63,9 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
 
 
 def rsi_files(options: RsiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
-    """For RSI 4.1 and later (one context file), earlier RSI (three), and iiQKA.OS2 (RSI 6, a context of its own). facts: as for eki_files. Raises ConfigError."""
+    """For RSI 4.1 and later (one context file), earlier RSI (three), and iiQKA.OS2 (RSI 6, a context of its own).
+
+    facts: as for eki_files. Raises ConfigError."""
     if not options.stop_element:
         raise ConfigError("the files for the controller need the option stop_element (Stop); leave it out of the plan")
     address, ethernet = _address("bind", options.bind), _ethernet(options)

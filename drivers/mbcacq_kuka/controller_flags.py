@@ -9,11 +9,7 @@ from mbcacq.devices import ConfigError
 
 FIRST, COUNT = 120, 5  # in the files as they are shipped
 LARGEST = 1025
-OTHERS = {
-    1: "the RSI context (connection interrupted)",
-    105: "KUKA's EKI server (connected)",
-    110: "KUKA's EKI server (telegram arrived)",
-}
+OTHERS = {1: "the RSI context (connection interrupted)", 105: "KUKA's EKI server (connected)", 110: "KUKA's EKI server (telegram arrived)"}
 _USES = re.compile(r'(?<=\$FLAG\[)\d+(?=\])|(?<=Set_Flag=")\d+(?=")')
 
 

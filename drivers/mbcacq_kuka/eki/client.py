@@ -6,7 +6,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from types import TracebackType
 from typing import Any, Self
@@ -55,25 +55,6 @@ class EkiStatus:
     robot_stopped: bool
 
 
-_STATUS = dict(
-    zip(
-        (f.name for f in fields(EkiStatus)),
-        (
-            "ControlMode",
-            "CycleTime",
-            "DrivesPowered",
-            "EmergencyStop",
-            "GuardStop",
-            "InMotion",
-            "MotionPossible",
-            "OperationMode",
-            "RobotStopped",
-        ),
-        strict=True,
-    )
-)
-
-
 _JOINT_POSITION = 1  # ControlMode
 
 
@@ -117,8 +98,8 @@ class EkiClient:
         self._request(Request.DRIVES_OFF, (EkiEvent.DRIVES_OFF,))
 
     def choose_cycle(self, cycle_ms: int) -> None:
-        """Which RSI program ``start`` takes: the one of 4 or of 12 ms. A server that knows one cycle only (iiQKA.OS2) refuses the request and
-        has the cycle of 4 ms; the first telegrams show which one it is."""
+        """Choose between the RSI programs of 4 and of 12 ms. A server that knows one cycle only (iiQKA.OS2) refuses the request and
+        has that of 4 ms; the first telegrams show which one it is."""
         self._request(Request.CYCLE, (EkiEvent.CYCLE_SET, EkiEvent.INVALID), cycle_time={4: 1, 12: 2}[cycle_ms])
 
     def choose_joint_position(self) -> None:
@@ -221,7 +202,25 @@ class EkiClient:
                 init.get("RobVer", ""),
             )
         if (status := robot.find("Status")) is not None:
-            values = {field.name: int(status.get(_STATUS[field.name], "0")) for field in fields(EkiStatus)}
-            self.status = EkiStatus(**{f.name: bool(values[f.name]) if f.type == "bool" else values[f.name] for f in fields(EkiStatus)})
+            self.status = _status(status)
         if (response := robot.find("Response")) is not None:
             self._waiting.append(response)
+
+
+def _status(element: Element) -> EkiStatus:
+    """Raises ValueError for what is no whole number."""
+
+    def number(attribute: str) -> int:
+        return int(element.get(attribute, "0"))
+
+    return EkiStatus(
+        number("ControlMode"),
+        number("CycleTime"),
+        bool(number("DrivesPowered")),
+        bool(number("EmergencyStop")),
+        bool(number("GuardStop")),
+        bool(number("InMotion")),
+        bool(number("MotionPossible")),
+        number("OperationMode"),
+        bool(number("RobotStopped")),
+    )

@@ -47,16 +47,23 @@ class EkiSession:
             f"{where} accepts the connection but tells no state; is our link program in its submit interpreter?",
         )
         self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
-        self._check(self.hello, self.state)
+        assert self.hello is not None  # what was waited for
+        self._check(self.hello, self.latest)
         braking = time.monotonic() + _FIRST_S  # perhaps from a connection that was lost just now
-        while self.state.moving:
+        while self.latest.moving:
             if self.error is not None:
                 raise self.error.with_traceback(None)
             if time.monotonic() > braking:
                 raise DeviceFault(f"{where} is moving the arm already; wait until it stands")
             time.sleep(_POLL_S)
         with self._news:
-            self._watch = Watch(self._name, self.state)
+            self._watch = Watch(self._name, self.latest)
+
+    @property
+    def latest(self) -> State:
+        """The last state of the controller; there is one from ``open`` on."""
+        assert self.state is not None  # open waits for the first one
+        return self.state
 
     @property
     def busy(self) -> bool:
@@ -82,6 +89,7 @@ class EkiSession:
 
     def begin(self, move: Move, target: tuple[float, ...] | None, telegram: bytes) -> None:
         with self._news:
+            assert self._watch is not None  # made by open
             self._watch.begin(move)
             self._target = target
         self._send(telegram)
@@ -107,7 +115,7 @@ class EkiSession:
         deadline = time.monotonic() + standstill_s
         seen = None if self.state is None else self.state.time
         while self._thread.is_alive() and self._link is not None and seen is not None and time.monotonic() < deadline:
-            if self.state.time > seen + 2 * self._options.state_ms and not self.state.moving or self._heard + 0.5 < time.monotonic():
+            if self.latest.time > seen + 2 * self._options.state_ms and not self.latest.moving or self._heard + 0.5 < time.monotonic():
                 break
             time.sleep(0.002)
         self._quit.set()
@@ -133,7 +141,9 @@ class EkiSession:
                     return
 
     def _listen(self) -> None:
-        for arrival, hello, state in self._link.receive(_POLL_S):
+        if (link := self._link) is None:
+            raise LinkLost("the connection was closed")
+        for arrival, hello, state in link.receive(_POLL_S):
             self._heard = arrival
             if hello is not None:
                 self.hello = hello
@@ -162,13 +172,20 @@ class EkiSession:
     def _again(self, how: str) -> bool:
         """The connection is lost. Take it up again if the arm stood still; else say what happened. False: that was all."""
         link, self._link = self._link, None
-        link.close()
+        if link is not None:
+            link.close()
         if self._watch is None and self._redial():
             return True
         robot = f"robot '{self._name}'"
         before, watching = self.state, self._watch is not None
-        under_way = before is None or not watching or bool(before.moving) or (self.busy and not self.arrived)
-        if under_way or self.error is not None or not self._options.reconnect_s:
+        if (
+            before is None
+            or not watching
+            or before.moving
+            or (self.busy and not self.arrived)
+            or self.error is not None
+            or not self._options.reconnect_s
+        ):
             lost = DeviceTimeout if watching else ConnectError
             self.fail(lost(f"{robot}: {how}" + ("; the controller brakes the arm by itself" if watching else "")))
             return False
@@ -228,7 +245,7 @@ class EkiSession:
             link.close()  # the thread will notice
 
     def _complete(self) -> bool:
-        return self.hello is not None and self.state.ready and self.hello.session == self.state.session
+        return self.hello is not None and bool(self.latest.ready) and self.hello.session == self.latest.session
 
     def _await(self, condition: Callable[[], bool], deadline: float, otherwise: str) -> None:
         with self._news:

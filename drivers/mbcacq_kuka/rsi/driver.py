@@ -72,6 +72,7 @@ class KukaRsi:
         self._pending: PendingMove | None = None
         self._mover: int | None = None  # the thread that moves the arm
         self._recovering = threading.Lock()
+        self._standing: CycleProcess | None = None  # the session before the one that is being waited for
         self._error: MbcacqError | None = None
         self.port = self._options.port
         self.real_time = False
@@ -203,6 +204,10 @@ class KukaRsi:
     def _check(self) -> CycleProcess:
         """The running session. Raises what has stopped the arm; waits, where the controller's program may be started again."""
         process = self._process
+        if self._recovering.locked() and self._mover != threading.get_ident():
+            process = self._standing  # whoever only watches the arm sees it standing
+            if process is not None:
+                return process
         if process is None or not process.open:
             raise self._error or ConnectError(f"robot '{self._name}' is not connected; call connect first")
         if self._error is None:
@@ -210,7 +215,7 @@ class KukaRsi:
             if error is not None and self._may_recover(process):
                 if self._mover in (None, threading.get_ident()):
                     return self._recover(process, error)
-                return process  # whoever only watches the arm sees it standing
+                return process
             self._error = error
         if self._error is not None:
             raise self._error.with_traceback(None)
@@ -235,7 +240,10 @@ class KukaRsi:
 
     def _recover(self, process: CycleProcess, error: MbcacqError) -> CycleProcess:
         """Wait for the controller's next session, and end the motion that was interrupted. Raises what ended the run after all."""
+        self._standing = process
         with self._recovering:
+            if self._process is not process and self._process is not None:
+                return self._process  # another thread was first
             where, pending = process.last()["q"], self._pending
             _log.warning(
                 "%s. Release the emergency stop, acknowledge, start the RSI program again within %g s: the arm then goes on",

@@ -140,6 +140,6 @@ def _check_addresses(name: str, options: RsiOptions) -> None:
         raise ConfigError(f"robot '{name}': options bind and controller_ip are addresses, in quotes")
     if not options.controller_ip and not on_loopback(options.bind):
         raise ConfigError(
-            f"robot '{name}': option controller_ip is missing; on {options.bind} any computer of the network could send telegrams, so give the "
-            "address of the controller's RSI interface"
+            f"robot '{name}': option controller_ip is missing; on {options.bind} any computer of the network could send telegrams, so "
+            "give the address of the controller's RSI interface"
         )

@@ -48,8 +48,8 @@ def open_socket(address: str, port: int, wait_s: float) -> socket.socket:
     and then raises TimeoutError or BlockingIOError. Raises OSError, OverflowError."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        if (exclusive := getattr(socket, "SO_EXCLUSIVEADDRUSE", None)) is not None:  # Windows
+            sock.setsockopt(socket.SOL_SOCKET, exclusive, 1)
         sock.bind((address, port))
         wait(sock, wait_s)
     except (OSError, OverflowError):

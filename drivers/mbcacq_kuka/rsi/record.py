@@ -29,17 +29,19 @@ class CycleReader:
         self._tail = self.lost = 0
         self._columns: dict[str, Any] = {}
         self._rest = np.empty((0, len(FIXED)))
+        self._last = np.zeros(len(FIXED))
 
     def begin(self) -> None:
         """The session's layout is known: at least one row is there."""
         shared = self._shared
+        assert shared is not None  # begin comes before detach
         self._rows = np.frombuffer(shared.ring).reshape(shared.capacity, shared.width)
         self._columns = _columns(shared.names())
         self.start = self._rows[0][self._columns["q"]].copy()
 
     def last(self) -> dict[str, Any]:
-        """The newest row: time_s, flags, command as numbers and q (6,) deg."""
-        row = self._rows[(self._shared.head - 1) % len(self._rows)].copy()
+        """The newest row, also after ``detach``: time_s, flags, command as numbers and q (6,) deg."""
+        row = self._last if self._shared is None else self._rows[(self._shared.head - 1) % len(self._rows)].copy()
         return {"time_s": float(row[1]), "flags": row[2], "command": row[3], "q": row[self._columns["q"]]}
 
     def drain(self) -> Cycles:
@@ -48,7 +50,8 @@ class CycleReader:
 
     def detach(self) -> None:
         """The block goes away: keep what was not read yet."""
-        if self._columns:
+        if self._columns and self._shared is not None:
+            self._last = self._rows[(self._shared.head - 1) % len(self._rows)].copy()
             self._rest = self._take()
         self._shared, self._rows = None, np.empty((0, 0))
 

@@ -123,14 +123,7 @@ class Shared:
         self._header[_CAPACITY] = self._capacity = RING_BYTES // self._row.size
 
     def append(
-        self,
-        host_time_s: float,
-        time_s: float,
-        flags: int,
-        command: int,
-        counts: Counts,
-        degrees: Sequence[float],
-        values: Sequence[float],
+        self, host_time_s: float, time_s: float, flags: int, command: int, counts: Counts, degrees: Sequence[float], values: Sequence[float]
     ) -> None:
         """One cycle; ``command``: number of the command that ``degrees``, the set point answered, belongs to."""
         head = self._header[_HEAD]

@@ -148,7 +148,9 @@ class RsiController:
         if moved or self._body[0] != key:
             self._body = (key, self._template.body([v for e in self._template.elements for v in self._values(e)]))
         if self._counted("jump"):
-            shown = [v + (JUMP_DEG if e == "AIPos" and not k else 0.0) for e in self._template.elements for k, v in enumerate(self._values(e))]
+            shown = [
+                v + (JUMP_DEG if e == "AIPos" and not k else 0.0) for e in self._template.elements for k, v in enumerate(self._values(e))
+            ]
             return self._template.finish(self._template.body(shown), ipoc)
         return self._template.finish(self._body[1], ipoc)
 
