@@ -129,10 +129,11 @@ class EkiController:
             self._start_program()
 
     def _publish(self) -> None:
+        assert self._state is not None  # tick looked
         arm = self.system.machine.arm
         q, qd = self.system.machine.radians()
         fault = 0 if self.system.pro_act or self._robot is None else _SOFT_LIMIT if self.system.machine.message else _OPERATOR
-        self._state.write(self.seconds, q, qd, arm.direction, arm.standstill, arm.arrivals, fault)
+        self._state.write(self.seconds, tuple(q), tuple(qd), tuple(arm.direction), arm.standstill, arm.arrivals, fault)
 
 
 def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.Event) -> None:

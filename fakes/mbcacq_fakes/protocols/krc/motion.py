@@ -92,7 +92,7 @@ def lin(
     last = [tuple(start)]
 
     def at(s: float) -> tuple[float, ...]:
-        pose = rigid(T0[:3, :3] @ turn(axis, s * angle), T0[:3, 3] + s * shift)
+        pose = rigid(T0[:3, :3] @ turn(axis, np.asarray(s * angle)), T0[:3, 3] + s * shift)
         last[0] = joints_at(pose, last[0], kinematics, limits)
         return last[0]
 
@@ -103,14 +103,14 @@ def joints_at(pose: np.ndarray, near: Sequence[float], kinematics: Kinematics, l
     """Joints (6,) deg that put the flange at ``pose``, next to ``near``, by Newton's method. Raises Unreachable."""
     q = np.array(near, dtype=float)
     for _ in range(20):
-        away = _difference(frame(kinematics.pose(q)), pose)
+        away = _difference(frame(kinematics.pose(q.tolist())), pose)
         if np.abs(away[:3]).max() < 1e-6 and np.abs(away[3:]).max() < 1e-9:
             break
         slope = np.empty((6, 6))
         for k in range(6):
             moved = q.copy()
             moved[k] += 1e-4
-            slope[:, k] = (away - _difference(frame(kinematics.pose(moved)), pose)) / 1e-4
+            slope[:, k] = (away - _difference(frame(kinematics.pose(moved.tolist())), pose)) / 1e-4
         q += np.clip(np.linalg.lstsq(slope, away, rcond=1e-9)[0], -5.0, 5.0)
     else:
         raise Unreachable("the arm does not reach this pose")

@@ -37,14 +37,14 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class KrcSettings:
-    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. stretch: by the clock, a second
-    of the robot takes so many seconds, for peers on a busy machine. patience_s: in lock-step, how long an answer is waited for, and how
-    long where the cycle before had none at all.
+    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. stretch: by the clock, a
+    second of the robot takes so many seconds, for peers on a busy machine. patience_s: in lock-step, how long an answer is waited for, and
+    how long where the cycle before had none at all.
 
     Angles deg, speeds deg/s, accelerations deg/s^2. limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None
-    for the full range. external_deg: what EIPos shows. empty_first: so many nearly empty telegrams begin a session, as with RSI 2. timeout: late packets that end the
-    session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg) from which RIst is computed,
-    or none. layout: a name of PROFILES or the elements themselves.
+    for the full range. external_deg: what EIPos shows. empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
+    timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
+    beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
     lag_s: first-order lag of the arm behind a dead time of two cycles. rearm_s: pause before telegrams are offered again after a fault.
     """
