@@ -198,7 +198,7 @@ def report(found: dict[tuple[bool, str], list[np.ndarray]]) -> str:
         "# Reply latency of the RSI cycle",
         "",
         f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from sending a "
-        "telegram to having the answer, at the controller's side, us. The programs took turns. 'Missed' are cycles without an answer within "
+        "telegram to having the answer, at the controller's side, us. The programs took turns. 'Missed': cycles without an answer within "
         "4 ms. Made by `python benchmarks/rsi_latency.py --write`.",
         "",
         "| other load | program | cycles | median | 99 % | 99.9 % | missed | median / floor |",
