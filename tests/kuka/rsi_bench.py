@@ -13,7 +13,8 @@ SOURCE = ("127.0.0.1", 50007)
 
 
 class Bench:
-    """``cycle`` is one exchange; ``q``: where the arm is, deg; ``sent``: corrections that the controller used."""
+    """``cycle`` is one exchange; ``q``: where the arm is, deg; ``sent``: corrections that the controller used; ``heard``: IPOC of
+    the last telegram that was answered."""
 
     def __init__(self, **options):
         self.shared = Shared.create()
@@ -44,6 +45,8 @@ class Bench:
     def reply(self, data, source=SOURCE, in_time=True):
         answer = self.session.reply(data, source, self.ipoc * 1e-3, in_time)
         self.session.digest(self.ipoc * 1e-3)
+        if answer is not None:
+            self.heard = int(re.search(rb"<IPOC>(\d+)<", data)[1])
         return answer
 
     def move(self, target):

@@ -22,7 +22,7 @@ def drive(network, counting, **krc_settings):
                 "client": controller,
                 "bind": "0.0.0.0" if prefix else "127.0.0.1",
                 "realtime": False,
-                "patience_s": (0.5, 0.5),  # lock-step: what the machine has to do besides never makes an answer late
+                "answer_wait_s": (0.5, 0.5),  # lock-step: what the machine has to do besides never makes an answer late
                 "start_deg": tuple(HOME_DEG),
                 "limits_deg": LIMITS_DEG,
                 "timeout": 100_000,
@@ -34,8 +34,8 @@ def drive(network, counting, **krc_settings):
             program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), "99999"]
             done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=200)
             assert done.returncode == 0, done.stderr
-            told = json.loads(done.stdout)
-            return krc.log(), {k: v if k == "error" else np.array(v) for k, v in told.items()}
+            found = json.loads(done.stdout)
+            return krc.log(), {k: v if k == "error" else np.array(v) for k, v in found.items()}
 
 
 def commanded(log):

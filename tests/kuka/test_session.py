@@ -68,8 +68,8 @@ HARMLESS = {
     "lost": lost,
     "rejected": lambda one: one.cycle(accepted=False),
     "late": answered_late,
-    "repeated": unanswered(step=0),
-    "old": unanswered(lambda one: one.telegram(one.ipoc - 8), step=0),
+    "repeated": lambda one: one.cycle(one.telegram(one.heard), step=0),
+    "old": unanswered(lambda one: one.telegram(one.heard - 8), step=0),
     "foreign": unanswered(step=0, source=("127.0.0.1", 1)),
     "stray byte": unanswered(lambda one: b"x", step=0, source=("192.0.2.1", 1)),
 }

@@ -29,7 +29,7 @@ class EkiSession:
         self._thread = threading.Thread(target=self._work, name="kuka-eki", daemon=True)
         self._watch: Watch | None = None
         self._target: tuple[float, ...] | None = None
-        self._beaten, self._heard, self._connections, self._patience = -1, 0.0, 0, 0.0
+        self._beaten, self._heard, self._connections, self._first_deadline = -1, 0.0, 0, 0.0
         self.error: MbcacqError | None = None
         self.hello: Hello | None = None
         self.state: State | None = None
@@ -37,8 +37,8 @@ class EkiSession:
     def open(self) -> None:
         """Raises ConnectError, IdentityError, DeviceFault, ProtocolError."""
         deadline = time.monotonic() + self._options.connect_timeout_s
-        self._patience = time.monotonic() + min(_FIRST_S, self._options.connect_timeout_s)
-        self._link = self._dial(self._patience - time.monotonic())
+        self._first_deadline = time.monotonic() + min(_FIRST_S, self._options.connect_timeout_s)
+        self._link = self._dial(self._first_deadline - time.monotonic())
         self._thread.start()
         where = f"robot '{self._name}': the controller at {self._options.address}"
         self._await(
@@ -98,7 +98,7 @@ class EkiSession:
         """Stop all moves up to ``number``. Never raises: without a connection the controller has braked already."""
         with self._news:
             if self._watch is not None and not self._watch.arrived:
-                self._watch.leave()
+                self._watch.abandon()
         self._send(telegrams.command(STOP, number, self.beat))
 
     def fail(self, error: MbcacqError) -> None:
@@ -111,11 +111,11 @@ class EkiSession:
             self.halt(max(self.state.last, 0 if self._watch is None or self._watch.move is None else self._watch.move.number))
 
     def close(self, standstill_s: float) -> None:
-        """Wait until the arm stands, as long as its state is told; then hang up."""
+        """Wait until the arm stands, as long as its state is reported; then hang up."""
         deadline = time.monotonic() + standstill_s
-        seen = None if self.state is None else self.state.time
-        while self._thread.is_alive() and self._link is not None and seen is not None and time.monotonic() < deadline:
-            if self.latest.time > seen + 2 * self._options.state_ms and not self.latest.moving or self._heard + 0.5 < time.monotonic():
+        last = None if self.state is None else self.state.time
+        while self._thread.is_alive() and self._link is not None and last is not None and time.monotonic() < deadline:
+            if self.latest.time > last + 2 * self._options.state_ms and not self.latest.moving or self._heard + 0.5 < time.monotonic():
                 break
             time.sleep(0.002)
         self._quit.set()
@@ -205,7 +205,7 @@ class EkiSession:
 
     def _redial(self) -> bool:
         """While connecting: a controller that still ends a former connection closes the new one, too."""
-        left = self._patience - time.monotonic()
+        left = self._first_deadline - time.monotonic()
         if left <= 0 or self._quit.wait(min(left, RETRY_S)):
             return False
         try:
@@ -229,9 +229,9 @@ class EkiSession:
             self._link = link
             self._news.notify_all()
 
-    def _dial(self, patience_s: float) -> Link:
+    def _dial(self, wait_s: float) -> Link:
         """Raises ConnectError."""
-        link = dial(self._options.address, self._options.port, patience_s, self._quit)
+        link = dial(self._options.address, self._options.port, wait_s, self._quit)
         self._connections += 1
         self._heard = time.monotonic()
         return link

@@ -1,4 +1,4 @@
-"""Judges the states of the controller: has the arm arrived, does it do what it was told? No sockets, no clock of its own."""
+"""Judges the states of the controller: has the arm arrived, does it do what it was asked to? No sockets, no clock of its own."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Watch:
         self.move, self.arrived = move, False
         self._since = self._inside_since = None
 
-    def leave(self) -> None:
+    def abandon(self) -> None:
         """The move was stopped: it will not arrive, and that is no fault."""
         self.move = None
 

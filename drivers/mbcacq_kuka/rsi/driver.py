@@ -163,7 +163,7 @@ class KukaRsi:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _open(self, patience_s: float) -> None:
+    def _open(self, wait_s: float) -> None:
         """A new session with the controller. Raises ConnectError, ProtocolError."""
         try:
             process = self._process = CycleProcess()
@@ -179,14 +179,14 @@ class KukaRsi:
         self.port, self.real_time = process.port, process.real_time
         if self._options.eki:
             self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms)
-        deadline = time.monotonic() + patience_s
+        deadline = time.monotonic() + wait_s
         while not process.connected:
             if (error := self._find_error(process, connecting=True)) is not None:
                 raise error
             if time.monotonic() > deadline:
                 raise ConnectError(
                     f"robot '{self._name}': no RSI telegram arrived on {self._options.bind}:{self.port} within "
-                    f"{patience_s:g} s; start the RSI program on the controller, and check that its Ethernet "
+                    f"{wait_s:g} s; start the RSI program on the controller, and check that its Ethernet "
                     "configuration names this computer's address and port and that no firewall blocks UDP"
                 )
             time.sleep(_POLL_S)

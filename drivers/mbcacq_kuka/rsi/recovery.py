@@ -21,15 +21,15 @@ class PendingMove:
 
 
 def off_path(now: np.ndarray, before: np.ndarray, pending: PendingMove | None) -> str:
-    """Why the arm must not go on, or ''. now: where it stands (6,) deg; before: where it was seen last."""
+    """Why the arm must not go on, or ''. now: where it stands (6,) deg; before: where it stood last."""
     nearest = before
     if pending is not None:
-        way = pending.target - pending.start
-        length = float(way @ way)
-        share = 0.0 if length == 0.0 else float(np.clip((now - pending.start) @ way / length, 0.0, 1.0))
-        nearest = pending.start + share * way
+        travel = pending.target - pending.start
+        length = float(travel @ travel)
+        share = 0.0 if length == 0.0 else float(np.clip((now - pending.start) @ travel / length, 0.0, 1.0))
+        nearest = pending.start + share * travel
     away = np.abs(now - nearest)
     axis = int(np.argmax(away))
     if away[axis] <= OFF_PATH_DEG:
         return ""
-    return f"A{axis + 1} stands {away[axis]:.2f} deg beside the path that was interrupted, so the arm was moved meanwhile"
+    return f"A{axis + 1} stands {away[axis]:.2f} deg off the path that was interrupted, so the arm was moved meanwhile"

@@ -30,6 +30,7 @@ _END_CYCLES = 12  # and so long, before the session is ended
 _STOP_CYCLES = 125
 _CLOSE_S = 5.0
 _HELD_S = 0.02  # without a new set point for so long the arm has all but stopped: the motion begins again from rest
+_WAITING_CYCLES = 2.5  # a network repeats a datagram within less
 _DELAY = re.compile(rb"<Delay[\s/>][^<]*")
 
 
@@ -152,7 +153,7 @@ class RsiSession:
                 f"IPOC went from {before} to {digits.decode()}, expected steps of {self._sequence.step}; was the RSI program restarted?",
                 muted=True,
             )
-        if kind == REPEATED and silent > self.cycle_s:  # a peer that waits for its answer before it goes on
+        if kind == REPEATED and silent > _WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
             return self._compose(digits, self._sent)
         return self._reply_next(layout, digits, row, steps, in_time) if kind == NEXT else None
 
@@ -293,7 +294,7 @@ class RsiSession:
             return
         elif command.kind == STOP:
             self._motion.stop()
-            self._arrival.leave()
+            self._arrival.abandon()
         elif command.kind == MOVE:
             self._arrival.begin(command)
             self._delivered = self._target_used = False
@@ -303,7 +304,7 @@ class RsiSession:
                 self._fail(SessionFault("refused", str(error)))
 
     def _ending(self, now: float) -> bool:
-        """While closing: True once the arm stands and the controller may be told to end the session."""
+        """While closing: True once the arm stands and the controller may end the session."""
         standing = self._still >= _END_CYCLES or now - self._close_began > _CLOSE_S
         if standing:
             self._stops += 1
@@ -313,7 +314,7 @@ class RsiSession:
     def _fail(self, fault: SessionFault) -> None:
         """The first fault is kept; it brakes the arm."""
         self._shared.fail(fault.kind, str(fault))
-        self._arrival.leave()
+        self._arrival.abandon()
         if fault.muted:
             self._muted, self._ready = True, None
         if self.connected and not self._faulted:

@@ -1,4 +1,4 @@
-"""Does the arm do what it is told? Compares measured and commanded joint angles, one robot cycle after the other. deg.
+"""Does the arm do what it is asked to? Compares measured and commanded joint angles, one robot cycle after the other. deg.
 
 An arm follows its commands with a lag. Whatever the shape of that lag, its position is a weighted mean of past commands and its
 speed a weighted mean of past commanded speeds, so both lie between the smallest and the largest of the last cycles. An arm that

@@ -26,7 +26,7 @@ _SIZE = 64 + 2 * 256
 
 @dataclass(frozen=True)
 class ArmReading:
-    """One consistent state. q (6,) rad as the controller reports it, qd (6,) rad/s, direction (6,) -1, 0 or 1: sense of
+    """One consistent state. q (6,) rad as the controller reports it, qd (6,) rad/s, direction (6,) -1, 0 or 1: direction of
     each axis' last motion.
 
     arrivals counts how often the arm came to a standstill; fault is '' or why the controller stopped.

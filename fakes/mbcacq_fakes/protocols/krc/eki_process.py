@@ -24,7 +24,7 @@ from mbcacq_fakes.protocols.krc.krl import Interpreter, KrlError, Program
 
 _SUBMIT_TICKS = 3  # 12 ms
 _AHEAD_MS = 240  # fast: the robot's clock may run so far ahead of the client's last sign of life
-_PATIENCE_S = 0.25  # fast: or so long without one
+_BEAT_WAIT_S = 0.25  # fast: or so long without one
 _IDLE_S = 1.0  # fast: after standing so long the clock is everybody's
 _SOFT_LIMIT, _OPERATOR = 5, 1  # indices into arm_state.FAULTS
 
@@ -148,8 +148,8 @@ def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.
             time.sleep(max(0.0, due - time.monotonic()))
             continue
         due = time.monotonic()
-        patience = due + _PATIENCE_S
-        while controller.ahead_ms() > _AHEAD_MS and time.monotonic() < patience and commands.empty():
+        deadline = due + _BEAT_WAIT_S
+        while controller.ahead_ms() > _AHEAD_MS and time.monotonic() < deadline and commands.empty():
             time.sleep(0.0002)
             controller.channel.poll()
             if controller.heard or controller.channel.client is None:

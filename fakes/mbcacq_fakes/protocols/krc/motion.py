@@ -33,7 +33,7 @@ def angles(T: np.ndarray) -> tuple[float, ...]:
 
 
 class Path:
-    """A way of unit length: ``at(s)`` gives the joints (6,) deg, speed and acceleration count in ways per second."""
+    """A path of unit length: ``at(s)`` gives the joints (6,) deg, speed and acceleration count in paths per second."""
 
     def __init__(self, at: Callable[[float], tuple[float, ...]], speed: float, acceleration: float) -> None:
         self._at, self._speed, self._acceleration = at, speed, acceleration
@@ -62,15 +62,17 @@ class Path:
 def ptp(
     start: Sequence[float], target: Sequence[float], speed: Sequence[float], percent: tuple[Sequence[float], Sequence[float]]
 ) -> Path | None:
-    """All axes start and stop together. speed: (6,) deg/s at 100 %. percent: of speed and of acceleration, per axis. None: no way to go."""
+    """All axes start and stop together. speed: (6,) deg/s at 100 %. percent: of speed and of acceleration, per axis.
+    None: the arm is there already.
+    """
     a = np.asarray(start, dtype=float)
-    way = np.asarray(target, dtype=float) - a
-    far = np.abs(way)
+    travel = np.asarray(target, dtype=float) - a
+    far = np.abs(travel)
     if far.max() < 1e-9:
         return None
     moving, most = far > 1e-9, np.asarray(speed) / 100.0
     fast, steep = most * np.asarray(percent[0]) / np.maximum(far, 1e-9), most / _RAMP_S * np.asarray(percent[1]) / np.maximum(far, 1e-9)
-    return Path(lambda s: tuple((a + s * way).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
+    return Path(lambda s: tuple((a + s * travel).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
 
 
 def lin(
@@ -115,7 +117,7 @@ def joints_at(pose: np.ndarray, near: Sequence[float], kinematics: Kinematics, l
     else:
         raise Unreachable("the arm does not reach this pose")
     if any(not low <= v <= high for v, (low, high) in zip(q, limits, strict=True)):
-        raise Unreachable("a software limit lies on the way")
+        raise Unreachable("a software limit lies on the path")
     return tuple(q.tolist())
 
 

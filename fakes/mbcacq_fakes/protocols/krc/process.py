@@ -105,7 +105,7 @@ class RsiController:
         if self._settings.realtime:
             deadline = self._next
         elif on_its_way:
-            deadline = sent + self._settings.patience_s[self._unheard or not self._session.active]
+            deadline = sent + self._settings.answer_wait_s[self._unheard or not self._session.active]
         else:
             deadline = sent + self._cycle_s
         wanted, answer, self._unheard = str(ipoc), None, True
@@ -137,8 +137,8 @@ class RsiController:
                 return
 
     def _telegram(self, ipoc: int, moved: bool) -> bytes:
-        if self._told < self._settings.empty_first:
-            self._told += self._session.active
+        if self._empty_sent < self._settings.empty_first:
+            self._empty_sent += self._session.active
             return f'<Rob Type="KUKA"><IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("malformed"):
             return f'<Rob Type="KUKA"><AIPos A1="1.0" A2=<IPOC>{ipoc}</IPOC></Rob>'.encode()
@@ -185,7 +185,7 @@ class RsiController:
         self._session = RsiSession(self._settings, self._arm.q)
         self._planned_pose = self._kinematics.pose(self._arm.q)
         self._sessions += 1
-        self._missed = self._told = 0
+        self._missed = self._empty_sent = 0
 
     def _end_session(self) -> None:
         """The set point stays where it is, so the arm comes to rest; then telegrams are offered again, as if the program was restarted."""

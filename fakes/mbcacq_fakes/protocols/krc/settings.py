@@ -1,4 +1,4 @@
-"""What a fake controller is told when it starts, and what can be done to it while it runs."""
+"""How a fake controller is set up when it starts, and what can be done to it while it runs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FAULTS = (
 @dataclass(frozen=True)
 class KrcSettings:
     """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. stretch: by the clock, a
-    second of the robot takes so many seconds, for peers on a busy machine. patience_s: in lock-step, how long an answer is waited for, and
+    second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is waited for, and
     how long where the cycle before had none at all.
 
     Angles deg, speeds deg/s, accelerations deg/s^2. limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None
@@ -52,7 +52,7 @@ class KrcSettings:
     client: tuple[str, int] = ("127.0.0.1", 49152)
     realtime: bool = True
     stretch: float = 1.0
-    patience_s: tuple[float, float] = (0.5, 0.01)
+    answer_wait_s: tuple[float, float] = (0.5, 0.01)
     start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
     limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
     speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
