@@ -31,7 +31,7 @@ from mbcacq.devices import MbcacqError, MotionLimits
 HERE = Path(__file__).parent
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
 HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-MOTION = MotionLimits(*(np.radians(np.full(6, v)) for v in (90.0, 360.0, 3600.0)))
+MOTION = MotionLimits(np.radians(np.full(6, 90.0)), np.radians(np.full(6, 360.0)), np.radians(np.full(6, 3600.0)))
 
 LOAD = """
 import tempfile, time

@@ -12,6 +12,7 @@ from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, finite
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
+WAITING_CYCLES = 2.5  # a network repeats a datagram within less; a peer that repeats itself later waits for its answer
 _LEARN = 5  # telegrams answered with zero before the session counts as connected
 _USELESS = 50  # telegrams that are no use before we say so: a controller sends as many in 0.2 s, a stray sender hardly
 _SET_POINT_DEG = 0.1  # more between AIPos and ASPos is a correction that is still applied
@@ -46,12 +47,20 @@ class Handshake:
     def __init__(self, composer: Composer, settings: dict[str, Any], counts: Counts) -> None:
         self._composer, self._settings, self._counts = composer, settings, counts
         self._useless = 0
+        self._answer, self._answered = b"", 0.0
         self._ipocs: list[int] = []
         self.layout: Layout | None = None
         self.done: Layout | None = None
 
-    def take(self, data: bytes, source: Any) -> bytes | None:
-        """The answer, or None for a datagram that gets none."""
+    def take(self, data: bytes, source: Any, now: float) -> bytes | None:
+        """The answer, or None for a datagram that gets none: also one that the network repeats."""
+        answer = self._take(data, source)
+        if answer is None or answer == self._answer and now - self._answered < WAITING_CYCLES * self._settings["cycle_ms"] * 1e-3:
+            return None
+        self._answer, self._answered = answer, now
+        return answer
+
+    def _take(self, data: bytes, source: Any) -> bytes | None:
         if self.layout is None:
             return self._first(data, source)
         if source != self.layout.source:

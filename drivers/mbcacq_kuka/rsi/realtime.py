@@ -9,7 +9,7 @@ import socket
 import struct
 
 _PRIORITY = 50
-_LOCK_PRESENT_AND_FUTURE = 1 | 2  # MCL_CURRENT | MCL_FUTURE of sys/mman.h on Linux and the BSDs
+_PRESENT, _FUTURE = 1, 2  # MCL_CURRENT, MCL_FUTURE of sys/mman.h
 
 
 def become_real_time(cpu: int | None) -> bool:
@@ -28,9 +28,13 @@ def become_real_time(cpu: int | None) -> bool:
 
 
 def _lock_memory() -> bool:
+    """Future memory, too, but only where there is no limit: beyond a limit an allocation would fail."""
     try:
-        return ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_PRESENT_AND_FUTURE) == 0
-    except (AttributeError, OSError, TypeError):
+        import resource  # POSIX only
+
+        unlimited = os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+        return ctypes.CDLL(None).mlockall(_PRESENT | _FUTURE if unlimited else _PRESENT) == 0
+    except (AttributeError, ImportError, OSError, TypeError):
         return False
 
 

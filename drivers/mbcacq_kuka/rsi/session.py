@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mbcacq_kuka.rsi.arrival import Arrival
-from mbcacq_kuka.rsi.handshake import Handshake, Layout, SessionFault, set_point_moved
+from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, Handshake, Layout, SessionFault, set_point_moved
 from mbcacq_kuka.rsi.lateness import Lateness
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
@@ -30,7 +30,6 @@ _END_CYCLES = 12  # and so long, before the session is ended
 _STOP_CYCLES = 125
 _CLOSE_S = 5.0
 _HELD_S = 0.02  # without a new set point for so long the arm has all but stopped: the motion begins again from rest
-_WAITING_CYCLES = 2.5  # a network repeats a datagram within less
 _DELAY = re.compile(rb"<Delay[\s/>][^<]*")
 
 
@@ -128,7 +127,7 @@ class RsiSession:
     def _reply_slowly(self, data: bytes, source: Any, now: float, in_time: bool) -> bytes | None:
         layout = self._layout
         if layout is None:
-            answer = self._handshake.take(data, source)
+            answer = self._handshake.take(data, source, now)
             if self.controller == source:
                 self.last_heard = now
             if self._handshake.done is not None:
@@ -153,7 +152,7 @@ class RsiSession:
                 f"IPOC went from {before} to {digits.decode()}, expected steps of {self._sequence.step}; was the RSI program restarted?",
                 muted=True,
             )
-        if kind == REPEATED and silent > _WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
+        if kind == REPEATED and silent > WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
             return self._compose(digits, self._sent)
         return self._reply_next(layout, digits, row, steps, in_time) if kind == NEXT else None
 
