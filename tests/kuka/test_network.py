@@ -57,6 +57,15 @@ def test_two_telegrams_that_change_places_cost_one_answer(moving):
     assert moving.shared.fault() is None
 
 
+def test_an_answer_that_was_rejected_before_a_stall_is_repeated_after_it(moving):
+    """The telegram that tells of it cannot be answered in time itself."""
+    rejected = moving.cycle(accepted=False)
+    moving.ipoc += 4
+    moving.reply(moving.telegram(), in_time=False)
+    moving.delay += 1
+    assert moving.cycle() == rejected
+
+
 def test_other_senders_are_counted_and_dropped(moving):
     for data in (b"x", b"", moving.telegram(), b"<Rob"):
         assert moving.reply(data, ("192.0.2.9", 49152)) is None

@@ -61,6 +61,7 @@ class RsiSession:
         self._arrival = Arrival()
         self.last_heard = self._close_began = 0.0
         self._stops = self._still = self._held = self._unanswered = 0
+        self._rejected = False  # the last answer that was sent was not used, and is to be repeated
         self._ready: tuple[bytes, bytes, bytes] | None = None  # what the next telegram must contain (IPOC, Delay), and its answer
         self._data = b""  # the last telegram
         self._unparsed = False  # it was answered before it was parsed
@@ -161,7 +162,10 @@ class RsiSession:
             raise SessionFault("restart", "ASPos has changed, so the RSI program was restarted during the run", muted=True)
         self._unanswered += steps - 1
         rise = 0.0 if layout.delay is None else self._lateness.rise(row[layout.delay], self._sequence.ipoc * layout.tick_s)
-        late = rise > self._unanswered or not in_time
+        self._rejected = self._rejected or rise > self._unanswered
+        late = self._rejected or not in_time
+        if in_time:
+            self._rejected = False  # it is repeated now
         self._unanswered = 0 if in_time else self._unanswered + 1
         self._held += steps - 1 + late
         if not late:  # else the last answer was not used: repeat it
