@@ -14,7 +14,7 @@ from mbcacq_fakes.protocols.krc import FakeKrc
 FAR = 30.0
 
 
-def drive(network, counting, **krc_settings):
+def drive(network, counting, late_limit=99999, **krc_settings):
     """What the controller logged and what the driver recorded of the same move."""
     with network as (controller, client, prefix):
         with FakeKrc(
@@ -31,7 +31,7 @@ def drive(network, counting, **krc_settings):
                 **krc_settings,
             }
         ) as krc:
-            program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), "99999"]
+            program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), str(late_limit)]
             done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=200)
             assert done.returncode == 0, done.stderr
             found = json.loads(done.stdout)
@@ -90,12 +90,12 @@ WEATHER = Weather(loss=0.01, repeat=0.01, reorder=0.01, jitter_s=0.002 * STRETCH
 
 @pytest.mark.parametrize("counting", ["total", "consecutive"])
 def test_loss_repetition_reordering_and_jitter_are_ridden_out_or_end_by_name(counting):
-    log, recorded = drive(relay(WEATHER), counting, realtime=True, stretch=STRETCH, timeout=100)
+    log, recorded = drive(relay(WEATHER), counting, late_limit=90, realtime=True, stretch=STRETCH, timeout=100)
     used = log["correction"][log["accepted"], 0]
     assert np.abs(np.diff(used)).max() <= 20.0 * 0.004 * 1.001 + 2e-6  # whatever happened, no step was larger than one cycle's motion
-    if recorded["error"]:  # a controller of its own accord stops after 100 late answers: only a machine that stood still does that
+    if recorded["error"]:  # as many late answers as end a session: only a machine that stood still does that
         assert recorded["error"].startswith(("DeviceTimeout", "DeviceFault", "ProtocolError"))
-        assert np.count_nonzero(~log["accepted"]) >= 100
+        assert np.count_nonzero(~log["accepted"]) >= 90
     else:
         assert used[-1] == pytest.approx(FAR, abs=1e-6)
         assert recorded["lost_telegrams"][-1] > 0
