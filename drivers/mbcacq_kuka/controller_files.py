@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.devices import ConfigError
+from mbcacq_kuka.controller_flags import with_flags_from
 from mbcacq_kuka.controller_guide import eki_guide, rsi_guide
 
 if TYPE_CHECKING:
@@ -41,9 +42,7 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
     program = _read("eki_kss/mbcacq_eki.src")
     kss = _replace(_replace(_read("eki_kss/mbcacq_eki.xml"), "<IP>", address, "</IP>"), "<PORT>", options.port, "</PORT>")
     new = _replace(_read("eki_iiqka/mbcacq_eki.xml"), '<Server Port="', options.port, '"')
-    return {
-        "README.txt": eki_guide(options, facts),
-        "tool_data.txt": tool_data(options.tool, facts),
+    programs = {
         "kss/EthernetKRL/mbcacq_eki.xml": kss,
         "kss/Program/mbcacq_eki.dat": data,
         "kss/Program/mbcacq_eki.src": program,
@@ -54,22 +53,32 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
         "iiqka/Program/mbcacq_eki.src": _for_iiqka(program),
         "iiqka/Program/mbcacq_link.src": _read("eki_iiqka/mbcacq_link.src"),
     }
+    warnings = _warn_of_loopback("address", address, "of the controller, as this computer sees it")
+    return {
+        **_warnings_file(warnings),
+        "README.txt": eki_guide(options, facts, warnings),
+        "tool_data.txt": tool_data(options.tool, facts),
+        **with_flags_from(options.first_flag, programs),
+    }
 
 
 def rsi_files(options: RsiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
-    """For RSI 4.1 and later (one context file), earlier RSI (three), and iiQKA.OS2 (RSI 6). facts: as for eki_files. Raises ConfigError."""
+    """For RSI 4.1 and later (one context file), earlier RSI (three), and iiQKA.OS2 (RSI 6, a context of its own).
+
+    facts: as for eki_files. Raises ConfigError."""
     if not options.stop_element:
         raise ConfigError("the files for the controller need the option stop_element (Stop); leave it out of the plan")
-    ethernet = _read("mbcacq_ethernet.xml")
-    ethernet = _replace(ethernet, "<IP_NUMBER>", _address("bind", options.bind), "</IP_NUMBER>")
-    ethernet = _replace(_replace(ethernet, "<PORT>", options.port, "</PORT>"), "<SENTYPE>", options.sen_type, "</SENTYPE>")
-    ethernet = ethernet.replace('TAG="AK.', f'TAG="{options.correction}.').replace('TAG="Stop"', f'TAG="{options.stop_element}"')
+    address, ethernet = _address("bind", options.bind), _ethernet(options)
+    warnings = _warn_of_loopback("bind", address, "of the network card that is wired to the controller's RSI interface")
+    if options.eki:
+        warnings.append("option eki starts an RSI program of KUKA's server; the programs here are for a start by hand")
     cycle = "#IPO_FAST" if options.cycle_ms == 4 else "#IPO"
     limits = _limits("lim_low", "lim_high", options.limits_deg)
     reach = options.correction_limit_deg or (20.0,) * 6
     old = {name: _reach(_read(f"rsi3/{name}"), reach) for name in ("mbcacq.rsi", "mbcacq.rsi.xml")}
     return {
-        "README.txt": rsi_guide(options, facts, reach),
+        **_warnings_file(warnings),
+        "README.txt": rsi_guide(options, facts, reach, warnings),
         "tool_data.txt": tool_data(1, facts),
         "kss85/SensorInterface/mbcacq_ethernet.xml": ethernet,
         "kss85/SensorInterface/mbcacq.rsix": _read("rsi4/mbcacq.rsix"),
@@ -81,7 +90,7 @@ def rsi_files(options: RsiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
         "kss_older/SensorInterface/mbcacq.rsi.diagram": _read("rsi3/mbcacq.rsi.diagram"),
         "kss_older/Program/mbcacq_rsi.src": _read("rsi3/mbcacq_rsi.src").replace("#IPO_FAST", cycle),
         "iiqka/Ethernet configuration/mbcacq_ethernet.xml": ethernet,
-        "iiqka/Context/mbcacq.rsix": _read("rsi4/mbcacq.rsix"),
+        "iiqka/Context/mbcacq.rsix": _read("rsi_iiqka/mbcacq.rsix"),
         "iiqka/Program/mbcacq_rsi.src": _read("rsi_iiqka/mbcacq_rsi.src"),
         "iiqka/Program/mbcacq_rsi.dat": _fill_data(_read("rsi_iiqka/mbcacq_rsi.dat"), limits),
     }
@@ -105,8 +114,29 @@ def tool_data(number: int, facts: Mapping[str, Any]) -> str:
 
 def _for_iiqka(program: str) -> str:
     """The robot program without the message interrupt of KSS, which iiQKA.OS2 does not have, and with its flag in the comment."""
-    program = program.replace("$FLAG[110] computer connected (EKI)", "$FLAG[114] connection lost (EKI)    ")
+    program = program.replace("$FLAG[120] computer connected (EKI)", "$FLAG[124] connection lost (EKI)    ")
     return "".join(line for line in program.splitlines(keepends=True) if "INTERRUPT DECL 3 " not in line and "INTERRUPT ON 3\n" not in line)
+
+
+def _ethernet(options: RsiOptions) -> str:
+    """The ETHERNET configuration of all RSI generations."""
+    text = _replace(_read("mbcacq_ethernet.xml"), "<IP_NUMBER>", _address("bind", options.bind), "</IP_NUMBER>")
+    text = _replace(_replace(text, "<PORT>", options.port, "</PORT>"), "<SENTYPE>", options.sen_type, "</SENTYPE>")
+    text = text.replace('TAG="AK.', f'TAG="{options.correction}.').replace('TAG="Stop"', f'TAG="{options.stop_element}"')
+    delay = '         <ELEMENT TAG="DEF_Delay"'
+    external = "".join(f'         <ELEMENT TAG="{tag}" TYPE="DOUBLE" INDX="INTERNAL"/>\n' for tag in ("DEF_EIPos", "DEF_MECur"))
+    return text.replace(delay, external + delay) if options.external_axes else text
+
+
+def _warn_of_loopback(option: str, address: str, what: str) -> list[str]:
+    found = ipaddress.IPv4Address(address)
+    if not found.is_loopback and not found.is_unspecified:
+        return []
+    return [f"option {option} is {address}, which no controller can reach or be; give the address {what}"]
+
+
+def _warnings_file(warnings: list[str]) -> dict[str, str]:
+    return {"WARNINGS.txt": "".join(f"{text}\n" for text in warnings)} if warnings else {}
 
 
 def _read(name: str) -> str:

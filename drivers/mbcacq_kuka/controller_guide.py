@@ -14,9 +14,10 @@ plan: {plan}
 robot: {robot}
 
 NONE OF THESE FILES HAS EVER RUN ON A REAL CONTROLLER. They follow KUKA's published
-templates and public documentation. Read them. First try: T1, low override, nothing
-in reach of the arm, a hand on the stop. Write them again after every change of the
-plan's robot section; copy them as an expert user; they are ASCII and must stay so.
+templates and public documentation. Read them. First try: T1, a low `robot: speed` in
+the plan (0.05), nothing in reach of the arm, a hand on the stop. Write them
+again after every change of the plan's robot section; copy them as an expert user;
+they are ASCII and must stay so.
 """
 
 _TOOL = """
@@ -26,9 +27,10 @@ TOOL
 """
 
 
-def eki_guide(options: EkiOptions, facts: Mapping[str, Any]) -> str:
+def eki_guide(options: EkiOptions, facts: Mapping[str, Any], warnings: Sequence[str] = ()) -> str:
+    first = options.first_flag
     return (
-        _head("EthernetKRL, driver kuka-eki", facts)
+        _head("EthernetKRL, driver kuka-eki", facts, warnings)
         + f"""
 WHERE EACH FILE GOES
   KRC4, KRC5 with KSS 8.x and EthernetKRL 2 or 3: folder kss
@@ -46,8 +48,8 @@ SUBMIT INTERPRETER
   or select mbcacq_link_sub in a submit interpreter of its own. Never both.
 
 RESERVED
-  $FLAG[110] to $FLAG[114], $TIMER[19] and [20], interrupt 21, channel mbcacq_eki.
-  If your programs use one of these, change the number in all files together.
+  $FLAG[{first}] to $FLAG[{first + 4}], $TIMER[19] and [20], interrupt 21, channel mbcacq_eki.
+  If your programs use one of these flags, set the plan's option first_flag.
 
 NETWORK
   The controller listens: TCP {options.address} port {options.port} (KLI). Open the port in the
@@ -63,7 +65,7 @@ ORDER OF STARTING
      flange position with the plan, and refuses a cell that differs.
 
 WHAT THE SMARTPAD SHOWS
-  mb_serve, WAIT FOR $FLAG[112]   ready, no move waits
+  mb_serve, WAIT FOR $FLAG[{first + 2}]   ready, no move waits
   mb_move, PTP or LIN             a move is driven
   program stopped, red R          a message tells why; acknowledge, start again
   EKI00023                        channel was loaded already: harmless after a restart
@@ -77,10 +79,10 @@ WHAT STOPS THE ARM
     )
 
 
-def rsi_guide(options: RsiOptions, facts: Mapping[str, Any], reach: Sequence[float]) -> str:
+def rsi_guide(options: RsiOptions, facts: Mapping[str, Any], reach: Sequence[float], warnings: Sequence[str] = ()) -> str:
     far = ", ".join(f"{v:g}" for v in reach)
     return (
-        _head("RobotSensorInterface, driver kuka-rsi", facts)
+        _head("RobotSensorInterface, driver kuka-rsi", facts, warnings)
         + f"""
 WHERE EACH FILE GOES
   KSS 8.5 or newer, RSI 4.1 or newer: folder kss85
@@ -99,16 +101,27 @@ NETWORK
   "mixed IP", not 192.168.0.x) and a cold restart after every change. A cable of its
   own, no switch shared with other traffic. KUKA's TestServer must not run.
 {_TOOL.format(tool=1)}
+SPEED
+  The override does not scale RSI corrections: a low override makes nothing slower,
+  and only 100 % is what the tool is tested with. The speed is the plan's
+  `robot: speed`; take 0.05 for a first run. T1 stops a tool faster than 250 mm/s.
+
 RANGE
   RSI 4.1 and later: the program opens the correction up to the software limits or
   the plan's, whichever are narrower. Earlier RSI: fixed at +-({far}) deg;
-  the plan's option correction_limit_deg must say the same.
+  the plan's option correction_limit_deg must say the same. iiQKA.OS2: AXISCORRMON
+  cannot be set by a program, so its context holds 1000 deg; AXISCORR is the limit.
 
 ORDER OF STARTING
   1. Bring the arm to a free place, override 100 %. Select mbcacq_rsi.
   2. Press start: block coincidence (BCO), then the program stands at HALT.
   3. mbcacq run PLAN. When it waits for the robot, press start again.
      In T1 acknowledge "Sensor correction goes active!" and keep start pressed.
+
+AFTER AN EMERGENCY STOP
+  With the plan's option recover_s (seconds to wait): release, acknowledge, reset and
+  start mbcacq_rsi again, leave the arm where it is. Past the HALT mbcacq goes on from
+  there to the pose it was driving to. Without the option the run ends; --resume.
 
 WHAT THE SMARTPAD SHOWS
   HALT before RSI_ON               start mbcacq now
@@ -122,6 +135,7 @@ WHAT THE SMARTPAD SHOWS
     )
 
 
-def _head(what: str, facts: Mapping[str, Any]) -> str:
+def _head(what: str, facts: Mapping[str, Any], warnings: Sequence[str]) -> str:
     clean = {key: str(facts.get(key, "-")).encode("ascii", "replace").decode() for key in ("plan", "robot")}
-    return _HEAD.format(what=what, **clean)
+    section = "".join(f"  {text}\n" for text in warnings)
+    return _HEAD.format(what=what, **clean) + (f"\nWARNINGS\n{section}" if warnings else "")

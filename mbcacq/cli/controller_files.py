@@ -21,7 +21,10 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
     from mbcacq.plan import load
     from mbcacq.workflow import controller_files
 
-    written = controller_files.write(controller_files.make(load(plan)), out, replace)
+    files = controller_files.make(load(plan))
+    written = controller_files.write(files, out, replace)
+    for warning in files.get("WARNINGS.txt", "").splitlines():
+        click.echo(f"warning: {warning}", err=True)
     if as_json:
         click.echo(json.dumps({"files": [str(path) for path in written]}))
         return

@@ -61,6 +61,7 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
             link = TcpProxy(Channel("eki", note), ("127.0.0.1", server.port), cut=XML, cut_driver=ended(b"</External>"))
             proxies["eki"] = stack.enter_context(link)
             given["eki"] = f"127.0.0.1:{link.port}"
+            krc["sen_type"] = "KROSHU"  # as KUKA's own RSI programs have it
         fake = stack.enter_context(
             FakeKrc(client=proxies["rsi"].address, realtime=False, limits_deg=LIMITS_DEG, start_deg=tuple(HOME_DEG), rearm_s=0.3, **krc)
         )

@@ -1,68 +1,101 @@
 """Networks that lose datagrams: a relay in this process, or two namespaces with netem between them."""
 
+import heapq
+import os
 import random
+import select
 import shutil
 import socket
 import subprocess
 import threading
-from contextlib import contextmanager
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
 LOSS = 0.01
 
 
-class Relay(threading.Thread):
-    """Between a controller (which sends to ``port``) and a client that listens on ``target``; of both directions it loses one datagram,
-    drawn at random, out of each 1 / loss."""
+@dataclass(frozen=True)
+class Weather:
+    """What a network does to each datagram. loss, repeat, reorder: shares of the datagrams; of each 1 / loss exactly one, drawn at random,
+    is lost. jitter_s: largest delay; hold_s: how long a datagram is held back so that a later one overtakes it."""
 
-    def __init__(self, target, loss=LOSS, seed=1):
+    loss: float = LOSS
+    repeat: float = 0.0
+    reorder: float = 0.0
+    jitter_s: float = 0.0
+    hold_s: float = 0.0
+
+
+class Relay(threading.Thread):
+    """Between a controller (which sends to ``port``) and a client that listens on ``target``, in both directions."""
+
+    def __init__(self, target, weather, seed=1):
         super().__init__(daemon=True)
-        self._target, self._block, self._seed = ("127.0.0.1", target), round(1.0 / loss), seed
+        self._weather, self._draw, self._quit = weather, random.Random(seed), threading.Event()
         self._front, self._back = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         for each in (self._front, self._back):
             each.bind(("127.0.0.1", 0))
-            each.settimeout(0.2)
-        self.port, self._controller = self._front.getsockname()[1], None
-        self.lost, self._quit = {"to the client": 0, "to the controller": 0}, threading.Event()
-        self._answers = threading.Thread(
-            target=self._carry, args=(self._back, self._front, lambda: self._controller, "to the controller"), daemon=True
-        )
+        self.port = self._front.getsockname()[1]
+        self._where = {self._front: None, self._back: ("127.0.0.1", target)}
+        self._names = {self._front: "to the client", self._back: "to the controller"}  # by the side from which they come
+        self._count, self._unlucky = dict.fromkeys(self._where, 0), dict.fromkeys(self._where, 0)
+        self.lost = {"to the client": 0, "to the controller": 0}
+        self._waiting = []
 
     def run(self):
-        self._answers.start()
-        self._carry(self._front, self._back, lambda: self._target, "to the client")
-
-    def _carry(self, source, sink, where, name):
-        draw, count, unlucky = random.Random(f"{name} {self._seed}"), 0, 0
+        with suppress(AttributeError, OSError):  # where it is permitted the network does not wait for what else the machine has to do
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(45))
         while not self._quit.is_set():
-            try:
+            wait = min(0.2, max(0.0, self._waiting[0][0] - time.monotonic())) if self._waiting else 0.2
+            for source in select.select([self._front, self._back], [], [], wait)[0]:
                 data, sender = source.recvfrom(65536)
-            except (TimeoutError, ConnectionError):
-                continue
-            if source is self._front:
-                self._controller = sender
-            if count % self._block == 0:
-                unlucky = draw.randrange(self._block)
-            count += 1
-            if (count - 1) % self._block == unlucky:
-                self.lost[name] += 1
-            else:
-                sink.sendto(data, where())
+                if source is self._front:
+                    self._where[self._front] = sender
+                self._take(source, data)
+            while self._waiting and self._waiting[0][0] <= time.monotonic():
+                _, _, source, data = heapq.heappop(self._waiting)
+                self._deliver(source, data)
+
+    def _deliver(self, source, data):
+        sink = self._back if source is self._front else self._front
+        sink.sendto(data, self._where[sink])
+
+    def _take(self, source, data):
+        if self._is_lost(source):
+            self.lost[self._names[source]] += 1
+            return
+        self._send(source, data)
+        if self._draw.random() < self._weather.repeat:
+            self._send(source, data)
+
+    def _is_lost(self, source):
+        block = round(1.0 / self._weather.loss)
+        count = self._count[source]
+        if count % block == 0:
+            self._unlucky[source] = self._draw.randrange(block)
+        self._count[source] += 1
+        return count % block == self._unlucky[source]
+
+    def _send(self, source, data):
+        held = self._weather.hold_s if self._draw.random() < self._weather.reorder else 0.0
+        due = time.monotonic() + held + self._draw.uniform(0.0, self._weather.jitter_s)
+        heapq.heappush(self._waiting, (due, self._draw.random(), source, data))
 
     def close(self):
         self._quit.set()
         self.join()
-        self._answers.join()
         self._front.close()
         self._back.close()
 
 
 @contextmanager
-def relay(loss=LOSS):
+def relay(weather=None):
     """(address to which the controller sends, address on which the client listens, port of both ends, command prefix of the client)."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         target = probe.getsockname()[1]
-    carrier = Relay(target, loss)
+    carrier = Relay(target, weather or Weather())
     carrier.start()
     try:
         yield ("127.0.0.1", carrier.port), ("127.0.0.1", target), []

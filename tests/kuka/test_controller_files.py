@@ -1,13 +1,15 @@
 """The files for the controller agree with each other and with the driver's defaults."""
 
+import re
 from importlib.resources import files
+from xml.etree.ElementTree import tostring
 
 import pytest
 from defusedxml.ElementTree import fromstring
 from mbcacq_kuka.rsi.options import RsiOptions
 
 FOLDER = files("mbcacq_kuka") / "controller"
-PROGRAMS = ("rsi4/mbcacq_rsi.src", "rsi4/mbcacq_rsi.dat", "rsi3/mbcacq_rsi.src")
+PROGRAMS = ("rsi4/mbcacq_rsi.src", "rsi4/mbcacq_rsi.dat", "rsi3/mbcacq_rsi.src", "rsi_iiqka/mbcacq_rsi.src", "rsi_iiqka/mbcacq_rsi.dat")
 DEFAULTS = RsiOptions(limits_deg=((-1.0, 1.0),) * 6)
 
 
@@ -105,11 +107,39 @@ def test_the_three_files_of_old_rsi_say_the_same():
     }
 
 
-def test_iiqka_sets_the_same_limits_by_its_own_functions():
+def settable(context):
+    """(object, parameter) that a program may set; those which the blueprints of RSI 6 fix once for all are not among them."""
+    return {
+        (o.get("ObjId"), p.get("Name"))
+        for o in fromstring(context).iter("{RsiDriver}RsiObject")
+        for p in o.iter("{RsiDriver}Parameter")
+        if p.get("IsPublic") == "true"
+    }
+
+
+def test_iiqka_sets_what_its_context_lets_it_set_by_its_own_functions():
     kss, new = (read(f"{folder}/mbcacq_rsi.src").decode() for folder in ("rsi4", "rsi_iiqka"))
-    assert [line for line in kss.splitlines() if "mbcacq_set(" in line] == [line for line in new.splitlines() if "mbcacq_set(" in line]
+    sets = {program: set(re.findall(r'mbcacq_set\("(\w+)","(\w+)"', program)) for program in (kss, new)}
+    assert sets[kss] == settable(read("rsi4/mbcacq.rsix"))
+    assert sets[new] == settable(read("rsi_iiqka/mbcacq.rsix")) == {pair for pair in sets[kss] if pair[0] == "AxisCorr_1"}
     for old in ("RSI_CREATE", "RSI_ON(", "RSI_OFF", "RSI_DELETE", "RSI_SetPublicPar", "IR_STOPM", "contid"):
         assert old in kss
         assert old not in new
     for name in ("RSI_LOAD", "RSI_ACTIVATE", "RSI_PROCESS_ON(#ABSOLUTE)", "RSI_PROCESS_OFF", "RSI_SetParameter"):
         assert name in new
+
+
+def test_the_monitor_of_rsi_6_is_out_of_the_way_and_fixed():
+    root = fromstring(read("rsi_iiqka/mbcacq.rsix"))
+    monitor = next(o for o in root.iter("{RsiDriver}RsiObject") if o.get("ObjType") == "AxisCorrMon")
+    values = {p.get("Name"): (p.get("IsRuntime"), float(p.get("ParamValue"))) for p in monitor.iter("{RsiDriver}Parameter")}
+    assert all(values[f"MaxA{i}"] == ("false", 1000.0) for i in range(1, 7))
+    assert all(values[f"MaxE{i}"][0] == "false" for i in range(1, 7))
+
+
+def test_all_contexts_but_for_the_monitor_are_the_same():
+    def others(name):
+        objects = fromstring(read(name)).iter("{RsiDriver}RsiObject")
+        return [tostring(o) for o in objects if o.get("ObjType") != "AxisCorrMon"]
+
+    assert others("rsi4/mbcacq.rsix") == others("rsi_iiqka/mbcacq.rsix")

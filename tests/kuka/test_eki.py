@@ -50,17 +50,53 @@ def test_a_session(answer):
         EkiClient("127.0.0.1", server.port) as client,
     ):
         assert (client.identity.model, client.identity.axes) == ("#KR16R2010_2 C4 FLR", 6)
+        client.choose_joint_position()
         with pytest.raises(DeviceFault, match="answered start with 'error': drives are off"):
             client.start()
         client.drives_on()
-        client.start(cycle_ms=12)
-        client.cancel()
+        client.choose_cycle(4)
+        client.start()
         client.reset()
+        client.start()
+        client.cancel()
         client.drives_off()
         assert client.status.operation_mode == 4
         assert not client.status.drives_powered
-    assert started == [(1, 2)]
-    assert [r[0] for r in server.requests] == [0, 1, 6, 1, 3, 2, 7]
+    assert started == [(1, 1), (1, 1)]
+    assert [r[0] for r in server.requests] == [0, 4, 1, 6, 8, 1, 2, 1, 3, 7]
+
+
+def refused(request):
+    with pytest.raises(DeviceFault, match="Invalid transition requested"):
+        request()
+
+
+def test_the_server_takes_only_what_its_state_allows():
+    with FakeEki(pause_s=0.0) as server, EkiClient("127.0.0.1", server.port) as client:
+        for request in (client.start, client.reset, client.cancel):  # nothing was chosen yet
+            refused(request)
+        client.drives_on()
+        refused(client.start)
+        client.choose_joint_position()
+        refused(client.reset)
+        client.start()
+        for request in (client.start, client.choose_joint_position, client.drives_off):  # the program runs
+            refused(request)
+        client.cancel()
+        refused(client.start)
+
+
+def test_without_a_choice_the_cycle_is_twelve_milliseconds_and_a_new_connection_forgets_it():
+    started = []
+    with FakeEki(pause_s=0.0, on_start=lambda *a: started.append(a)) as server:
+        for choose in (True, False):
+            with EkiClient("127.0.0.1", server.port) as client:
+                client.drives_on()
+                if choose:
+                    client.choose_cycle(4)
+                client.choose_joint_position()
+                client.start()
+    assert started == [(1, 1), (1, 2)]
 
 
 def test_the_bytes_of_a_request():
@@ -80,7 +116,7 @@ def test_the_bytes_of_a_request():
         assert client.connect().model == "#KR6"
         client.close()
         thread.join()
-    assert received == [b'<External REQTYPE="0" ControlMode="1" CycleTime="1"></External>']
+    assert received == [b'<External REQTYPE="0" ControlMode="-1" CycleTime="-1"></External>']
 
 
 def test_the_fake_takes_the_padded_writes_of_the_sdk():

@@ -42,8 +42,8 @@ def test_flags_of_the_channel_are_those_the_program_watches(system):
     config, program = CONFIG[system], text(f"eki_{system}/mbcacq_link.src") + text("eki_kss/mbcacq_eki.src")
     used = {int(n) for n in re.findall(r"\$FLAG\[(\d+)\]", re.sub(r";.*", "", program))}
     raised = {*config.flags.values(), *filter(None, (config.alive, config.lost))}
-    assert raised == ({110, 111} if system == "kss" else {111, 114})
-    assert used == raised | {112, 113}
+    assert raised == ({120, 121} if system == "kss" else {121, 124})
+    assert used == raised | {122, 123}
 
 
 def paths(element, above=""):

@@ -9,13 +9,14 @@ from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.rsi.driver import KukaRsi
+from mbcacq_kuka.rsi.options import read_options
 
 from mbcacq.devices import DeviceFault, IdentityError
 
 
 def test_rsi_is_started_over_eki():
     port = free_port()
-    krc = FakeKrc(client=("127.0.0.1", port), realtime=False, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG)
+    krc = FakeKrc(client=("127.0.0.1", port), realtime=False, sen_type="KROSHU", start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG)
     starting = threading.Thread(target=krc.start)
     with FakeEki(model="#KR210R2700_2 C4 FLR", on_start=lambda mode, cycle: starting.start()) as eki:
         try:
@@ -27,7 +28,14 @@ def test_rsi_is_started_over_eki():
             if starting.ident is not None:
                 starting.join()
             krc.stop()
-    assert eki.requests == [(0, 1, 1), (2, 1, 1), (6, 1, 1), (1, 1, 1)]
+    assert eki.requests == [(0, -1, -1), (6, -1, -1), (8, -1, 1), (4, 1, -1), (1, -1, -1)]
+
+
+def test_what_kukas_program_is_configured_for_is_the_default():
+    plain = read_options("arm", {"limits_deg": LIMITS_DEG})
+    started = read_options("arm", {"limits_deg": LIMITS_DEG, "eki": "172.31.1.147"})
+    chosen = read_options("arm", {"limits_deg": LIMITS_DEG, "eki": "172.31.1.147", "sen_type": "Mine", "port": 50000})
+    assert [(o.sen_type, o.port) for o in (plain, started, chosen)] == [("ImFree", 49152), ("KROSHU", 59152), ("Mine", 50000)]
 
 
 def test_another_robot_is_not_started():

@@ -38,7 +38,7 @@ def stands(krc):
         ({"malformed": 1}, ProtocolError, "malformed telegram"),
         ({"no_aipos": 1}, ProtocolError, "without AIPos"),
         ({"wrong_ipoc": 1}, ProtocolError, "IPOC went from"),
-        ({"foreign": 1}, ProtocolError, "keep other senders off"),
+        ({"jump": 1}, SafetyStop, "A1 jumped by 30."),
     ],
 )
 def test_a_fault_on_the_way_stops_the_arm(cell, fault, kind, text):
@@ -64,6 +64,15 @@ def test_a_few_lost_packets_are_survived_and_never_make_the_arm_jump(cell, fault
     arrive(robot)
     assert krc.counters()["late"] > 3
     assert krc.counters()["sessions"] == 1
+
+
+def test_a_telegram_from_another_port_is_dropped(cell):
+    krc, robot = cell()
+    krc.inject(foreign=2)
+    robot.move_to(np.radians(HOME_DEG + [3.0, 0, 0, 0, 0, 0]), motion_limits())
+    arrive(robot)
+    columns = robot.cycles().columns
+    assert columns["lost_telegrams"][-1] >= 2
 
 
 @pytest.mark.parametrize("quirk", [{"swap": 1}, {"spaced": 1}, {"upper_type": 1}, {"swap": 1, "spaced": 1, "upper_type": 1}])
@@ -185,7 +194,7 @@ os._exit(9)
 def test_the_cycle_process_dies(cell):
     krc, robot = cell()
     on_the_way(robot)
-    robot._process.kill()
+    robot._process._process.kill()
     error = until_error(robot)
     assert type(error) is DeviceFault
     assert "ended unexpectedly" in str(error)
@@ -228,6 +237,6 @@ def test_a_full_shared_memory_is_said_in_one_sentence(monkeypatch):
     def full():
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mbcacq_kuka.rsi.driver.Shared.create", full)
+    monkeypatch.setattr("mbcacq_kuka.rsi.cycle_process.Shared.create", full)
     with pytest.raises(ConnectError, match=r"shared memory.*No space left"):
         KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": free_port()}).connect()

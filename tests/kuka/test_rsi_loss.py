@@ -8,29 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HOME_DEG, LIMITS_DEG, free_port
-from lossy import namespaces, relay, why_no_netem
+from lossy import Weather, namespaces, relay, why_no_netem
 from mbcacq_fakes.protocols.krc import FakeKrc
 
 FAR = 30.0
 
 
-def drive(network, counting, realtime=True):
+def drive(network, counting, late_limit=99999, **krc_settings):
     """What the controller logged and what the driver recorded of the same move."""
     with network as (controller, client, prefix):
         with FakeKrc(
-            client=controller,
-            bind="0.0.0.0" if prefix else "127.0.0.1",
-            realtime=realtime,
-            start_deg=tuple(HOME_DEG),
-            limits_deg=LIMITS_DEG,
-            timeout=100_000,
-            counting=counting,
-            log=True,
+            **{
+                "client": controller,
+                "bind": "0.0.0.0" if prefix else "127.0.0.1",
+                "realtime": False,
+                "answer_wait_s": (0.5, 0.5),  # lock-step: what the machine has to do besides never makes an answer late
+                "start_deg": tuple(HOME_DEG),
+                "limits_deg": LIMITS_DEG,
+                "timeout": 100_000,
+                "counting": counting,
+                "log": True,
+                **krc_settings,
+            }
         ) as krc:
-            program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), "99999"]
-            done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=100)
+            program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), str(late_limit)]
+            done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=200)
             assert done.returncode == 0, done.stderr
-            return krc.log(), {k: np.array(v) for k, v in json.loads(done.stdout).items()}
+            found = json.loads(done.stdout)
+            return krc.log(), {k: v if k == "error" else np.array(v) for k, v in found.items()}
 
 
 def commanded(log):
@@ -44,10 +49,11 @@ def undisturbed():
     from contextlib import nullcontext
 
     here = ("127.0.0.1", free_port())
-    return commanded(drive(nullcontext((here, here, [])), "total", realtime=False)[0])
+    return commanded(drive(nullcontext((here, here, [])), "total")[0])
 
 
 def check(log, recorded, undisturbed):
+    assert recorded["error"] == ""
     np.testing.assert_array_equal(commanded(log), undisturbed)  # no step left out, none made twice, none larger
     first, last = recorded["ipoc"][0], recorded["ipoc"][-1]
     span = (log["ipoc"] >= first) & (log["ipoc"] <= last)
@@ -55,6 +61,7 @@ def check(log, recorded, undisturbed):
     assert not (log["accepted"] & ~asked)[span].any()  # nothing was used that was never asked for
     never_heard = np.count_nonzero(span & ~asked)
     assert never_heard == round((last - first) / 4) + 1 - len(recorded["ipoc"])
+    assert never_heard == recorded["lost_telegrams"][-1] - recorded["lost_telegrams"][0]
     return never_heard, np.count_nonzero(span & ~log["accepted"])
 
 
@@ -75,3 +82,21 @@ def test_one_percent_loss_by_netem_between_namespaces(undisturbed, counting):
         pytest.skip(reason)
     log, recorded = drive(namespaces(), counting)
     check(log, recorded, undisturbed)
+
+
+STRETCH = 5.0  # 20 ms a cycle: by the clock, and yet not at the mercy of what else the machine has to do
+WEATHER = Weather(loss=0.01, repeat=0.01, reorder=0.01, jitter_s=0.002 * STRETCH, hold_s=0.006 * STRETCH)
+
+
+@pytest.mark.parametrize("counting", ["total", "consecutive"])
+def test_loss_repetition_reordering_and_jitter_are_ridden_out_or_end_by_name(counting):
+    log, recorded = drive(relay(WEATHER), counting, late_limit=90, realtime=True, stretch=STRETCH, timeout=100)
+    used = log["correction"][log["accepted"], 0]
+    assert np.abs(np.diff(used)).max() <= 20.0 * 0.004 * 1.001 + 2e-6  # whatever happened, no step was larger than one cycle's motion
+    if recorded["error"]:  # as many late answers as end a session: only a machine that stood still does that
+        assert recorded["error"].startswith(("DeviceTimeout", "DeviceFault", "ProtocolError"))
+        assert np.count_nonzero(~log["accepted"]) >= 90
+    else:
+        assert used[-1] == pytest.approx(FAR, abs=1e-6)
+        assert recorded["lost_telegrams"][-1] > 0
+        assert recorded["repeated_telegrams"][-1] + recorded["old_telegrams"][-1] > 0

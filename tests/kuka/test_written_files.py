@@ -1,6 +1,7 @@
 """``mbcacq controller-files``: the plan's numbers stand in the files, and the files are what the driver and the fake work with."""
 
 import re
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,14 @@ import pytest
 from click.testing import CliRunner
 from defusedxml.ElementTree import fromstring
 from mbcacq_fakes.protocols.krc.eki_config import read_config
+from mbcacq_kuka.controller_flags import flags_in
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.cli.app import app
 from mbcacq.devices import ConfigError, load_driver
 
+SERVER = files("mbcacq_kuka") / "controller" / "eki" / "EkiKSSinterface.xml"
 PLANS = Path(__file__).parents[2] / "plans"
 LIMITS = [(-170.0, 170.0), (-190.0, 45.0), (-120.0, 156.0), (-185.0, 185.0), (-120.0, 120.0), (-350.0, 350.0)]
 FACTS = {
@@ -62,7 +65,7 @@ def test_the_plans_numbers_stand_in_the_eki_files():
     assert fromstring(files["kss/EthernetKRL/mbcacq_eki.xml"]).findtext("CONFIGURATION/INTERNAL/IP") == "10.1.2.3"
     kss, new = (files[f"{system}/Program/mbcacq_eki.src"].splitlines() for system in ("kss", "iiqka"))
     assert len(kss) - len(new) == 2  # the message interrupt, which iiQKA.OS2 does not have
-    assert not any("IR_STOPM" in line or "FLAG[110]" in line for line in new)
+    assert not any("IR_STOPM" in line or "FLAG[120]" in line for line in new)
     assert any("INTERRUPT DECL 21" in line for line in new)
     assert "TOOL_DATA[7]={X 1.5000,Y -2.2500,Z 260.0000,A 90.0000,B -1.0000,C 179.5000}" in files["tool_data.txt"]
     assert "LOAD_DATA[7]={M 2.300,CM {X 0.0,Y 1.0,Z 32.0," in files["tool_data.txt"]
@@ -71,6 +74,7 @@ def test_the_plans_numbers_stand_in_the_eki_files():
 def test_the_plans_numbers_stand_in_the_rsi_files():
     options = {
         "bind": "172.31.1.9",
+        "controller_ip": "172.31.1.147",
         "port": 50001,
         "limits_deg": LIMITS,
         "cycle_ms": 12,
@@ -137,6 +141,64 @@ def test_the_command_writes_them_once(tmp_path, plan):
         catch_exceptions=False,
     )
     assert "README.txt" in again.output
+
+
+def test_the_flags_of_another_program_are_refused():
+    for first in (104, 106, 110, 1):
+        with pytest.raises(ConfigError, match=r"\$FLAG\[(105|110|1)\] belongs to"):
+            KukaEki.controller_files("arm", "KR 10", {**EKI, "first_flag": first}, FACTS)
+
+
+def test_other_flags_stand_in_all_files_together():
+    plain, moved = (KukaEki.controller_files("arm", "KR 10", {**EKI, **more}, FACTS) for more in ({}, {"first_flag": 200}))
+    used = [set().union(*(flags_in(text) for name, text in files.items() if "/" in name)) for files in (plain, moved)]
+    assert used == [set(range(120, 125)), set(range(200, 205))]
+    assert not used[0] & flags_in(SERVER.read_text())
+    assert "$FLAG[200] to $FLAG[204]" in moved["README.txt"]
+    for system in ("kss", "iiqka"):
+        assert set(read_config(moved[f"{system}/EthernetKRL/mbcacq_eki.xml"]).flags.values()) == {201}
+
+
+@pytest.mark.parametrize(
+    ("driver", "options", "says"),
+    [
+        (KukaRsi, {"limits_deg": LIMITS}, "option bind is 127.0.0.1"),
+        (KukaRsi, {"limits_deg": LIMITS, "bind": "0.0.0.0", "controller_ip": "172.31.1.147"}, "option bind is 0.0.0.0"),
+        (KukaEki, {**EKI, "address": "127.0.0.1"}, "option address is 127.0.0.1"),
+    ],
+)
+def test_an_address_that_no_controller_can_reach_is_warned_of(driver, options, says):
+    files = driver.controller_files("arm", "KR 10", options, FACTS)
+    assert says in files["WARNINGS.txt"]
+    assert says in files["README.txt"]
+
+
+def test_the_command_prints_the_warnings(tmp_path):
+    done = CliRunner().invoke(app, ["controller-files", str(PLANS / "kuka.yaml"), "--out", str(tmp_path / "files")], standalone_mode=False)
+    assert "warning: option bind is 127.0.0.1" in done.stderr
+
+
+def test_files_for_a_real_address_come_without_a_warning():
+    options = {"limits_deg": LIMITS, "bind": "172.31.1.9", "controller_ip": "172.31.1.147"}
+    files = KukaRsi.controller_files("arm", "KR 10", options, FACTS)
+    assert "WARNINGS.txt" not in files
+    assert "WARNINGS" not in files["README.txt"]
+
+
+def test_external_axes_are_sent_if_the_plan_asks_for_them():
+    plain, more = (
+        KukaRsi.controller_files("arm", "KR 10", {"limits_deg": LIMITS, "external_axes": wanted}, FACTS) for wanted in (False, True)
+    )
+    name = "kss85/SensorInterface/mbcacq_ethernet.xml"
+    sent = [[e.get("TAG") for e in fromstring(files[name]).find("SEND/ELEMENTS")] for files in (plain, more)]
+    assert set(sent[1]) - set(sent[0]) == {"DEF_EIPos", "DEF_MECur"}
+
+
+@pytest.mark.parametrize("driver", [KukaRsi, KukaEki])
+def test_the_guide_does_not_slow_the_arm_by_an_override_that_must_be_full(driver):
+    guide = driver.controller_files("arm", "KR 10", EKI if driver is KukaEki else {"limits_deg": LIMITS}, FACTS)["README.txt"]
+    assert "low override" not in guide.split("RANGE")[0].replace("a low override makes nothing slower", "")
+    assert "`robot: speed`" in guide
 
 
 def test_both_spellings_of_a_driver():

@@ -67,7 +67,11 @@ def test_only_what_can_lead_nowhere_but_to_this_computer_is_a_fake(options, fake
 
 
 def real(plan):
-    plan["robot"]["options"] = {"bind": "192.0.2.1", "port": 49152}  # an address of the documentation block: nobody's
+    plan["robot"]["options"] = {
+        "bind": "192.0.2.1",
+        "controller_ip": "192.0.2.2",
+        "port": 49152,
+    }  # an address of the documentation block: nobody's
     plan["workspace"] = {"min_mm": [-400, -600, -100], "max_mm": [1300, 600, 1400]}
 
 

@@ -50,7 +50,7 @@ def test_every_device_that_does_not_answer_has_a_line_and_a_cure(tmp_path):
 
 def test_a_real_robot_is_not_connected_unasked(tmp_path):
     """192.0.2.1 is nobody's: connecting would fail, so a line without an error shows that nothing was tried."""
-    done = mbcacq("doctor", plan_file(tmp_path, devices({"bind": "192.0.2.1", "port": 49152})), "--json")
+    done = mbcacq("doctor", plan_file(tmp_path, devices({"bind": "192.0.2.1", "controller_ip": "192.0.2.2", "port": 49152})), "--json")
     found = lines(done)
     assert found["robot"]["level"] == "warning"
     assert "--arm" in found["robot"]["cure"]

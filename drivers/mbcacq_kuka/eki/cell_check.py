@@ -17,6 +17,20 @@ _FRAME_MM, _FRAME_DEG = 0.01, 0.01
 def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: State) -> None:
     """Everything that is known after connecting. Raises IdentityError, DeviceFault (stopped)."""
     where = f"robot '{name}': the controller at {options.address}"
+    check_robot(where, model, hello)
+    check_tool(where, options, hello, state)
+    check_mode(where, options, state)
+    for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
+        if not low - 1.0 <= value <= high + 1.0:
+            raise IdentityError(
+                f"{where} shows A{axis} at {value:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
+                "jog the arm inside or correct the robot model"
+            )
+    check_flange(where, options, hello, state)
+    check_stops(where, state)
+
+
+def check_robot(where: str, model: str, hello: Hello) -> None:
     if hello.interface != INTERFACE:
         raise IdentityError(
             f"{where} runs programs for '{hello.interface}', this driver needs '{INTERFACE}'; "
@@ -26,6 +40,9 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
         raise IdentityError(f"{where} drives {hello.axes} axes, this driver is for 6")
     if model and not same_model(model, hello.model):
         raise IdentityError(f"{where} drives a '{hello.model}', the plan is for '{model}'; correct the plan's robot model or the address")
+
+
+def check_tool(where: str, options: EkiOptions, hello: Hello, state: State) -> None:
     for what, got, wanted in (("tool", state.tool, options.tool), ("base", state.base, options.base)):
         if got != wanted:
             raise IdentityError(
@@ -39,6 +56,9 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
         raise IdentityError(
             f"{where} counts with a load of {hello.load_kg:g} kg, the plan says {options.load_kg:g} kg; correct the load data of its tool"
         )
+
+
+def check_mode(where: str, options: EkiOptions, state: State) -> None:
     if state.mode not in options.modes:
         mode = {v: k for k, v in MODES.items()}.get(state.mode, f"unknown ({state.mode})")
         raise IdentityError(f"{where} is in mode {mode}, the plan expects {' or '.join(options.mode)}; turn the mode selector")
@@ -47,22 +67,14 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
             f"{where} has an override of {state.override} %, the plan expects {options.override} %; "
             "set it on the smartPAD or set option override"
         )
-    for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
-        if not low - 1.0 <= value <= high + 1.0:
-            raise IdentityError(
-                f"{where} shows A{axis} at {value:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
-                "jog the arm inside or correct the robot model"
-            )
-    check_flange(where, options, hello, state)
-    check_stops(where, state)
 
 
 def check_flange(where: str, options: EkiOptions, hello: Hello, state: State) -> None:
     """The controller's own forward kinematics must agree with the plan's robot: finds wrong machine data and wrong models."""
     if options.kinematics is None:
         return
-    told = _invert(_frame(hello.robroot)) @ _frame(hello.base_frame) @ _frame(state.cart) @ _invert(_frame(hello.tool_frame))
-    away = float(np.linalg.norm(told[:3, 3] - flange(options.kinematics, state.axis)[:3, 3]))
+    reported = _invert(_frame(hello.robroot)) @ _frame(hello.base_frame) @ _frame(state.cart) @ _invert(_frame(hello.tool_frame))
+    away = float(np.linalg.norm(reported[:3, 3] - flange(options.kinematics, state.axis)[:3, 3]))
     if not away <= options.flange_tolerance_mm:
         raise IdentityError(
             f"{where} places its flange {away:.1f} mm from where the plan's robot model does at the same joint angles; "

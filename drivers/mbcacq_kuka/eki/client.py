@@ -6,7 +6,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from types import TracebackType
 from typing import Any, Self
@@ -55,23 +55,7 @@ class EkiStatus:
     robot_stopped: bool
 
 
-_STATUS = dict(
-    zip(
-        (f.name for f in fields(EkiStatus)),
-        (
-            "ControlMode",
-            "CycleTime",
-            "DrivesPowered",
-            "EmergencyStop",
-            "GuardStop",
-            "InMotion",
-            "MotionPossible",
-            "OperationMode",
-            "RobotStopped",
-        ),
-        strict=True,
-    )
-)
+_JOINT_POSITION = 1  # ControlMode
 
 
 class EkiClient:
@@ -95,11 +79,10 @@ class EkiClient:
         self._cutter = Cutter("Robot")
         try:
             self._send(Request.CONNECT)
-            self._await(lambda: self.identity)
+            return self._await(lambda: self.identity)
         except BaseException:
             self.close()
             raise
-        return self.identity
 
     def close(self) -> None:
         sock, self._socket = self._socket, None
@@ -114,16 +97,25 @@ class EkiClient:
     def drives_off(self) -> None:
         self._request(Request.DRIVES_OFF, (EkiEvent.DRIVES_OFF,))
 
-    def start(self, control_mode: int = 1, cycle_ms: int = 4) -> None:
-        """Start the RSI program: the controller begins to send RSI telegrams. control_mode 1: joint position."""
-        self._request(Request.START, (EkiEvent.STARTED,), control_mode, {4: 1, 12: 2}[cycle_ms])
+    def choose_cycle(self, cycle_ms: int) -> None:
+        """Choose between the RSI programs of 4 and of 12 ms. A server that knows one cycle only (iiQKA.OS2) refuses the request and
+        has that of 4 ms; the first telegrams show which one it is."""
+        self._request(Request.CYCLE, (EkiEvent.CYCLE_SET, EkiEvent.INVALID), cycle_time={4: 1, 12: 2}[cycle_ms])
+
+    def choose_joint_position(self) -> None:
+        """What the RSI program shall correct. Without this choice the server does not take ``start``."""
+        self._request(Request.CHANGE_MODE, (EkiEvent.SWITCH_OK,), control_mode=_JOINT_POSITION)
+
+    def start(self) -> None:
+        """Start the RSI program that was chosen: the controller begins to send RSI telegrams."""
+        self._request(Request.START, (EkiEvent.STARTED,))
 
     def cancel(self) -> None:
         """End the RSI program."""
         self._request(Request.CANCEL, (EkiEvent.CANCELLED, EkiEvent.STOPPED))
 
     def reset(self) -> None:
-        """Take back a fault and return to the beginning of the program."""
+        """Return a program that is running to its beginning."""
         self._request(Request.RESET, (EkiEvent.RESET_OK,))
 
     def poll(self) -> EkiStatus | None:
@@ -139,7 +131,7 @@ class EkiClient:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _request(self, request: Request, accepted: tuple[EkiEvent, ...], control_mode: int = 1, cycle_time: int = 1) -> None:
+    def _request(self, request: Request, accepted: tuple[EkiEvent, ...], control_mode: int = -1, cycle_time: int = -1) -> None:
         self.poll()
         self._waiting.clear()
         self._send(request, control_mode, cycle_time)
@@ -161,7 +153,7 @@ class EkiClient:
                 return response
         return None
 
-    def _send(self, request: Request, control_mode: int = 1, cycle_time: int = 1) -> None:
+    def _send(self, request: Request, control_mode: int = -1, cycle_time: int = -1) -> None:
         if self._socket is None:
             raise ConnectError("the EKI client is not connected; call connect first")
         telegram = f'<External REQTYPE="{int(request)}" ControlMode="{control_mode}" CycleTime="{cycle_time}"></External>'
@@ -210,7 +202,25 @@ class EkiClient:
                 init.get("RobVer", ""),
             )
         if (status := robot.find("Status")) is not None:
-            values = {field.name: int(status.get(_STATUS[field.name], "0")) for field in fields(EkiStatus)}
-            self.status = EkiStatus(**{f.name: bool(values[f.name]) if f.type == "bool" else values[f.name] for f in fields(EkiStatus)})
+            self.status = _status(status)
         if (response := robot.find("Response")) is not None:
             self._waiting.append(response)
+
+
+def _status(element: Element) -> EkiStatus:
+    """Raises ValueError for what is no whole number."""
+
+    def number(attribute: str) -> int:
+        return int(element.get(attribute, "0"))
+
+    return EkiStatus(
+        number("ControlMode"),
+        number("CycleTime"),
+        bool(number("DrivesPowered")),
+        bool(number("EmergencyStop")),
+        bool(number("GuardStop")),
+        bool(number("InMotion")),
+        bool(number("MotionPossible")),
+        number("OperationMode"),
+        bool(number("RobotStopped")),
+    )

@@ -78,7 +78,7 @@ class KukaEki:
         except BaseException:
             self.close()
             raise
-        first = session.state
+        first = session.latest
         self._number = self._stopped = max(first.last, first.refused, first.cancelled)
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
@@ -131,7 +131,7 @@ class KukaEki:
 
     def state(self) -> RobotState:
         session = self._check()
-        state, arrived = session.state, session.arrived
+        state, arrived = session.latest, session.arrived
         moving = bool(state.moving) or (session.busy and not arrived)
         return RobotState(state.time * 1e-3, np.radians(state.axis), moving, arrived)
 

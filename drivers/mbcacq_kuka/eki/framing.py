@@ -8,7 +8,7 @@ MAX_TELEGRAM = 65536
 
 
 class FramingError(ValueError):
-    """The stream cannot be made sense of any more."""
+    """The stream cannot be read any more."""
 
 
 class Cutter:

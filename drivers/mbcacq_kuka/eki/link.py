@@ -69,12 +69,12 @@ class Link:
         self._socket.close()
 
 
-def dial(address: str, port: int, patience_s: float, quit_event: threading.Event) -> Link:
+def dial(address: str, port: int, wait_s: float, quit_event: threading.Event) -> Link:
     """Connect, trying again while the controller makes its channel new, until ``quit_event``. Raises ConnectError."""
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + wait_s
     while True:
         try:
-            link = Link(address, port, max(RETRY_S, min(patience_s, _LONGEST_S)))
+            link = Link(address, port, max(RETRY_S, min(wait_s, _LONGEST_S)))
             try:
                 link.send(command(BEAT))  # EKI 6 knows of a client only by its first telegram
             except LinkLost as error:

@@ -6,11 +6,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-import numpy as np
-
 from mbcacq.devices import ConfigError
+from mbcacq_kuka.controller_flags import COUNT, FIRST, LARGEST
+from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, refuse_unknown
 
 MODES = {"T1": 1, "T2": 2, "AUT": 3, "EXT": 4}
+_RANGES = {
+    "port": (1, 65535, True),
+    "acceleration_percent": (1, 100, True),
+    "path_speed_mm_s": (1, 3000, False),
+    "tool": (0, 128, True),
+    "base": (0, 128, True),
+    "override": (1, 100, True),
+    "load_kg": (0, 5000, False),
+    "flange_tolerance_mm": (1e-6, 1e6, False),
+    "connect_timeout_s": (1e-3, 1e6, False),
+    "silence_s": (1e-2, 1e3, False),
+    "reconnect_s": (0, 1e4, False),
+    "beat_ms": (1, 1e4, False),
+    "controller_silence_ms": (100, 10000, True),
+    "state_ms": (12, 1000, True),
+    "first_flag": (1, LARGEST - COUNT + 1, True),
+}
 
 
 @dataclass(frozen=True)
@@ -28,7 +45,7 @@ class EkiOptions:
     connect_timeout_s: how long to wait for the controller and its program. silence_s: without a state that long is a fault.
     reconnect_s: how long to try to get a lost connection back while the arm stands; 0 never. beat_ms: robot time between our signs of
     life. controller_silence_ms, state_ms: written into the controller's program: how long it bears our silence before it brakes,
-    and how often it tells its state.
+    and how often it tells its state. first_flag: number of the first of five $FLAGs that the program uses.
     """
 
     address: str
@@ -52,6 +69,7 @@ class EkiOptions:
     beat_ms: float = 96.0
     controller_silence_ms: int = 1000
     state_ms: int = 24
+    first_flag: int = FIRST
 
     @property
     def modes(self) -> frozenset[int]:
@@ -61,9 +79,18 @@ class EkiOptions:
 
 def read_options(name: str, given: Mapping[str, Any]) -> EkiOptions:
     """Raises ConfigError for an unknown option or a value that cannot be."""
-    known = [f.name for f in fields(EkiOptions)]
-    if unknown := sorted(set(given) - set(known)):
-        raise ConfigError(f"robot '{name}': unknown option {', '.join(unknown)}; known are {', '.join(known)}")
+    refuse_unknown(name, given, [f.name for f in fields(EkiOptions)])
+    options = EkiOptions(**_converted(name, given))
+    check_numbers(name, options, _RANGES)
+    check_positive(name, "speed_deg_s", options.speed_deg_s)
+    check_limits(name, options.limits_deg)
+    if 2.0 * options.beat_ms > options.controller_silence_ms:
+        raise ConfigError(f"robot '{name}': beat_ms must be less than half of controller_silence_ms, or the controller brakes by itself")
+    return options
+
+
+def _converted(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Lists as tuples of floats, one mode as a tuple of one."""
     values = dict(given)
     if not isinstance(values.get("address"), str) or not values["address"].strip():
         raise ConfigError(f"robot '{name}': option address is missing; give the controller's IP address")
@@ -72,53 +99,17 @@ def read_options(name: str, given: Mapping[str, Any]) -> EkiOptions:
             raise ConfigError(f"robot '{name}': option {key} ({what}) is missing, and the robot file does not say it either")
     for key, shape in (("limits_deg", (6, 2)), ("kinematics", (6, 6))):
         if values.get(key) is not None:
-            values[key] = tuple(map(tuple, _array(name, key, values[key], shape).tolist()))
+            values[key] = tuple(map(tuple, array(name, key, values[key], shape).tolist()))
     for key in ("speed_deg_s", "tool_frame", "base_frame"):
         if values.get(key) is not None:
-            values[key] = tuple(_array(name, key, values[key], (6,)).tolist())
+            values[key] = tuple(array(name, key, values[key], (6,)).tolist())
     if "mode" in values:
-        mode = values["mode"]
-        values["mode"] = tuple(map(str, mode)) if isinstance(mode, list | tuple) else (str(mode),)
-        if not values["mode"] or not set(values["mode"]) <= {*MODES, "any"}:
-            raise ConfigError(f"robot '{name}': option mode must be any, T1, T2, AUT or EXT, it is {mode!r}")
-    options = EkiOptions(**values)
-    for key, low, high, whole in (
-        ("port", 1, 65535, True),
-        ("acceleration_percent", 1, 100, True),
-        ("path_speed_mm_s", 1, 3000, False),
-        ("tool", 0, 128, True),
-        ("base", 0, 128, True),
-        ("override", 1, 100, True),
-        ("load_kg", 0, 5000, False),
-        ("flange_tolerance_mm", 1e-6, 1e6, False),
-        ("connect_timeout_s", 1e-3, 1e6, False),
-        ("silence_s", 1e-2, 1e3, False),
-        ("reconnect_s", 0, 1e4, False),
-        ("beat_ms", 1, 1e4, False),
-        ("controller_silence_ms", 100, 10000, True),
-        ("state_ms", 12, 1000, True),
-    ):
-        value = getattr(options, key)
-        if value is None and key in ("override", "load_kg"):
-            continue
-        if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
-            raise ConfigError(
-                f"robot '{name}': option {key} must be a {'whole ' if whole else ''}number from {low:g} to {high:g}, it is {value!r}"
-            )
-    if min(options.speed_deg_s) <= 0:
-        raise ConfigError(f"robot '{name}': option speed_deg_s must be positive")
-    if any(low >= high for low, high in options.limits_deg):
-        raise ConfigError(f"robot '{name}': in limits_deg every lower limit must be below the upper one")
-    if 2.0 * options.beat_ms > options.controller_silence_ms:
-        raise ConfigError(f"robot '{name}': beat_ms must be less than half of controller_silence_ms, or the controller brakes by itself")
-    return options
+        values["mode"] = _modes(name, values["mode"])
+    return values
 
 
-def _array(name: str, key: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=float).reshape(shape)
-        if not np.isfinite(array).all():
-            raise ValueError("a value is not finite")
-        return array
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"robot '{name}': option {key} is wrong: {error}") from error
+def _modes(name: str, mode: Any) -> tuple[str, ...]:
+    modes = tuple(map(str, mode)) if isinstance(mode, list | tuple) else (str(mode),)
+    if not modes or not set(modes) <= {*MODES, "any"}:
+        raise ConfigError(f"robot '{name}': option mode must be any, T1, T2, AUT or EXT, it is {mode!r}")
+    return modes

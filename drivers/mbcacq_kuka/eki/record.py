@@ -39,7 +39,7 @@ class Record:
         )
 
     def drain(self) -> Cycles:
-        """q_set is not told over EKI (NaN); q_command is the target of the move under way."""
+        """q_set is not reported over EKI (NaN); q_command is the target of the move under way."""
         taken = []
         while self._rows:
             taken.append(self._rows.popleft())

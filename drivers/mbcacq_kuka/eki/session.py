@@ -29,7 +29,7 @@ class EkiSession:
         self._thread = threading.Thread(target=self._work, name="kuka-eki", daemon=True)
         self._watch: Watch | None = None
         self._target: tuple[float, ...] | None = None
-        self._beaten, self._heard, self._connections, self._patience = -1, 0.0, 0, 0.0
+        self._beaten, self._heard, self._connections, self._first_deadline = -1, 0.0, 0, 0.0
         self.error: MbcacqError | None = None
         self.hello: Hello | None = None
         self.state: State | None = None
@@ -37,8 +37,8 @@ class EkiSession:
     def open(self) -> None:
         """Raises ConnectError, IdentityError, DeviceFault, ProtocolError."""
         deadline = time.monotonic() + self._options.connect_timeout_s
-        self._patience = time.monotonic() + min(_FIRST_S, self._options.connect_timeout_s)
-        self._link = self._dial(self._patience - time.monotonic())
+        self._first_deadline = time.monotonic() + min(_FIRST_S, self._options.connect_timeout_s)
+        self._link = self._dial(self._first_deadline - time.monotonic())
         self._thread.start()
         where = f"robot '{self._name}': the controller at {self._options.address}"
         self._await(
@@ -47,16 +47,23 @@ class EkiSession:
             f"{where} accepts the connection but tells no state; is our link program in its submit interpreter?",
         )
         self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
-        self._check(self.hello, self.state)
+        assert self.hello is not None  # what was waited for
+        self._check(self.hello, self.latest)
         braking = time.monotonic() + _FIRST_S  # perhaps from a connection that was lost just now
-        while self.state.moving:
+        while self.latest.moving:
             if self.error is not None:
                 raise self.error.with_traceback(None)
             if time.monotonic() > braking:
                 raise DeviceFault(f"{where} is moving the arm already; wait until it stands")
             time.sleep(_POLL_S)
         with self._news:
-            self._watch = Watch(self._name, self.state)
+            self._watch = Watch(self._name, self.latest)
+
+    @property
+    def latest(self) -> State:
+        """The last state of the controller; there is one from ``open`` on."""
+        assert self.state is not None  # open waits for the first one
+        return self.state
 
     @property
     def busy(self) -> bool:
@@ -82,6 +89,7 @@ class EkiSession:
 
     def begin(self, move: Move, target: tuple[float, ...] | None, telegram: bytes) -> None:
         with self._news:
+            assert self._watch is not None  # made by open
             self._watch.begin(move)
             self._target = target
         self._send(telegram)
@@ -90,7 +98,7 @@ class EkiSession:
         """Stop all moves up to ``number``. Never raises: without a connection the controller has braked already."""
         with self._news:
             if self._watch is not None and not self._watch.arrived:
-                self._watch.leave()
+                self._watch.abandon()
         self._send(telegrams.command(STOP, number, self.beat))
 
     def fail(self, error: MbcacqError) -> None:
@@ -103,11 +111,11 @@ class EkiSession:
             self.halt(max(self.state.last, 0 if self._watch is None or self._watch.move is None else self._watch.move.number))
 
     def close(self, standstill_s: float) -> None:
-        """Wait until the arm stands, as long as its state is told; then hang up."""
+        """Wait until the arm stands, as long as its state is reported; then hang up."""
         deadline = time.monotonic() + standstill_s
-        seen = None if self.state is None else self.state.time
-        while self._thread.is_alive() and self._link is not None and seen is not None and time.monotonic() < deadline:
-            if self.state.time > seen + 2 * self._options.state_ms and not self.state.moving or self._heard + 0.5 < time.monotonic():
+        last = None if self.state is None else self.state.time
+        while self._thread.is_alive() and self._link is not None and last is not None and time.monotonic() < deadline:
+            if self.latest.time > last + 2 * self._options.state_ms and not self.latest.moving or self._heard + 0.5 < time.monotonic():
                 break
             time.sleep(0.002)
         self._quit.set()
@@ -133,7 +141,9 @@ class EkiSession:
                     return
 
     def _listen(self) -> None:
-        for arrival, hello, state in self._link.receive(_POLL_S):
+        if (link := self._link) is None:
+            raise LinkLost("the connection was closed")
+        for arrival, hello, state in link.receive(_POLL_S):
             self._heard = arrival
             if hello is not None:
                 self.hello = hello
@@ -162,13 +172,20 @@ class EkiSession:
     def _again(self, how: str) -> bool:
         """The connection is lost. Take it up again if the arm stood still; else say what happened. False: that was all."""
         link, self._link = self._link, None
-        link.close()
+        if link is not None:
+            link.close()
         if self._watch is None and self._redial():
             return True
         robot = f"robot '{self._name}'"
         before, watching = self.state, self._watch is not None
-        under_way = before is None or not watching or bool(before.moving) or (self.busy and not self.arrived)
-        if under_way or self.error is not None or not self._options.reconnect_s:
+        if (
+            before is None
+            or not watching
+            or before.moving
+            or (self.busy and not self.arrived)
+            or self.error is not None
+            or not self._options.reconnect_s
+        ):
             lost = DeviceTimeout if watching else ConnectError
             self.fail(lost(f"{robot}: {how}" + ("; the controller brakes the arm by itself" if watching else "")))
             return False
@@ -188,7 +205,7 @@ class EkiSession:
 
     def _redial(self) -> bool:
         """While connecting: a controller that still ends a former connection closes the new one, too."""
-        left = self._patience - time.monotonic()
+        left = self._first_deadline - time.monotonic()
         if left <= 0 or self._quit.wait(min(left, RETRY_S)):
             return False
         try:
@@ -212,9 +229,9 @@ class EkiSession:
             self._link = link
             self._news.notify_all()
 
-    def _dial(self, patience_s: float) -> Link:
+    def _dial(self, wait_s: float) -> Link:
         """Raises ConnectError."""
-        link = dial(self._options.address, self._options.port, patience_s, self._quit)
+        link = dial(self._options.address, self._options.port, wait_s, self._quit)
         self._connections += 1
         self._heard = time.monotonic()
         return link
@@ -228,7 +245,7 @@ class EkiSession:
             link.close()  # the thread will notice
 
     def _complete(self) -> bool:
-        return self.hello is not None and self.state.ready and self.hello.session == self.state.session
+        return self.hello is not None and bool(self.latest.ready) and self.hello.session == self.latest.session
 
     def _await(self, condition: Callable[[], bool], deadline: float, otherwise: str) -> None:
         with self._news:

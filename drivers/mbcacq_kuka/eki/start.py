@@ -6,25 +6,29 @@ import re
 
 from mbcacq.devices import DeviceFault, IdentityError
 from mbcacq_kuka.eki.client import EkiClient
-from mbcacq_kuka.rsi.options import RsiOptions
 
 _PORT = 54600
 
 
-def start_by_eki(name: str, model: str, options: RsiOptions) -> EkiClient:
-    """The connected client; keep it open as long as RSI runs. Raises IdentityError, DeviceFault and what EkiClient raises."""
-    host, _, port = options.eki.partition(":")
+def start_by_eki(name: str, model: str, server: str, cycle_ms: int) -> EkiClient:
+    """The connected client; keep it open as long as RSI runs. server: 'host' or 'host:port'. Raises IdentityError, DeviceFault and what
+    EkiClient raises.
+
+    KUKA's server begins every connection without a control mode and with a cycle of 12 ms, and takes no START before a mode was chosen.
+    """
+    host, _, port = server.partition(":")
     client = EkiClient(host, int(port or _PORT))
     try:
         identity = client.connect()
         if model and not same_model(model, identity.model):
-            raise IdentityError(f"robot '{name}': the controller at {options.eki} drives a '{identity.model}', the plan is for '{model}'")
+            raise IdentityError(f"robot '{name}': the controller at {server} drives a '{identity.model}', the plan is for '{model}'")
         status = client.poll()
         if status is not None and status.emergency_stop:
             raise DeviceFault(f"robot '{name}': the emergency stop is pressed; release and acknowledge it")
-        client.reset()
         client.drives_on()
-        client.start(cycle_ms=options.cycle_ms)
+        client.choose_cycle(cycle_ms)
+        client.choose_joint_position()
+        client.start()
     except BaseException:
         client.close()
         raise

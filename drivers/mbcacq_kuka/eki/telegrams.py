@@ -143,7 +143,7 @@ def _integer(element: Element, name: str) -> int:
     except ValueError:
         raise BadTelegram(f"{element.tag}/@{name} is {text!r}, not a whole number") from None
     if abs(value) >= 1 << 31:
-        raise BadTelegram(f"{element.tag}/@{name} is {text[:20]}, more than an INT holds")
+        raise BadTelegram(f"{element.tag}/@{name} is {value:.3g}, more than an INT holds")
     return value
 
 
@@ -156,5 +156,5 @@ def _numbers(element: Element, names: Sequence[str]) -> tuple[float, ...]:
         except ValueError:
             raise BadTelegram(f"{element.tag}/@{name} is {text!r}, not a number") from None
         if not isfinite(values[-1]) or abs(values[-1]) > 1e7:
-            raise BadTelegram(f"{element.tag}/@{name} is {text[:20]}, which cannot be")
+            raise BadTelegram(f"{element.tag}/@{name} is {values[-1]:g}, which cannot be")
     return tuple(values)

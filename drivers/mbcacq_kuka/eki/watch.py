@@ -1,4 +1,4 @@
-"""Judges the states of the controller: has the arm arrived, does it do what it was told? No sockets, no clock of its own."""
+"""Judges the states of the controller: has the arm arrived, does it do what it was asked to? No sockets, no clock of its own."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ class Watch:
         self._name, self._first = name, first
         self.move: Move | None = None
         self.arrived = False
-        self._since = self._inside_since = None
+        self._since: float | None = None
+        self._inside_since: float | None = None
 
     def begin(self, move: Move) -> None:
         self.move, self.arrived = move, False
         self._since = self._inside_since = None
 
-    def leave(self) -> None:
+    def abandon(self) -> None:
         """The move was stopped: it will not arrive, and that is no fault."""
         self.move = None
 
@@ -56,8 +57,25 @@ class Watch:
         return None
 
     def _judge(self, move: Move, state: State) -> MbcacqError | None:
-        robot, now = f"robot '{self._name}'", state.time * 1e-3
-        self._since = now if self._since is None else self._since
+        now = state.time * 1e-3
+        since = self._since = now if self._since is None else self._since
+        if (refusal := self._refusal(move, state)) is not None:
+            return refusal
+        if state.last < move.number:
+            return self._overdue(now - since, _TAKE_S, "the controller did not take the move; the arm is stopped")
+        if state.done < move.number or state.moving:
+            self._inside_since = None
+            if state.moving:
+                self._since = now
+            return self._overdue(
+                0.0 if state.moving else now - since,
+                _BEGIN_S,
+                "the controller took the move, but the arm does not begin it; look at the smartPAD (drives, start key in T1, messages)",
+            )
+        return self._judge_standstill(move, state, now, since)
+
+    def _refusal(self, move: Move, state: State) -> MbcacqError | None:
+        robot = f"robot '{self._name}'"
         if state.refused == move.number:
             reason = REFUSALS.get(state.code, f"code {state.code}")
             return SafetyStop(
@@ -69,30 +87,21 @@ class Watch:
                 f"{robot}: the controller stopped the move by itself, for want of signs of life; look at the network and "
                 "the load of this computer"
             )
-        if state.last < move.number:
-            return self._overdue(now, _TAKE_S, f"{robot}: the controller did not take the move; the arm is stopped")
-        if state.done < move.number or state.moving:
-            self._inside_since = None
-            if state.moving:
-                self._since = now
-            return self._overdue(
-                now,
-                _BEGIN_S,
-                f"{robot}: the controller took the move, but the arm does not begin it; "
-                "look at the smartPAD (drives, start key in T1, messages)",
-            )
-        away = move.away(state)
-        if away > 1.0:
-            self._inside_since = None
-            if now - self._since > _REACH_S:
-                return SafetyStop(
-                    f"{robot}: the arm stands {away:.1f} times the tolerance away from its target, although the controller "
-                    "says the move is done; it is not moved any further"
-                )
-            return None
-        self._inside_since = now if self._inside_since is None else self._inside_since
-        self.arrived = now - self._inside_since >= move.settle_s
         return None
 
-    def _overdue(self, now: float, limit_s: float, sentence: str) -> MbcacqError | None:
-        return DeviceTimeout(sentence) if now - self._since > limit_s else None
+    def _judge_standstill(self, move: Move, state: State, now: float, since: float) -> MbcacqError | None:
+        away = move.away(state)
+        if away <= 1.0:
+            self._inside_since = now if self._inside_since is None else self._inside_since
+            self.arrived = now - self._inside_since >= move.settle_s
+            return None
+        self._inside_since = None
+        if now - since <= _REACH_S:
+            return None
+        return SafetyStop(
+            f"robot '{self._name}': the arm stands {away:.1f} times the tolerance away from its target, although the controller "
+            "says the move is done; it is not moved any further"
+        )
+
+    def _overdue(self, waited_s: float, limit_s: float, sentence: str) -> MbcacqError | None:
+        return DeviceTimeout(f"robot '{self._name}': {sentence}") if waited_s > limit_s else None

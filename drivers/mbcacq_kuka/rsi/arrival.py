@@ -1,4 +1,4 @@
-"""Does the arm stand where it was told to go? Judged from the measured joints, cycle by cycle."""
+"""Does the arm stand where it was asked to go? Judged from the measured joints, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _COARSE_CYCLES = 100  # standing so long next to the target: look whether roundi
 
 
 class Arrival:
-    """``begin`` with every move, ``judge`` in every cycle in which no set point moves, ``leave`` where the move is given up."""
+    """``begin`` with every move, ``judge`` in every cycle in which no set point moves, ``abandon`` where the move is given up."""
 
     def __init__(self) -> None:
         self.arrived = True
@@ -20,7 +20,7 @@ class Arrival:
     def begin(self, command: RsiCommand) -> None:
         self.arrived, self._command, self._inside_since = False, command, None
 
-    def leave(self) -> None:
+    def abandon(self) -> None:
         self._command = None
 
     def judge(self, measured: Sequence[float], still: int, time_s: float) -> str | None:

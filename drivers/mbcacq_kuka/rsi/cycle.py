@@ -1,4 +1,5 @@
-"""The RSI cycle, in a process of its own: receive, next set point, answer, record. Nothing else may share its interpreter.
+"""The RSI cycle, in a process of its own: receive, answer, then record and prepare the next answer. Nothing else may share its
+interpreter.
 
 Started as ``python -m mbcacq_kuka.rsi.cycle`` with its settings as one JSON line on standard input. It answers 'ready' (or why
 not) on standard output. When standard input ends, because the driver closed it or died, it brakes, ends the session and exits.
@@ -6,9 +7,7 @@ not) on standard output. When standard input ends, because the driver closed it 
 
 from __future__ import annotations
 
-import gc
 import json
-import os
 import signal
 import socket
 import sys
@@ -16,62 +15,49 @@ import threading
 import time
 from typing import Any
 
+from mbcacq_kuka.rsi.realtime import become_real_time, open_socket, wait
 from mbcacq_kuka.rsi.session import RsiSession
 from mbcacq_kuka.rsi.shared import Shared
 from mbcacq_kuka.rsi.telegram import MAX_DATAGRAM
 
 _POLL_S = 0.02
-_PRIORITY = 50
-
-
-def open_socket(address: str, port: int) -> socket.socket:
-    """Bound exclusively: a second program on the port would silently take the controller's telegrams."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
-        sock.bind((address, port))
-    except (OSError, OverflowError):
-        sock.close()
-        raise
-    sock.settimeout(_POLL_S)
-    return sock
-
-
-def become_real_time() -> bool:
-    """A fixed high priority and no garbage collection; quietly without, where it is not permitted."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except (AttributeError, OSError):
-        return False
-    return True
 
 
 def run(sock: socket.socket, session: RsiSession, parent_gone: threading.Event) -> None:
     """Until the session is over."""
     receive, monotonic = sock.recvfrom, time.monotonic
+    connected = False
     while not session.over:
         if parent_gone.is_set():
             session.close(monotonic())
         try:
             data, source = receive(MAX_DATAGRAM)
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             session.idle(monotonic())
             continue
-        except ConnectionError:  # Windows reports an unreachable controller here; its silence says the same
+        except ConnectionError:  # an unreachable controller; its silence says the same
             continue
         now = monotonic()
         if now - session.last_heard > 1.5 * session.cycle_s:
             data, source = _newest(sock, session, data, source, now)
-        answer = session.answer(data, source, now)
+        answer = session.reply(data, source, now)
         if answer is not None:
             try:
-                sock.sendto(answer, source)
+                sock.send(answer) if connected else sock.sendto(answer, source)
             except OSError:
                 pass  # counts as a late answer, which the controller reports back
+        session.digest(now)
+        if not connected and session.controller is not None:
+            connected = _only_from(sock, session.controller)
+
+
+def _only_from(sock: socket.socket, controller: Any) -> bool:
+    """From now on the operating system drops what other senders send, before it wakes us."""
+    try:
+        sock.connect(controller)
+    except OSError:
+        return False
+    return True
 
 
 def _newest(sock: socket.socket, session: RsiSession, data: bytes, source: Any, now: float) -> tuple[bytes, Any]:
@@ -80,12 +66,13 @@ def _newest(sock: socket.socket, session: RsiSession, data: bytes, source: Any, 
     try:
         while True:
             newer = sock.recvfrom(MAX_DATAGRAM)
-            session.answer(data, source, now, in_time=False)
+            session.reply(data, source, now, in_time=False)
+            session.digest(now)
             data, source = newer
-    except BlockingIOError:
+    except OSError:
         return data, source
     finally:
-        sock.settimeout(_POLL_S)
+        wait(sock, _POLL_S)
 
 
 def main() -> int:
@@ -96,13 +83,13 @@ def main() -> int:
     shared = Shared.attach(settings["shared"])
     try:
         try:
-            sock = open_socket(settings["bind"], settings["port"])
+            sock = open_socket(settings["bind"], settings["port"], _POLL_S)
         except (OSError, OverflowError) as error:
             print(json.dumps({"error": str(error)}), flush=True)
             return 1
         with sock:
             session = RsiSession(shared, settings)
-            real_time = become_real_time()
+            real_time = become_real_time(settings["cpu"])
             threading.Thread(target=_await_end_of_input, args=(parent_gone,), daemon=True).start()
             print(json.dumps({"ready": sock.getsockname()[1], "real_time": real_time}), flush=True)
             run(sock, session, parent_gone)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import atexit
-import json
-import subprocess
-import sys
+import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
@@ -31,13 +30,16 @@ from mbcacq.devices import (
 from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.eki.client import EkiClient
 from mbcacq_kuka.eki.start import start_by_eki
+from mbcacq_kuka.rsi.cycle_process import CycleProcess
 from mbcacq_kuka.rsi.options import read_options
-from mbcacq_kuka.rsi.record import CycleReader
-from mbcacq_kuka.rsi.shared import ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
+from mbcacq_kuka.rsi.recovery import PendingMove, off_path
+from mbcacq_kuka.rsi.shared import ARRIVED, MOVE, MOVING, STOP, RsiCommand
 
 _FAULTS: dict[str, type[MbcacqError]] = {
     "connect": ConnectError,
     "protocol": ProtocolError,
+    "restart": ProtocolError,
+    "implausible": SafetyStop,
     "silence": DeviceTimeout,
     "late": DeviceFault,
     "follow": SafetyStop,
@@ -49,7 +51,11 @@ _AFTER = {
     "late": "the arm was stopped",
     "follow": "the arm was stopped",
     "protocol": "the arm was stopped",
+    "implausible": "the arm was stopped",
 }
+_SESSION_ENDED = ("silence", "restart")  # faults after which the controller may offer a new session
+_POLL_S = 0.002
+_log = logging.getLogger("mbcacq.kuka_rsi")
 
 
 class KukaRsi:
@@ -59,12 +65,14 @@ class KukaRsi:
         self._name, self._model = name, model
         self._options = read_options(name, options)
         self._limits = np.array(self._options.limits_deg)
-        self._lock = threading.Lock()
-        self._process: subprocess.Popen[str] | None = None
-        self._shared: Shared | None = None
-        self._reader: CycleReader | None = None
+        self._process: CycleProcess | None = None
+        self._kept: deque[Cycles] = deque()  # of sessions that are over
         self._eki: EkiClient | None = None
         self._move_seq = 0
+        self._pending: PendingMove | None = None
+        self._mover: int | None = None  # the thread that moves the arm
+        self._recovering = threading.Lock()
+        self._standing: CycleProcess | None = None  # the session before the one that is being waited for
         self._error: MbcacqError | None = None
         self.port = self._options.port
         self.real_time = False
@@ -88,6 +96,11 @@ class KukaRsi:
                 Field("current_percent", "%", axes, rate, "motor currents (MACur), as sent"),
                 Field("delay", "1", (), rate, "answers the controller counted late"),
                 Field("ipoc", "ms", (), rate, "the controller's cycle counter"),
+                Field("external_axes", "deg or mm", axes, rate, "external axes E1 to E6 (EIPos), as sent; only if sent"),
+                Field("lost_telegrams", "1", (), rate, "telegrams that never arrived, since the session began"),
+                Field("repeated_telegrams", "1", (), rate, "telegrams that arrived again"),
+                Field("old_telegrams", "1", (), rate, "telegrams that arrived after a later one"),
+                Field("foreign_telegrams", "1", (), rate, "datagrams of other senders, until the operating system dropped them"),
             ),
             verified_on_hardware=False,
         )
@@ -95,79 +108,53 @@ class KukaRsi:
     def connect(self) -> None:
         """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable)."""
         self.close()
-        self._error, self._move_seq = None, 0
-        try:
-            self._shared = Shared.create()
-        except OSError as error:
-            raise ConnectError(
-                f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); free some in /dev/shm"
-            ) from error
-        self._reader = CycleReader(self._shared)
+        self._error, self._move_seq, self._pending, self._mover = None, 0, None, None
+        self._kept.clear()
         atexit.register(self.close)
         try:
-            self._start()
-            if self._options.eki:
-                self._eki = start_by_eki(self._name, self._model, self._options)
-            self._await_session()
+            self._open(self._options.connect_timeout_s)
         except BaseException:
             self.close()
             raise
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
         """Start a joint motion to q (6,) rad. Raises SafetyStop for a target outside the limits, and any fault met so far."""
-        self._check()
+        self._mover = threading.get_ident()
+        process = self._check()
         target = np.degrees(np.asarray(q, dtype=float))
         if target.shape != (6,):
             raise ConfigError(f"robot '{self._name}': a target has 6 axes, not {np.shape(q)}")
-        self._check_target(target)
-        dynamics = [np.degrees(np.broadcast_to(np.asarray(v, dtype=float), (6,))) for v in (limits.speed, limits.acceleration, limits.jerk)]
-        if not all(np.isfinite(v).all() and (v > 0).all() for v in dynamics):
-            raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
-        if self._options.speed_deg_s is not None:
-            dynamics[0] = np.minimum(dynamics[0], self._options.speed_deg_s)
-        with self._lock:
-            if self._shared is not None:
-                self._move_seq = self._shared.send(
-                    RsiCommand(MOVE, target.tolist(), *(v.tolist() for v in dynamics), float(np.degrees(limits.tolerance)), limits.settle_s)
-                )
+        self._check_target(process, target)
+        self._pending = PendingMove(process.last()["q"], target, self._command(target, limits))
+        self._move_seq = process.send(self._pending.command)
 
     def state(self) -> RobotState:
-        self._check()
-        with self._lock:
-            row = self._reader.last()
+        process = self._check()
+        row = process.last()
         flags = int(row["flags"])
         arrived = self._move_seq > 0 and row["command"] >= self._move_seq and bool(flags & ARRIVED)
         moving = bool(flags & MOVING) or row["command"] < self._move_seq
         return RobotState(row["time_s"], np.radians(row["q"]), moving, arrived)
 
     def cycles(self) -> Cycles:
-        with self._lock:
-            return self._reader.drain() if self._reader is not None else Cycles({})
+        if self._kept:
+            return self._kept.popleft()
+        process = self._process
+        return Cycles({}) if process is None else process.drain()
 
     def stop(self) -> None:
-        with self._lock:
-            if self._shared is not None:
-                self._shared.send(RsiCommand(STOP))
+        self._pending = None
+        if self._process is not None:
+            self._process.send(RsiCommand(STOP))
 
     def close(self) -> None:
         atexit.unregister(self.close)
-        process, self._process = self._process, None
-        if process is not None:
-            with self._lock:
-                self._shared.send(RsiCommand(CLOSE))
-            try:
-                process.communicate(timeout=8.0)  # closes its input, waits until the arm stands
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.communicate()
+        self._pending = None
+        if self._process is not None:
+            self._process.close()
         eki, self._eki = self._eki, None
         if eki is not None:
             eki.close()
-        with self._lock:
-            shared, self._shared = self._shared, None
-            if shared is not None:
-                self._reader.detach()
-                shared.close()
 
     def __enter__(self) -> Self:
         self.connect()
@@ -176,61 +163,125 @@ class KukaRsi:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _start(self) -> None:
-        command = [sys.executable, "-m", "mbcacq_kuka.rsi.cycle"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._process.stdin.write(json.dumps({"shared": self._shared.name, **self._options.settings()}) + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        answer = json.loads(line) if line else {"error": "the RSI process did not start"}
-        if "error" in answer:
+    def _open(self, wait_s: float) -> None:
+        """A new session with the controller. Raises ConnectError, ProtocolError."""
+        try:
+            process = self._process = CycleProcess()
+        except OSError as error:
             raise ConnectError(
-                f"robot '{self._name}': cannot listen on {self._options.bind}:{self._options.port} ({answer['error']}); "
+                f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); free some in /dev/shm"
+            ) from error
+        if problem := process.start(self._options.settings()):
+            raise ConnectError(
+                f"robot '{self._name}': cannot listen on {self._options.bind}:{self._options.port} ({problem}); "
                 "is another program using the port (KUKA's TestServer, a second mbcacq), is the address this computer's?"
             )
-        self._shared.forget()
-        self.port, self.real_time = answer["ready"], answer["real_time"]
-
-    def _await_session(self) -> None:
-        deadline = time.monotonic() + self._options.connect_timeout_s
-        while self._shared.head == 0:
-            self._check(connecting=True)
+        self.port, self.real_time = process.port, process.real_time
+        if self._options.eki:
+            self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms)
+        deadline = time.monotonic() + wait_s
+        while not process.connected:
+            if (error := self._find_error(process, connecting=True)) is not None:
+                raise error
             if time.monotonic() > deadline:
                 raise ConnectError(
                     f"robot '{self._name}': no RSI telegram arrived on {self._options.bind}:{self.port} within "
-                    f"{self._options.connect_timeout_s:g} s; start the RSI program on the controller, and check that its Ethernet "
+                    f"{wait_s:g} s; start the RSI program on the controller, and check that its Ethernet "
                     "configuration names this computer's address and port and that no firewall blocks UDP"
                 )
-            time.sleep(0.002)
-        self._reader.begin()
+            time.sleep(_POLL_S)
+        process.begin()
 
-    def _check(self, connecting: bool = False) -> None:
-        """Raise what has stopped the arm."""
+    def _command(self, target: np.ndarray, limits: MotionLimits) -> RsiCommand:
+        dynamics = [np.degrees(np.broadcast_to(np.asarray(v, dtype=float), (6,))) for v in (limits.speed, limits.acceleration, limits.jerk)]
+        if not all(np.isfinite(v).all() and (v > 0).all() for v in dynamics):
+            raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
+        if self._options.speed_deg_s is not None:
+            dynamics[0] = np.minimum(dynamics[0], self._options.speed_deg_s)
+        speed, acceleration, jerk = (v.tolist() for v in dynamics)
+        return RsiCommand(MOVE, target.tolist(), speed, acceleration, jerk, float(np.degrees(limits.tolerance)), limits.settle_s)
+
+    def _check(self) -> CycleProcess:
+        """The running session. Raises what has stopped the arm; waits, where the controller's program may be started again."""
+        process = self._process
+        if self._recovering.locked() and self._mover != threading.get_ident():
+            process = self._standing  # whoever only watches the arm sees it standing
+            if process is not None:
+                return process
+        if process is None or not process.open:
+            raise self._error or ConnectError(f"robot '{self._name}' is not connected; call connect first")
         if self._error is None:
-            self._error = self._find_error(connecting)
+            error = self._find_error(process)
+            if error is not None and self._may_recover(process):
+                if self._mover in (None, threading.get_ident()):
+                    return self._recover(process, error)
+                return process
+            self._error = error
         if self._error is not None:
             raise self._error.with_traceback(None)
+        return process
 
-    def _find_error(self, connecting: bool) -> MbcacqError | None:
-        if self._shared is None or self._process is None:
-            return ConnectError(f"robot '{self._name}' is not connected; call connect first")
-        if (fault := self._shared.fault()) is not None:
+    def _find_error(self, process: CycleProcess, connecting: bool = False) -> MbcacqError | None:
+        if (fault := process.fault()) is not None:
             after = "" if connecting else _AFTER.get(fault["kind"], "")
             return _FAULTS[fault["kind"]](f"robot '{self._name}': {fault['text']}" + (f"; {after}" if after else ""))
-        if (code := self._process.poll()) is not None:
+        if (code := process.exit_code) is not None:
             return DeviceFault(f"robot '{self._name}': the RSI process ended unexpectedly (exit code {code}); the controller stops the arm")
-        if self._reader.lost:
+        if process.lost:
             self.stop()
             return DeviceFault(
-                f"robot '{self._name}': {self._reader.lost} cycles were lost because they were not fetched in time; the arm was stopped"
+                f"robot '{self._name}': {process.lost} cycles were lost because they were not fetched in time; the arm was stopped"
             )
         return None
 
-    def _check_target(self, target: np.ndarray) -> None:
+    def _may_recover(self, process: CycleProcess) -> bool:
+        fault = process.fault()
+        return self._options.recover_s > 0 and process.connected and fault is not None and fault["kind"] in _SESSION_ENDED
+
+    def _recover(self, process: CycleProcess, error: MbcacqError) -> CycleProcess:
+        """Wait for the controller's next session, and end the motion that was interrupted. Raises what ended the run after all."""
+        self._standing = process
+        with self._recovering:
+            if self._process is not process and self._process is not None:
+                return self._process  # another thread was first
+            where, pending = process.last()["q"], self._pending
+            _log.warning(
+                "%s. Release the emergency stop, acknowledge, start the RSI program again within %g s: the arm then goes on",
+                error,
+                self._options.recover_s,
+            )
+            try:
+                process.close()
+                self._kept.append(process.drain())
+                self._open(self._options.recover_s)
+                return self._go_on(where, pending)
+            except MbcacqError as second:
+                self._error = type(error)(f"{error}; and it could not go on: {second}")
+                raise self._error from error
+
+    def _go_on(self, where: np.ndarray, pending: PendingMove | None) -> CycleProcess:
+        process = self._process
+        assert process is not None  # opened just now
+        if off := off_path(process.start_deg, where, pending):
+            raise SafetyStop(f"robot '{self._name}': {off}; start the run again")
+        self._move_seq = 0
+        if pending is None:
+            return process
+        self._check_target(process, pending.target)
+        self._pending, self._move_seq = pending, process.send(pending.command)
+        while True:
+            row = process.last()
+            if row["command"] >= self._move_seq and int(row["flags"]) & ARRIVED:
+                return process
+            if (error := self._find_error(process)) is not None:
+                raise error
+            time.sleep(_POLL_S)
+
+    def _check_target(self, process: CycleProcess, target: np.ndarray) -> None:
         low, high = self._limits.T
         where = "joint limits"
         if self._options.correction_limit_deg is not None:
-            start, reach = self._reader.start, np.array(self._options.correction_limit_deg)
+            start, reach = process.start_deg, np.array(self._options.correction_limit_deg)
             narrow = (start - reach > low) | (start + reach < high)
             low, high = np.maximum(low, start - reach), np.minimum(high, start + reach)
             where = "limits of its RSI correction" if narrow.any() else where

@@ -25,28 +25,19 @@ class RsiMotion:
         self._elapsed = self._duration = 0.0
         self._dynamics: tuple[list[float], list[float], list[float]] | None = None
         self._velocity = self._acceleration = [0.0] * n
+        self._target: list[float] | None = None
         self.position: tuple[float, ...] = tuple(start)
         self.moving = False
 
     def move(self, command: RsiCommand) -> None:
-        """Turn towards a target from whatever the arm is doing now. Raises Refused; then the present motion goes on."""
-        limits = (list(command.speed), list(command.acceleration), list(command.jerk))
-        ask = self._ask(limits)
-        ask.target_position = list(command.target)
-        ask.synchronization = Synchronization.Phase  # a straight line in joint space, as the path was checked for collisions
-        trajectory = Trajectory(self._n)
-        self._calculate(ask, trajectory)
-        for axis, (extrema, (low, high)) in enumerate(zip(trajectory.position_extrema, self._joint_limits, strict=True)):
-            if self.moving and (extrema.min < low - 1e-9 or extrema.max > high + 1e-9):
-                reach = f"{extrema.min:.2f}..{extrema.max:.2f} deg"
-                raise MotionRefused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g} deg")
-        self._dynamics = limits
-        self._begin(trajectory)
+        """Turn towards a target from whatever the arm is doing now. Raises MotionRefused; then the present motion goes on."""
+        self._plan(list(command.target), (list(command.speed), list(command.acceleration), list(command.jerk)))
 
     def stop(self) -> None:
         """Brake every axis as fast as the last motion's limits allow, then hold."""
         if not self.moving or self._dynamics is None:
             return
+        self._target = None
         ask = self._ask(self._dynamics)
         ask.control_interface = ControlInterface.Velocity
         ask.synchronization = Synchronization.No
@@ -56,6 +47,14 @@ class RsiMotion:
         except MotionRefused:
             return  # the motion under way ends at rest in any case
         self._begin(trajectory)
+
+    def resume(self, position: Sequence[float]) -> None:
+        """The controller had no new set point for so long that the arm stands at ``position``: go on from there, from rest. Raises
+        MotionRefused; then the arm stays where it is."""
+        self.position, self.moving = tuple(position), False
+        self._velocity = self._acceleration = [0.0] * self._n
+        if self._target is not None and self._dynamics is not None:
+            self._plan(self._target, self._dynamics)
 
     def step(self) -> tuple[float, ...]:
         """The set point of the next cycle, (n,) deg."""
@@ -67,6 +66,19 @@ class RsiMotion:
                 self._velocity = self._acceleration = [0.0] * self._n
             self.position = tuple(position)
         return self.position
+
+    def _plan(self, target: list[float], limits: tuple[list[float], list[float], list[float]]) -> None:
+        ask = self._ask(limits)
+        ask.target_position = target
+        ask.synchronization = Synchronization.Phase  # a straight line in joint space, as the path was checked for collisions
+        trajectory = Trajectory(self._n)
+        self._calculate(ask, trajectory)
+        for axis, (extrema, (low, high)) in enumerate(zip(trajectory.position_extrema, self._joint_limits, strict=True)):
+            if self.moving and (extrema.min < low - 1e-9 or extrema.max > high + 1e-9):
+                reach = f"{extrema.min:.2f}..{extrema.max:.2f} deg"
+                raise MotionRefused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g} deg")
+        self._dynamics, self._target = limits, target
+        self._begin(trajectory)
 
     def _ask(self, limits: tuple[list[float], list[float], list[float]]) -> InputParameter:
         ask = InputParameter(self._n)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -10,16 +11,34 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import ConfigError
+from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, refuse_unknown
 from mbcacq_kuka.rsi.telegram import Composer
+
+KUKA_SERVER = {"sen_type": "KROSHU", "port": 59152}  # what the RSI programs of KUKA's EKI server are configured for
+_LONGEST = 1e6
+_RANGES = {
+    "port": (0, 65535, True),
+    "late_limit": (1, 1_000_000_000, True),
+    "follow_cycles": (1, 100_000, True),
+    "cpu": (0, 4095, True),
+    "late_window_s": (0.0, _LONGEST, False),
+    "ride_out_s": (0.012, 10.0, False),
+    "recover_s": (0.0, _LONGEST, False),
+    "follow_lag_s": (0.012, 2.0, False),
+    "connect_timeout_s": (1e-3, _LONGEST, False),
+    "silence_s": (1e-2, 1e4, False),
+    "follow_tolerance_deg": (1e-6, 360.0, False),
+}
 
 
 @dataclass(frozen=True)
 class RsiOptions:
     """Everything a plan may say about the RSI connection.
 
-    bind, port: where this computer listens (the IP_NUMBER and PORT of the RSI Ethernet configuration). controller_ip: accept
-    only this sender. cycle_ms: 4 (#IPO_FAST) or 12 (#IPO). sen_type, correction, stop_element: names agreed in the Ethernet
-    configuration; stop_element '' if there is none. stop_at_close: end the KRL program's RSI_MOVECORR on close.
+    bind, port: where this computer listens (the IP_NUMBER and PORT of the RSI Ethernet configuration). controller_ip: accept only this
+    sender; must be given unless bind is a loopback address. cycle_ms: 4 (#IPO_FAST) or 12 (#IPO). sen_type, correction, stop_element:
+    names agreed in the Ethernet configuration; stop_element '' if there is none. stop_at_close: end the KRL program's RSI_MOVECORR on
+    close. external_axes: the Ethernet configuration that is written for the controller sends E1 to E6, too.
 
     limits_deg: (6, 2) joint limits. speed_deg_s: (6,) largest joint speeds. correction_limit_deg: largest correction of each axis
     the controller allows, one number or six, or None if the KRL program opens the full range (ours does).
@@ -28,8 +47,14 @@ class RsiOptions:
     operator starts the RSI program by hand.
 
     connect_timeout_s: how long to wait for the controller. silence_s: without a telegram that long is a fault. late_limit: answers
-    the controller may discard. follow_tolerance_deg, follow_cycles: the arm may leave the band of recent commands by so much for so
-    long. check_set_point: refuse to start on a controller that already applies a correction.
+    the controller may discard within late_window_s of its clock (0: within the session). ride_out_s: a gap in the telegrams of up to
+    this length is taken for the network's; after a longer one the controller is expected to have ended its session.
+    recover_s: after the controller fell silent, as after an emergency stop, wait so long for its program to be started again, and go
+    on; 0: end the run.
+
+    follow_tolerance_deg, follow_cycles, follow_lag_s: the arm may leave the band of the commands of the last follow_lag_s by so much
+    for so long. check_set_point: refuse to start on a controller that already applies a correction. cpu: processor core of the
+    cycle process; None: the last one that it may use.
     """
 
     limits_deg: tuple[tuple[float, float], ...]
@@ -41,15 +66,21 @@ class RsiOptions:
     correction: str = "AK"
     stop_element: str = "Stop"
     stop_at_close: bool = True
+    external_axes: bool = False
     eki: str = ""
     speed_deg_s: tuple[float, ...] | None = None
     correction_limit_deg: tuple[float, ...] | None = None
     connect_timeout_s: float = 30.0
     silence_s: float = 1.0
-    late_limit: int = 60
+    late_limit: int = 90
+    late_window_s: float = 1.0
+    ride_out_s: float = 0.3
+    recover_s: float = 0.0
     follow_tolerance_deg: float = 0.5
     follow_cycles: int = 25
+    follow_lag_s: float = 0.1
     check_set_point: bool = True
+    cpu: int | None = None
 
     def settings(self) -> dict[str, Any]:
         return asdict(self)
@@ -57,44 +88,58 @@ class RsiOptions:
 
 def read_options(name: str, given: Mapping[str, Any]) -> RsiOptions:
     """Raises ConfigError for an unknown option or a value that cannot be."""
-    known = {f.name: f for f in fields(RsiOptions)}
-    if unknown := sorted(set(given) - set(known)):
-        raise ConfigError(f"robot '{name}': unknown option {', '.join(unknown)}; known are {', '.join(known)}")
+    refuse_unknown(name, given, [f.name for f in fields(RsiOptions)])
     if given.get("limits_deg") is None:
         raise ConfigError(f"robot '{name}': option limits_deg (joint limits, six pairs in deg) is missing")
-    values = dict(given)
-    values["limits_deg"] = tuple((float(low), float(high)) for low, high in _array(name, "limits_deg", given["limits_deg"], (6, 2)))
+    values = {**(KUKA_SERVER if given.get("eki") else {}), **given}
+    values["limits_deg"] = tuple((float(low), float(high)) for low, high in array(name, "limits_deg", given["limits_deg"], (6, 2)))
     for key in ("speed_deg_s", "correction_limit_deg"):
         if values.get(key) is not None:
-            one_or_six = _array(name, key, values[key])
-            values[key] = tuple(float(v) for v in (np.full(6, one_or_six) if one_or_six.ndim == 0 else _array(name, key, one_or_six, (6,))))
+            values[key] = _one_or_six(name, key, values[key])
     options = RsiOptions(**values)
-    for key in ("connect_timeout_s", "silence_s", "late_limit", "follow_tolerance_deg", "follow_cycles"):
-        if not isinstance(getattr(options, key), int | float) or not getattr(options, key) > 0:
-            raise ConfigError(f"robot '{name}': option {key} must be a positive number, it is {getattr(options, key)!r}")
+    check_numbers(name, options, _RANGES)
+    check_limits(name, options.limits_deg)
+    for key in ("speed_deg_s", "correction_limit_deg"):
+        check_positive(name, key, getattr(options, key))
+    _check_texts(name, options)
+    _check_addresses(name, options)
+    if options.cycle_ms not in (4, 12):
+        raise ConfigError(f"robot '{name}': option cycle_ms must be 4 or 12, it is {options.cycle_ms!r}")
+    if options.eki and options.recover_s:
+        raise ConfigError(
+            f"robot '{name}': options eki and recover_s exclude each other: after an emergency stop a person must start the RSI program; "
+            "leave one of them out"
+        )
+    return options
+
+
+def on_loopback(address: str) -> bool:
+    """Whether only programs on this computer can send to a socket that is bound to ``address``."""
+    try:
+        return address == "localhost" or ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+def _one_or_six(name: str, key: str, value: Any) -> tuple[float, ...]:
+    six = [value] * 6 if np.ndim(value) == 0 else value
+    return tuple(array(name, key, six, (6,)).tolist())
+
+
+def _check_texts(name: str, options: RsiOptions) -> None:
     try:
         Composer(options.sen_type, options.correction, options.stop_element)
     except ValueError as error:
         raise ConfigError(f"robot '{name}': options sen_type, correction, stop_element: {error}") from error
-    if options.cycle_ms not in (4, 12):
-        raise ConfigError(f"robot '{name}': option cycle_ms must be 4 or 12, it is {options.cycle_ms!r}")
     if not re.fullmatch(r"(?:[^:\s]+(?::\d{1,5})?)?", options.eki):
         raise ConfigError(f"robot '{name}': option eki must be 'host' or 'host:port', it is {options.eki!r}")
-    if not isinstance(options.port, int) or not 0 <= options.port < 65536:
-        raise ConfigError(f"robot '{name}': option port must be between 0 and 65535, it is {options.port!r}")
-    for key in ("speed_deg_s", "correction_limit_deg"):
-        if (value := getattr(options, key)) is not None and min(value) <= 0:
-            raise ConfigError(f"robot '{name}': option {key} must be positive")
-    if any(low >= high for low, high in options.limits_deg):
-        raise ConfigError(f"robot '{name}': in limits_deg every lower limit must be below the upper one")
-    return options
 
 
-def _array(name: str, key: str, value: Any, shape: tuple[int, ...] | None = None) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=float)
-        if not np.isfinite(array).all():
-            raise ValueError("a value is not finite")
-        return array if shape is None else array.reshape(shape)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"robot '{name}': option {key} is wrong: {error}") from error
+def _check_addresses(name: str, options: RsiOptions) -> None:
+    if not isinstance(options.bind, str) or not isinstance(options.controller_ip, str):
+        raise ConfigError(f"robot '{name}': options bind and controller_ip are addresses, in quotes")
+    if not options.controller_ip and not on_loopback(options.bind):
+        raise ConfigError(
+            f"robot '{name}': option controller_ip is missing; on {options.bind} any computer of the network could send telegrams, so "
+            "give the address of the controller's RSI interface"
+        )

@@ -7,10 +7,17 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import Cycles
-from mbcacq_kuka.rsi.shared import FIXED, Shared
+from mbcacq_kuka.rsi.shared import COUNTED, FIXED, Shared
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-_RENAMED = {"MACur": "current_percent", "Delay.D": "delay", "IPOC": "ipoc"}
+_RENAMED = {
+    "MACur": "current_percent",
+    "Delay.D": "delay",
+    "IPOC": "ipoc",
+    "EIPos": "external_axes",
+    "ESPos": "external_axes_set",
+    "MECur": "external_current_percent",
+}
 
 
 class CycleReader:
@@ -22,17 +29,19 @@ class CycleReader:
         self._tail = self.lost = 0
         self._columns: dict[str, Any] = {}
         self._rest = np.empty((0, len(FIXED)))
+        self._last = np.zeros(len(FIXED))
 
     def begin(self) -> None:
         """The session's layout is known: at least one row is there."""
         shared = self._shared
+        assert shared is not None  # begin comes before detach
         self._rows = np.frombuffer(shared.ring).reshape(shared.capacity, shared.width)
         self._columns = _columns(shared.names())
         self.start = self._rows[0][self._columns["q"]].copy()
 
     def last(self) -> dict[str, Any]:
-        """The newest row: time_s, flags, command as numbers and q (6,) deg."""
-        row = self._rows[(self._shared.head - 1) % len(self._rows)].copy()
+        """The newest row, also after ``detach``: time_s, flags, command as numbers and q (6,) deg."""
+        row = self._last if self._shared is None else self._rows[(self._shared.head - 1) % len(self._rows)].copy()
         return {"time_s": float(row[1]), "flags": row[2], "command": row[3], "q": row[self._columns["q"]]}
 
     def drain(self) -> Cycles:
@@ -41,7 +50,8 @@ class CycleReader:
 
     def detach(self) -> None:
         """The block goes away: keep what was not read yet."""
-        if self._columns:
+        if self._columns and self._shared is not None:
+            self._last = self._rows[(self._shared.head - 1) % len(self._rows)].copy()
             self._rest = self._take()
         self._shared, self._rows = None, np.empty((0, 0))
 
@@ -69,7 +79,9 @@ class CycleReader:
 def _columns(names: list[str]) -> dict[str, Any]:
     """Column name -> where it is in a row. Elements with attributes become one (k, n) column under the element's name."""
     offset = len(FIXED)
-    where: dict[str, Any] = {"host_time_s": 0, "time_s": 1, "flags": 2, "q_command": slice(4, 10)}
+    where: dict[str, Any] = {name: FIXED.index(name) for name in ("host_time_s", "time_s", "flags")}
+    where |= {f"{name}_telegrams": FIXED.index(name) for name in COUNTED}
+    where["q_command"] = slice(FIXED.index("cA1"), FIXED.index("cA6") + 1)
     grouped: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         if name in _RENAMED or "." not in name:

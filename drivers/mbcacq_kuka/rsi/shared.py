@@ -14,9 +14,12 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker, shared_memory
 from typing import Any
 
+from mbcacq_kuka.rsi.sequence import Counts
+
 MOVE, STOP, CLOSE = 1, 2, 3
 MOVING, ARRIVED, ANSWERED = 1, 2, 4
-FIXED = ("host_time_s", "time_s", "flags", "command", "cA1", "cA2", "cA3", "cA4", "cA5", "cA6")
+COUNTED = ("lost", "repeated", "old", "foreign")  # see sequence.Counts
+FIXED = ("host_time_s", "time_s", "flags", "command", *COUNTED, "cA1", "cA2", "cA3", "cA4", "cA5", "cA6")
 
 _COMMAND_SEQ, _HEAD, _WIDTH, _CAPACITY, _FAULT_SIZE, _NAMES_SIZE = range(6)
 _COMMAND = struct.Struct("<27d")
@@ -46,7 +49,9 @@ class Shared:
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
         self._memory, self._owner = memory, owner
         self.name = memory.name
-        self._header = memory.buf[:64].cast("q")
+        assert memory.buf is not None  # it is None only once the memory is closed
+        self._buffer = memory.buf
+        self._header = self._buffer[:64].cast("q")
 
     @classmethod
     def create(cls) -> Shared:
@@ -84,7 +89,7 @@ class Shared:
         """Publish a command; its number comes back in the ``command`` column of the cycles that follow it."""
         seq = self._header[_COMMAND_SEQ] + 1
         _COMMAND.pack_into(
-            self._memory.buf,
+            self._buffer,
             _COMMAND_AT[seq & 1],
             command.kind,
             *command.target,
@@ -100,7 +105,7 @@ class Shared:
     def receive(self) -> tuple[int, RsiCommand]:
         while True:
             seq = self._header[_COMMAND_SEQ]
-            v = _COMMAND.unpack_from(self._memory.buf, _COMMAND_AT[seq & 1])
+            v = _COMMAND.unpack_from(self._buffer, _COMMAND_AT[seq & 1])
             if self._header[_COMMAND_SEQ] == seq:
                 return seq, RsiCommand(int(v[0]), v[1:7], v[7:13], v[13:19], v[19:25], v[25], v[26])
 
@@ -111,19 +116,20 @@ class Shared:
         text = json.dumps(list(names)).encode()
         if len(text) > _MAX_NAMES:
             raise ValueError("the names of the telegram's elements are too long")
-        self._memory.buf[_NAMES_AT : _NAMES_AT + len(text)] = text
+        self._buffer[_NAMES_AT : _NAMES_AT + len(text)] = text
         width = len(FIXED) + len(names)
         self._row = struct.Struct(f"<{width}d")
         self._header[_NAMES_SIZE], self._header[_WIDTH] = len(text), width
         self._header[_CAPACITY] = self._capacity = RING_BYTES // self._row.size
 
     def append(
-        self, host_time_s: float, time_s: float, flags: int, command: int, degrees: Sequence[float], values: Sequence[float]
+        self, host_time_s: float, time_s: float, flags: int, command: int, counts: Counts, degrees: Sequence[float], values: Sequence[float]
     ) -> None:
+        """One cycle; ``command``: number of the command that ``degrees``, the set point answered, belongs to."""
         head = self._header[_HEAD]
-        self._row.pack_into(
-            self._memory.buf, _RING_AT + head % self._capacity * self._row.size, host_time_s, time_s, flags, command, *degrees, *values
-        )
+        place = _RING_AT + head % self._capacity * self._row.size
+        counted = (counts.lost, counts.repeated, counts.old, counts.foreign)
+        self._row.pack_into(self._buffer, place, host_time_s, time_s, flags, command, *counted, *degrees, *values)
         self._header[_HEAD] = head + 1
 
     @property
@@ -141,19 +147,19 @@ class Shared:
 
     @property
     def ring(self) -> memoryview:
-        return self._memory.buf[_RING_AT : _RING_AT + self.capacity * self.width * 8]
+        return self._buffer[_RING_AT : _RING_AT + self.capacity * self.width * 8]
 
     def names(self) -> list[str]:
-        return json.loads(bytes(self._memory.buf[_NAMES_AT : _NAMES_AT + self._header[_NAMES_SIZE]]))
+        return json.loads(bytes(self._buffer[_NAMES_AT : _NAMES_AT + self._header[_NAMES_SIZE]]))
 
     # the first fault of a session
 
     def fail(self, kind: str, text: str) -> None:
         if self._header[_FAULT_SIZE] == 0:
             raw = json.dumps({"kind": kind, "text": text}).encode()[:_MAX_FAULT]
-            self._memory.buf[_FAULT_AT : _FAULT_AT + len(raw)] = raw
+            self._buffer[_FAULT_AT : _FAULT_AT + len(raw)] = raw
             self._header[_FAULT_SIZE] = len(raw)
 
     def fault(self) -> dict[str, Any] | None:
         size = self._header[_FAULT_SIZE]
-        return json.loads(bytes(self._memory.buf[_FAULT_AT : _FAULT_AT + size])) if size else None
+        return json.loads(bytes(self._buffer[_FAULT_AT : _FAULT_AT + size])) if size else None

@@ -26,7 +26,7 @@ _SIZE = 64 + 2 * 256
 
 @dataclass(frozen=True)
 class ArmReading:
-    """One consistent state. q (6,) rad as the controller reports it, qd (6,) rad/s, direction (6,) -1, 0 or 1: sense of
+    """One consistent state. q (6,) rad as the controller reports it, qd (6,) rad/s, direction (6,) -1, 0 or 1: direction of
     each axis' last motion.
 
     arrivals counts how often the arm came to a standstill; fault is '' or why the controller stopped.
@@ -45,7 +45,8 @@ class ArmState:
     """A named block of shared memory. One process creates it (and unlinks it on close), any number attach by ``name``."""
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
-        self._memory, self._owner, self._count = memory, owner, 0
+        assert memory.buf is not None  # it is None only once the memory is closed
+        self._memory, self._buffer, self._owner, self._count = memory, memory.buf, owner, 0
         self.name = memory.name
 
     @classmethod
@@ -59,7 +60,7 @@ class ArmState:
     def attach(cls, name: str) -> ArmState:
         """Raises FileNotFoundError if there is no such block (yet)."""
         state = cls(attach_shared_memory(name), False)
-        state._count = _COUNT.unpack_from(state._memory.buf, 0)[0]
+        state._count = _COUNT.unpack_from(state._buffer, 0)[0]
         return state
 
     def write(
@@ -74,13 +75,13 @@ class ArmState:
     ) -> None:
         """Publish a state (one writer only). ``fault`` indexes FAULTS."""
         count = self._count + 1
-        _SLOT.pack_into(self._memory.buf, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)
-        _COUNT.pack_into(self._memory.buf, 0, count)
+        _SLOT.pack_into(self._buffer, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)
+        _COUNT.pack_into(self._buffer, 0, count)
         self._count = count
 
     def read(self) -> ArmReading:
         """The latest state, never a mixture of two."""
-        buffer = self._memory.buf
+        buffer = self._buffer
         while True:
             (count,) = _COUNT.unpack_from(buffer, 0)
             v = _SLOT.unpack_from(buffer, _SLOT_AT[count & 1])

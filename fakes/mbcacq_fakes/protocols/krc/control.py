@@ -21,8 +21,10 @@ class Control:
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
         self._memory, self._owner, self.name = memory, owner, memory.name
-        self._double = memory.buf.cast("d")
-        self._int = memory.buf.cast("q")
+        assert memory.buf is not None  # it is None only once the memory is closed
+        self._buffer = memory.buf
+        self._double = self._buffer.cast("d")
+        self._int = self._buffer.cast("q")
         self.log_rows = (memory.size - _LOG_AT) // _ROW.size
 
     @classmethod
@@ -67,9 +69,9 @@ class Control:
 
     def log(self, *row: float) -> None:
         head = self._int[_HEAD_AT // 8]
-        _ROW.pack_into(self._memory.buf, _LOG_AT + head % self.log_rows * _ROW.size, *row)
+        _ROW.pack_into(self._buffer, _LOG_AT + head % self.log_rows * _ROW.size, *row)
         self._int[_HEAD_AT // 8] = head + 1
 
     def read_log(self) -> list[tuple[float, ...]]:
         head, rows = self._int[_HEAD_AT // 8], self.log_rows
-        return [_ROW.unpack_from(self._memory.buf, _LOG_AT + i % rows * _ROW.size) for i in range(max(0, head - rows), head)]
+        return [_ROW.unpack_from(self._buffer, _LOG_AT + i % rows * _ROW.size) for i in range(max(0, head - rows), head)]

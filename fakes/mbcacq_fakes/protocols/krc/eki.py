@@ -1,4 +1,9 @@
-"""A fake EKI server with the schema of KUKA's external-control SDK: one client, requests in, status and events out."""
+"""A fake EKI server with the schema and the states of KUKA's external-control SDK: one client, requests in, status and events out.
+
+Each connection begins INITIALIZED, without a control mode and with the cycle of 12 ms. CHANGE chooses the control mode and makes the
+server INACTIVE, START starts the RSI program of the chosen mode and cycle (what START itself says of them counts for nothing) and
+makes it ACTIVE. What a state does not allow is answered INVALID.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +15,16 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-START, RESET, CANCEL, DRIVES_ON, DRIVES_OFF = 1, 2, 3, 6, 7
-_EVENTS = {RESET: 3, CANCEL: 2, 4: 6, DRIVES_ON: 9, DRIVES_OFF: 10, 8: 11}
-_ERROR, _INVALID = 4, 7
+CONNECT, START, RESET, CANCEL, CHANGE, NONE, DRIVES_ON, DRIVES_OFF, CYCLE = range(9)
+INITIALIZED, INACTIVE, ACTIVE = "INITIALIZED", "INACTIVE", "ACTIVE"
+ALLOWED = {
+    INITIALIZED: {CONNECT, CHANGE, DRIVES_ON, DRIVES_OFF, CYCLE},
+    INACTIVE: {START, CHANGE, CANCEL, DRIVES_ON, DRIVES_OFF, CYCLE},
+    ACTIVE: {CANCEL, RESET},
+}
+_STARTED, _CANCELLED, _RESET_OK, _ERROR, _SWITCH_OK, _INVALID, _DRIVES_ON, _DRIVES_OFF, _CYCLE_SET = 0, 2, 3, 4, 6, 7, 9, 10, 11
+_MODES = {1: "JOINT_POSITION", 2: "JOINT_IMPEDANCE"}
+_NO_MODE, _CYCLE_4_MS, _CYCLE_12_MS = 0, 1, 2
 _ROOT = re.compile(rb"<External\b([^<>]*?)(?:/>|>\s*</External\s*>)")
 _ATTRIBUTE = re.compile(rb'(\w+)\s*=\s*"(-?\d{1,9})"')
 _MAX_BUFFER = 65536
@@ -42,6 +54,7 @@ class FakeEki:
         self._thread: threading.Thread | None = None
         self.emergency_stop = False
         self.drives = self.running = False
+        self._forget()
         self.requests: list[tuple[int, int, int]] = []
         self.port = port
 
@@ -79,6 +92,11 @@ class FakeEki:
                 except OSError:
                     pass
             self.running = False
+            self._forget()
+
+    def _forget(self) -> None:
+        """A client that hangs up leaves nothing behind."""
+        self.state, self.mode, self.cycle = INITIALIZED, _NO_MODE, _CYCLE_12_MS
 
     def _talk(self, client: socket.socket) -> None:
         buffer = b""
@@ -94,45 +112,78 @@ class FakeEki:
                 buffer = buffer[request.end() :]
                 values = {name.decode(): int(value) for name, value in _ATTRIBUTE.findall(request[1])}
                 time.sleep(self._pause_s)
-                self._handle(client, values.get("REQTYPE", 5), values.get("ControlMode", -1), values.get("CycleTime", -1))
+                self._handle(client, values.get("REQTYPE", NONE), values.get("ControlMode", -1), values.get("CycleTime", -1))
 
     def _handle(self, client: socket.socket, request: int, control_mode: int, cycle_time: int) -> None:
         self.requests.append((request, control_mode, cycle_time))
-        if request == 0:
+        if request == CONNECT and self.state == INITIALIZED:
             who = f'VER="1.2.0" NumAxes="6" NumExternalAxes="0" Model="{self._model}" RobVer="V8.6.11"'
             self._send(client, f"<Robot><Init {who}></Init></Robot>")
-            self._send(client, self._status(control_mode, cycle_time))
+            self._send(client, self._status())
+            return
+        if request == NONE:
+            self._send(client, self._status())
             return
         event, text = self._event(request, control_mode, cycle_time)
-        telegrams = [self._status(control_mode, cycle_time), f'<Robot><Response EventID="{event}">{text}</Response></Robot>']
+        telegrams = [self._status(), f'<Robot><Response EventID="{event}">{text}</Response></Robot>']
         if self._answer == "merged":
             telegrams = ["".join(telegrams)]
         for telegram in telegrams:
             self._send(client, telegram)
 
     def _event(self, request: int, control_mode: int, cycle_time: int) -> tuple[int, str]:
-        if request == START:
-            if not self.drives or self.emergency_stop:
-                return _ERROR, "drives are off"
-            self.running = True
-            if self._on_start is not None:
-                self._on_start(control_mode, cycle_time)
-            return 0, " "
-        if request == CANCEL and not self.running:
-            return _INVALID, "no program is running"
-        if request == CANCEL:
-            self.running = False
-            if self._on_cancel is not None:
-                self._on_cancel()
-        if request in (DRIVES_ON, DRIVES_OFF):
-            if self.emergency_stop and request == DRIVES_ON:
-                return _ERROR, "emergency stop"
-            self.drives = request == DRIVES_ON
-        return _EVENTS.get(request, _INVALID), " "
+        if request not in ALLOWED[self.state]:
+            return _INVALID, "Invalid transition requested"
+        carry_out: dict[int, Callable[[], tuple[int, str]]] = {
+            START: self._start_program,
+            CANCEL: self._cancel,
+            RESET: self._reset,
+            CHANGE: lambda: self._change(control_mode),
+            CYCLE: lambda: self._choose_cycle(cycle_time),
+            DRIVES_ON: lambda: self._switch_drives(True),
+            DRIVES_OFF: lambda: self._switch_drives(False),
+        }
+        return carry_out[request]()
 
-    def _status(self, control_mode: int, cycle_time: int) -> str:
+    def _start_program(self) -> tuple[int, str]:
+        if not self.drives or self.emergency_stop:
+            return _ERROR, "drives are off"
+        self.running, self.state = True, ACTIVE
+        if self._on_start is not None:
+            self._on_start(self.mode, self.cycle)
+        return _STARTED, " "
+
+    def _cancel(self) -> tuple[int, str]:
+        if self.running and self._on_cancel is not None:
+            self._on_cancel()
+        self.running, self.state, self.mode = False, INITIALIZED, _NO_MODE
+        return _CANCELLED, " "
+
+    def _reset(self) -> tuple[int, str]:
+        self.running, self.state = False, INACTIVE
+        return _RESET_OK, " "
+
+    def _change(self, control_mode: int) -> tuple[int, str]:
+        if control_mode not in _MODES:
+            return _ERROR, " "
+        self.mode, self.state = control_mode, INACTIVE
+        return _SWITCH_OK, _MODES[control_mode]
+
+    def _choose_cycle(self, cycle_time: int) -> tuple[int, str]:
+        if cycle_time not in (_CYCLE_4_MS, _CYCLE_12_MS):
+            return _ERROR, " "
+        self.cycle = cycle_time
+        return _CYCLE_SET, " "
+
+    def _switch_drives(self, on: bool) -> tuple[int, str]:
+        if self.emergency_stop and on:
+            return _ERROR, "emergency stop"
+        self.drives = on
+        return (_DRIVES_ON if on else _DRIVES_OFF), " "
+
+    def _status(self) -> str:
         return (
-            f'<Robot><Status ControlMode="{control_mode}" CycleTime="{cycle_time}" DrivesPowered="{self.drives:d}" '
+            f'<Robot><Status ControlMode="{self.mode}" CycleTime="{self.cycle}" DrivesPowered="{self.drives:d}" '
             f'EmergencyStop="{self.emergency_stop:d}" GuardStop="0" InMotion="0" MotionPossible="{self.drives:d}" OperationMode="4" '
             f'RobotStopped="{not self.running:d}"></Status></Robot>'
         )

@@ -74,6 +74,7 @@ class EkiChannel:
             self._receive()
 
     def _receive(self) -> None:
+        assert self.client is not None  # poll looked
         try:
             data = self.client.recv(65536)
         except BlockingIOError:

@@ -35,11 +35,26 @@ class Outlet:
             return
         if self.active["delay_ms"]:
             time.sleep(self.active["delay_ms"] * 1e-3)
+        self._close(client, data)
+        data = self._damage(data)
+        if self.active["merge"]:
+            self._held.append(data)
+            if len(self._held) < _MERGED:
+                return
+            data, self._held = b"".join(self._held), []
+        pieces = [data[i : i + 1] for i in range(len(data))] if self.active["split"] else [data]
+        for piece in pieces:
+            client.sendall(piece)
+
+    def _close(self, client: socket.socket, data: bytes) -> None:
+        """Raises ConnectionResetError where the connection shall end before the telegram, or inside of it."""
         if self.use("close"):
             raise ConnectionResetError
         if self.use("close_inside"):
             client.sendall(data[: len(data) // 2])
             raise ConnectionResetError
+
+    def _damage(self, data: bytes) -> bytes:
         if self.use("truncate"):
             data = data[: len(data) // 2]
         if self.use("duplicate"):
@@ -50,13 +65,4 @@ class Outlet:
             data = data.replace(b'A1="', b'A1="x', 1)
         if self.use("garbage"):
             data = b"\n\0\0 x>y </Rob \xff" + bytes(40) + data
-        if self.active["merge"]:
-            self._held.append(data)
-            if len(self._held) < _MERGED:
-                return
-            data, self._held = b"".join(self._held), []
-        if self.active["split"]:
-            for i in range(len(data)):
-                client.sendall(data[i : i + 1])
-        else:
-            client.sendall(data)
+        return data

@@ -24,7 +24,7 @@ from mbcacq_fakes.protocols.krc.krl import Interpreter, KrlError, Program
 
 _SUBMIT_TICKS = 3  # 12 ms
 _AHEAD_MS = 240  # fast: the robot's clock may run so far ahead of the client's last sign of life
-_PATIENCE_S = 0.25  # fast: or so long without one
+_BEAT_WAIT_S = 0.25  # fast: or so long without one
 _IDLE_S = 1.0  # fast: after standing so long the clock is everybody's
 _SOFT_LIMIT, _OPERATOR = 5, 1  # indices into arm_state.FAULTS
 
@@ -76,6 +76,11 @@ class EkiController:
         return self.system.rob_timer - beat
 
     @property
+    def heard(self) -> bool:
+        """A telegram has come that the link program has not read yet."""
+        return any(self.system.flag[number] for number in self.channel.config.flags.values())
+
+    @property
     def idle(self) -> bool:
         return self._still_s > _IDLE_S or not self.program.globals.mb_linked
 
@@ -124,10 +129,11 @@ class EkiController:
             self._start_program()
 
     def _publish(self) -> None:
+        assert self._state is not None  # tick looked
         arm = self.system.machine.arm
         q, qd = self.system.machine.radians()
         fault = 0 if self.system.pro_act or self._robot is None else _SOFT_LIMIT if self.system.machine.message else _OPERATOR
-        self._state.write(self.seconds, q, qd, arm.direction, arm.standstill, arm.arrivals, fault)
+        self._state.write(self.seconds, tuple(q), tuple(qd), tuple(arm.direction), arm.standstill, arm.arrivals, fault)
 
 
 def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.Event) -> None:
@@ -142,11 +148,11 @@ def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.
             time.sleep(max(0.0, due - time.monotonic()))
             continue
         due = time.monotonic()
-        patience = due + _PATIENCE_S
-        while controller.ahead_ms() > _AHEAD_MS and time.monotonic() < patience and commands.empty():
+        deadline = due + _BEAT_WAIT_S
+        while controller.ahead_ms() > _AHEAD_MS and time.monotonic() < deadline and commands.empty():
             time.sleep(0.0002)
             controller.channel.poll()
-            if controller.system.flag[111] or controller.channel.client is None:
+            if controller.heard or controller.channel.client is None:
                 break
 
 

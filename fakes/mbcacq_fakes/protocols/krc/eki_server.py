@@ -68,10 +68,13 @@ class FakeEkiController:
         return self._exchange({"ask": True})
 
     def _exchange(self, message: dict[str, Any]) -> dict[str, Any]:
+        process = self._process
+        if process is None or process.stdin is None or process.stdout is None:
+            raise RuntimeError("the fake controller does not run")
         with self._lock:
-            self._process.stdin.write(json.dumps(message) + "\n")
-            self._process.stdin.flush()
-            line = self._process.stdout.readline()
+            process.stdin.write(json.dumps(message) + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
         return json.loads(line) if line else {"error": "its process has ended"}
 
     def __enter__(self) -> Self:

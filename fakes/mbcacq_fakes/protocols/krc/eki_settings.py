@@ -1,4 +1,4 @@
-"""What a fake EKI controller is told when it starts, and what can be done to it while it runs."""
+"""How a fake EKI controller is set up when it starts, and what can be done to it while it runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAULTS = (
     "drop",  # that many telegrams are lost
     "truncate",  # that many telegrams lose their second half
     "duplicate",  # that many telegrams come twice
-    "garbage",  # that many times bytes without sense come between telegrams
+    "garbage",  # that many times bytes without meaning come between telegrams
     "malformed",  # that many telegrams are no XML
     "no_number",  # that many telegrams carry a word where a number should be
     "delay_ms",  # telegrams leave so much later

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 from xml.sax.saxutils import quoteattr
@@ -53,17 +53,17 @@ def pick(telegram: Element, path: str, kind: str) -> Any:
     try:
         if kind == "FRAME":
             return Struct(**{a.lower(): float(element.attrib[a]) for a in _POSE})
-        if text is None:
-            return None
-        if kind == "INT":
-            return int(text)
-        if kind == "REAL":
-            return float(text)
-        if kind == "BOOL":
-            return {"0": False, "1": True}[text.strip()]
-        return text
+        return None if text is None else _READ[kind](text)
     except (KeyError, ValueError):
         return None
+
+
+_READ: dict[str, Callable[[str], Any]] = {
+    "INT": int,
+    "REAL": float,
+    "BOOL": lambda text: {"0": False, "1": True}[text.strip()],
+    "STRING": str,
+}
 
 
 def subtree(paths: Iterable[str], values: Mapping[str, Any], wanted: str) -> str:

@@ -33,7 +33,7 @@ def angles(T: np.ndarray) -> tuple[float, ...]:
 
 
 class Path:
-    """A way of unit length: ``at(s)`` gives the joints (6,) deg, speed and acceleration count in ways per second."""
+    """A path of unit length: ``at(s)`` gives the joints (6,) deg, speed and acceleration count in paths per second."""
 
     def __init__(self, at: Callable[[float], tuple[float, ...]], speed: float, acceleration: float) -> None:
         self._at, self._speed, self._acceleration = at, speed, acceleration
@@ -62,15 +62,17 @@ class Path:
 def ptp(
     start: Sequence[float], target: Sequence[float], speed: Sequence[float], percent: tuple[Sequence[float], Sequence[float]]
 ) -> Path | None:
-    """All axes start and stop together. speed: (6,) deg/s at 100 %. percent: of speed and of acceleration, per axis. None: no way to go."""
+    """All axes start and stop together. speed: (6,) deg/s at 100 %. percent: of speed and of acceleration, per axis.
+    None: the arm is there already.
+    """
     a = np.asarray(start, dtype=float)
-    way = np.asarray(target, dtype=float) - a
-    far = np.abs(way)
+    travel = np.asarray(target, dtype=float) - a
+    far = np.abs(travel)
     if far.max() < 1e-9:
         return None
     moving, most = far > 1e-9, np.asarray(speed) / 100.0
     fast, steep = most * np.asarray(percent[0]) / np.maximum(far, 1e-9), most / _RAMP_S * np.asarray(percent[1]) / np.maximum(far, 1e-9)
-    return Path(lambda s: tuple((a + s * way).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
+    return Path(lambda s: tuple((a + s * travel).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
 
 
 def lin(
@@ -92,7 +94,7 @@ def lin(
     last = [tuple(start)]
 
     def at(s: float) -> tuple[float, ...]:
-        pose = rigid(T0[:3, :3] @ rotation_about(axis, s * angle), T0[:3, 3] + s * shift)
+        pose = rigid(T0[:3, :3] @ rotation_about(axis, np.asarray(s * angle)), T0[:3, 3] + s * shift)
         last[0] = joints_at(pose, last[0], kinematics, limits)
         return last[0]
 
@@ -103,19 +105,19 @@ def joints_at(pose: np.ndarray, near: Sequence[float], kinematics: Kinematics, l
     """Joints (6,) deg that put the flange at ``pose``, next to ``near``, by Newton's method. Raises Unreachable."""
     q = np.array(near, dtype=float)
     for _ in range(20):
-        away = _difference(frame(kinematics.pose(q)), pose)
+        away = _difference(frame(kinematics.pose(q.tolist())), pose)
         if np.abs(away[:3]).max() < 1e-6 and np.abs(away[3:]).max() < 1e-9:
             break
         slope = np.empty((6, 6))
         for k in range(6):
             moved = q.copy()
             moved[k] += 1e-4
-            slope[:, k] = (away - _difference(frame(kinematics.pose(moved)), pose)) / 1e-4
+            slope[:, k] = (away - _difference(frame(kinematics.pose(moved.tolist())), pose)) / 1e-4
         q += np.clip(np.linalg.lstsq(slope, away, rcond=1e-9)[0], -5.0, 5.0)
     else:
         raise Unreachable("the arm does not reach this pose")
     if any(not low <= v <= high for v, (low, high) in zip(q, limits, strict=True)):
-        raise Unreachable("a software limit lies on the way")
+        raise Unreachable("a software limit lies on the path")
     return tuple(q.tolist())
 
 

@@ -11,18 +11,22 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from math import radians
 
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
 from mbcacq_fakes.protocols.krc.session import OPERATOR, FakeRsiSession
-from mbcacq_fakes.protocols.krc.settings import COUNTED, KrcSettings
+from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
-_PATIENCE_S = (0.5, 0.01)  # lock-step: how long to wait for an answer, and when the last cycle had none at all
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = ((2.0, 0.004), (1.0, 0.001))  # lock-step: after standing still so long (robot s), sleep so long a cycle
+
+
+def _zero() -> Sequence[float]:
+    return (0.0,) * 6
 
 
 class RsiController:
@@ -41,6 +45,7 @@ class RsiController:
         self._client = tuple(settings.client)
         self._body: tuple[object, str] = (None, "")
         self._pose: tuple[float, ...] = ()
+        self._sources = self._element_sources()
         self._begin_session()
 
     def cycle(self) -> None:
@@ -69,8 +74,9 @@ class RsiController:
     def _exchange(self, moved: bool) -> None:
         faults, session = self._faults, self._session
         if self._settings.realtime:
+            period = self._cycle_s * self._settings.stretch
             time.sleep(max(0.0, self._next - time.monotonic()))
-            self._next = max(self._next, time.monotonic() - self._cycle_s) + self._cycle_s
+            self._next = max(self._next, time.monotonic() - period) + period
         if faults["delay_ms"]:
             time.sleep(min(faults["delay_ms"] * 1e-3, self._cycle_s))
         ipoc = self._ipoc + (1 if self._counted("wrong_ipoc") else 0)
@@ -98,8 +104,8 @@ class RsiController:
         """The first answer of this cycle that belongs to it, else the last one that came; and how long it took."""
         if self._settings.realtime:
             deadline = self._next
-        elif self._session.active and on_its_way:
-            deadline = sent + _PATIENCE_S[self._unheard]
+        elif on_its_way:
+            deadline = sent + self._settings.answer_wait_s[self._unheard or not self._session.active]
         else:
             deadline = sent + self._cycle_s
         wanted, answer, self._unheard = str(ipoc), None, True
@@ -131,8 +137,8 @@ class RsiController:
                 return
 
     def _telegram(self, ipoc: int, moved: bool) -> bytes:
-        if self._told < self._settings.empty_first:
-            self._told += self._session.active
+        if self._empty_sent < self._settings.empty_first:
+            self._empty_sent += self._session.active
             return f'<Rob Type="KUKA"><IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("malformed"):
             return f'<Rob Type="KUKA"><AIPos A1="1.0" A2=<IPOC>{ipoc}</IPOC></Rob>'.encode()
@@ -141,24 +147,30 @@ class RsiController:
         key = (self._session.delay, self._session.start, self._fault_seq)
         if moved or self._body[0] != key:
             self._body = (key, self._template.body([v for e in self._template.elements for v in self._values(e)]))
+        if self._counted("jump"):
+            shown = [
+                v + (JUMP_DEG if e == "AIPos" and not k else 0.0) for e in self._template.elements for k, v in enumerate(self._values(e))
+            ]
+            return self._template.finish(self._template.body(shown), ipoc)
         return self._template.finish(self._body[1], ipoc)
 
-    def _values(self, element: str) -> tuple[float, ...] | list[float]:
-        if element == "AIPos":
-            return self._arm.q
-        if element == "ASPos":
-            return self._session.start
-        if element == "RIst":
-            return self._kinematics.pose(self._arm.q)
-        if element == "RSol":
-            return self._planned_pose
-        if element == "MACur":
-            return self._arm.currents()
-        if element == "GearTorque":
-            return getattr(self._arm, "torque", (0.0,) * 6)
-        if element == "AJPos":
-            return getattr(self._arm, "joint_deg", self._arm.q)
-        return (self._session.delay,) if element == "Delay" else (0.0,) * 6
+    def _values(self, element: str) -> Sequence[float]:
+        return self._sources.get(element, _zero)()
+
+    def _element_sources(self) -> dict[str, Callable[[], Sequence[float]]]:
+        """Where the values of each element come from."""
+        arm = self._arm
+        return {
+            "AIPos": lambda: arm.q,
+            "ASPos": lambda: self._session.start,
+            "RIst": lambda: self._kinematics.pose(arm.q),
+            "RSol": lambda: self._planned_pose,
+            "MACur": arm.currents,
+            "GearTorque": lambda: getattr(arm, "torque", _zero()),
+            "AJPos": lambda: getattr(arm, "joint_deg", arm.q),
+            "EIPos": lambda: self._settings.external_deg,
+            "Delay": lambda: (self._session.delay,),
+        }
 
     def _send(self, telegram: bytes) -> None:
         sender = self._foreign if self._counted("foreign") else self._socket
@@ -173,7 +185,7 @@ class RsiController:
         self._session = FakeRsiSession(self._settings, self._arm.q)
         self._planned_pose = self._kinematics.pose(self._arm.q)
         self._sessions += 1
-        self._missed = self._told = 0
+        self._missed = self._empty_sent = 0
 
     def _end_session(self) -> None:
         """The set point stays where it is, so the arm comes to rest; then telegrams are offered again, as if the program was restarted."""
@@ -214,9 +226,9 @@ class RsiController:
         arm, control = self._arm, self._control
         self._state.write(
             self._ipoc * 1e-3,
-            [radians(v) for v in arm.q],
-            [radians(v) for v in arm.qd],
-            arm.direction,
+            tuple([radians(v) for v in arm.q]),
+            tuple([radians(v) for v in arm.qd]),
+            tuple(arm.direction),
             arm.standstill,
             arm.arrivals,
             self._fault_code,

@@ -34,18 +34,21 @@ class FakeKrc:
         if self._process is not None:
             return self
         if self.state is None:
-            self.state = ArmState.attach(self._given) if self._given else ArmState.create(tuple(np.radians(self.settings.start_deg)))
-        self._control = Control.create(self.settings.log)
-        self._control.set_faults(self.settings.faults)
+            name = self._given if isinstance(self._given, str) else ""
+            self.state = ArmState.attach(name) if name else ArmState.create(tuple(np.radians(self.settings.start_deg)))
+        control = self._control = Control.create(self.settings.log)
+        control.set_faults(self.settings.faults)
         command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        start = {"settings": self.settings.to_json(), "state": self.state.name, "control": self._control.name, "bind": self._bind}
-        self._process.stdin.write(json.dumps(start) + "\n")
-        self._process.stdin.flush()
-        if not self._process.stdout.readline():
+        process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdin is not None  # both are pipes
+        assert process.stdout is not None
+        start = {"settings": self.settings.to_json(), "state": self.state.name, "control": control.name, "bind": self._bind}
+        process.stdin.write(json.dumps(start) + "\n")
+        process.stdin.flush()
+        if not process.stdout.readline():
             self.stop()
             raise RuntimeError("the fake controller did not start")
-        self._control.forget()
+        control.forget()
         return self
 
     def stop(self) -> None:
@@ -69,15 +72,15 @@ class FakeKrc:
         unknown = set(faults) - set(FAULTS)
         if unknown:
             raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
-        self._control.set_faults(faults)
+        self._running().set_faults(faults)
 
     def counters(self) -> dict[str, int]:
         """cycles, sessions, answers, late, rejected, active, ended (index into arm_state.FAULTS)."""
-        return self._control.counters()
+        return self._running().counters()
 
     def log(self) -> dict[str, np.ndarray]:
         """What came and went, a row a cycle (needs ``log=True``): ipoc, latency_s, accepted, q (k, 6) deg, correction (k, 6) deg."""
-        rows = np.array(self._control.read_log()).reshape(-1, len(LOG_COLUMNS))
+        rows = np.array(self._running().read_log()).reshape(-1, len(LOG_COLUMNS))
         return {
             "ipoc": rows[:, 0].astype(np.int64),
             "latency_s": rows[:, 1],
@@ -85,6 +88,11 @@ class FakeKrc:
             "q": rows[:, 3:9],
             "correction": rows[:, 9:15],
         }
+
+    def _running(self) -> Control:
+        if self._control is None:
+            raise RuntimeError("the fake controller does not run")
+        return self._control
 
     def __enter__(self) -> Self:
         return self.start()

@@ -1,4 +1,4 @@
-"""What a fake controller is told when it starts, and what can be done to it while it runs."""
+"""How a fake controller is set up when it starts, and what can be done to it while it runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ PROFILES = {
 }
 
 ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
-COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign")
+COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign", "jump")
+JUMP_DEG = 30.0
 FAULTS = (
     "silence",  # no telegram leaves the controller
     "drop",  # probability that a telegram is lost on its way
@@ -24,6 +25,7 @@ FAULTS = (
     "wrong_ipoc",  # that many telegrams carry an IPOC out of step
     "no_aipos",  # that many telegrams lack AIPos
     "foreign",  # that many telegrams come from another port
+    "jump",  # that many telegrams show A1 30 deg from where it is
     "clamp_deg",  # AXISCORR limits the correction to this, silently
     "ignore",  # corrections are accepted and not carried out
     "stop",  # the operator stops the program
@@ -35,22 +37,27 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class KrcSettings:
-    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come.
+    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. stretch: by the clock, a
+    second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is waited for, and
+    how long where the cycle before had none at all.
 
     Angles deg, speeds deg/s, accelerations deg/s^2. limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None
-    for the full range. empty_first: so many nearly empty telegrams begin a session, as with RSI 2. timeout: late packets that end the
-    session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg) from which RIst is computed,
-    or none. layout: a name of PROFILES or the elements themselves.
+    for the full range. external_deg: what EIPos shows. empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
+    timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
+    beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
     lag_s: first-order lag of the arm behind a dead time of two cycles. rearm_s: pause before telegrams are offered again after a fault.
     """
 
     client: tuple[str, int] = ("127.0.0.1", 49152)
     realtime: bool = True
+    stretch: float = 1.0
+    answer_wait_s: tuple[float, float] = (0.5, 0.01)
     start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
     limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
     speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
     overspeed: float = 1.05
+    external_deg: tuple[float, ...] = (0.0,) * 6
     cycle_ms: int = 4
     ipoc: int = 1_000_000
     sen_type: str = "ImFree"

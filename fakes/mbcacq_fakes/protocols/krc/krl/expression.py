@@ -97,22 +97,24 @@ class ExpressionReader:
 
     def _primary(self) -> str:
         kind, text = self._next()
-        if kind in ("text", "number"):
-            return text if kind == "text" else text.rstrip(".") if text.endswith(".") else text
-        if kind == "enum":
-            return f"'{text.upper()}'"
+        if kind == "name":
+            return self._named(text)
+        if kind == "system":
+            return self._members(f"S.{text[1:].lower()}")
         if text == "(":
             value = self._binary(0)
             self._expect(")")
             return f"({value})"
         if text == "{":
             return self._aggregate()
-        if kind == "name" and text.upper() in ("TRUE", "FALSE"):
-            return text.capitalize()
-        if kind == "system":
-            return self._members(f"S.{text[1:].lower()}")
-        if kind != "name":
+        constants = {"text": text, "number": text.rstrip("."), "enum": f"'{text.upper()}'"}
+        if kind not in constants:
             raise KrlError(f"'{text}' stands where a value should")
+        return constants[kind]
+
+    def _named(self, text: str) -> str:
+        if text.upper() in ("TRUE", "FALSE"):
+            return text.capitalize()
         if self._take("("):
             return f"(yield from {self._name(text, True)}({', '.join(['P', *self._list(')')])}))"
         return self._members(self._name(text, False))

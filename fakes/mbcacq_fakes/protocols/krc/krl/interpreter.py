@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import Any, Protocol
 
 from mbcacq_fakes.protocols.krc.krl.program import Program, Resume
@@ -32,8 +32,8 @@ class Interpreter:
         self._interrupts: dict[int, tuple[Callable[[], Any], Any]] = {}
         self._on: dict[int, bool] = {}
         self.halted = False
-        self._main: Iterator[Any] = program.start(name, self)
-        self._stack: list[tuple[Iterator[Any], tuple[str, Any]]] = [(self._main, ("idle", None))]
+        self._main: Generator[Any, Any, Any] = program.start(name, self)
+        self._stack: list[tuple[Generator[Any, Any, Any], tuple[str, Any]]] = [(self._main, ("idle", None))]
         self._turns = 0
 
     # what translated programs call
@@ -116,7 +116,7 @@ class Interpreter:
             raise KrlError("RESUME needs a program below the one that declared the interrupt") from error
         self._take(running, request, value, now)
 
-    def _take(self, running: Iterator[Any], request: str, value: Any, now: float) -> None:
+    def _take(self, running: Generator[Any, Any, Any], request: str, value: Any, now: float) -> None:
         if request == "wait":
             value = now + value
         elif request == "idle":

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Generator, Iterator
+from typing import TYPE_CHECKING, Any
 
 from mbcacq_fakes.protocols.krc.krl import values as V
 from mbcacq_fakes.protocols.krc.krl.expression import ExpressionReader
@@ -28,6 +28,12 @@ class Resume(Exception):
 
 class Globals:
     """Variables of the data lists."""
+
+    if TYPE_CHECKING:  # members are named by the programs
+
+        def __getattr__(self, name: str) -> Any: ...
+
+        def __setattr__(self, name: str, value: Any) -> None: ...
 
 
 class Program:
@@ -57,7 +63,7 @@ class Program:
         if missing := [name for name in self.called if name not in self._functions]:
             raise KrlError(f"there is no {', '.join(missing)}")
 
-    def start(self, name: str, interpreter: Any) -> Iterator[Any]:
+    def start(self, name: str, interpreter: Any) -> Generator[Any, Any, Any]:
         """A fresh run of a program without parameters."""
         return self._functions[name.lower()](interpreter)
 
@@ -118,32 +124,8 @@ class Program:
             raise KrlError(f"{file}: {function} is defined twice")
         parameters = [p.split(":")[0].strip().lower() for p in head[2].split(",") if p.strip()]
         scope = _Scope(self, dict.fromkeys(parameters, ""))
-        code, indent, closers = [f"def {function}(P{''.join(', v_' + p for p in parameters)}):", "   if False: yield"], 1, []
-        guarded = any(_INTERRUPT.match(line) for _, line in body)
-        for number, line in body:
-            try:
-                word = line.split("(")[0].split()[0].upper()
-                if word in ("ELSE", *_BLOCKS.values()):
-                    if not closers or word not in ("ELSE", closers[-1]):
-                        raise KrlError(f"{word} closes nothing")
-                    if word == "ELSE":
-                        code.append("   " * (indent - 1) + "else:")
-                    else:
-                        closers.pop()
-                        indent -= 1
-                    continue
-                new, opens = self._statement(line, word, scope)
-                if guarded and new and new[0].startswith("yield from F["):
-                    new = ["try:", "   " + new[0], "except Resume:", "   pass"]
-                code += ["   " * indent + text for text in new]
-                if opens:
-                    closers.append(_BLOCKS[word])
-                    indent += 1
-                    code.append("   " * indent + ("P.turn()" if word in ("LOOP", "WHILE") else "pass"))
-            except KrlError as error:
-                raise KrlError(f"{file}:{number}: {error}: {line}") from error
-        if closers:
-            raise KrlError(f"{file}: {function}: {closers[-1]} is missing")
+        code = [f"def {function}(P{''.join(', v_' + p for p in parameters)}):", "   if False: yield"]
+        code += self._translate(file, function, body, scope)
         for parameter, kind in scope.local.items():
             if parameter in parameters:
                 code.insert(2, f"   v_{parameter} = fit({kind!r}, v_{parameter})")
@@ -151,47 +133,106 @@ class Program:
         exec(compile("\n".join(code), f"<{file}:{function}>", "exec"), self._space, space)
         self._functions[function] = space[function]
 
+    def _translate(self, file: str, function: str, body: list[tuple[int, str]], scope: _Scope) -> list[str]:
+        """The Python lines of one DEF's body."""
+        code: list[str] = []
+        closers: list[str] = []
+        guarded = any(_INTERRUPT.match(line) for _, line in body)
+        for number, line in body:
+            try:
+                word = line.split("(")[0].split()[0].upper()
+                if word in ("ELSE", *_BLOCKS.values()):
+                    code += _close(word, closers)
+                    continue
+                new, opens = self._statement(line, word, scope)
+            except KrlError as error:
+                raise KrlError(f"{file}:{number}: {error}: {line}") from error
+            if guarded and new and new[0].startswith("yield from F["):
+                new = ["try:", "   " + new[0], "except Resume:", "   pass"]
+            code += ["   " * (len(closers) + 1) + text for text in new]
+            if opens:
+                closers.append(_BLOCKS[word])
+                code.append("   " * (len(closers) + 1) + ("P.turn()" if word in ("LOOP", "WHILE") else "pass"))
+        if closers:
+            raise KrlError(f"{file}: {function}: {closers[-1]} is missing")
+        return code
+
     def _statement(self, line: str, word: str, scope: _Scope) -> tuple[list[str], bool]:
         """Python lines, and whether they open a block."""
-        read = lambda text: ExpressionReader(text, scope.name).expression()  # noqa: E731
+
+        def read(text: str) -> str:
+            return ExpressionReader(text, scope.name).expression()
+
+        if (opened := _block(line, word, scope, read)) is not None:
+            return [opened], True
+        for lines in (self._declaration(line, word, scope, read), _wait(line, read), _motion(line, word, read)):
+            if lines is not None:
+                return lines, False
+        if assigned := _ASSIGN.match(line):
+            return self._store(assigned[1], assigned[2], scope), False
+        if re.match(r"\w+\s*\(", line):
+            return [read(line).removeprefix("(").removesuffix(")")], False
+        raise KrlError("not understood")
+
+    def _declaration(self, line: str, word: str, scope: _Scope, read: Callable[[str], str]) -> list[str] | None:
         if declared := _DECLARE.match(line):
             kind, variable, size, value = declared.groups()
             new = variable.lower() not in scope.local
             scope.local[variable.lower()] = kind.upper()
             start = f"Cells({int(size)})" if size else "V.Struct()" if kind.upper() in ("AXIS", "FRAME") else "None"
-            return ([f"v_{variable.lower()} = {start}"] if new else []) + (self._store(variable, value, scope) if value else []), False
+            return ([f"v_{variable.lower()} = {start}"] if new else []) + (self._store(variable, value, scope) if value else [])
         if found := _INTERRUPT.match(line):
-            return [f"P.declare({found[1]}, lambda: {read(found[2])}, {scope.name(found[3], True)})"], False
-        upper = line.upper()
+            return [f"P.declare({found[1]}, lambda: {read(found[2])}, {scope.name(found[3], True)})"]
         if word == "INTERRUPT":
-            _, state, number = upper.split()
-            return [f"P.enable({int(number)}, {state == 'ON'})"], False
-        if word == "IF" and upper.endswith("THEN"):
-            return [f"if V.logical({read(line[2:-4])})[0]:"], True
-        if word == "LOOP":
-            return ["while True:"], True
-        if word == "WHILE":
-            return [f"while V.logical({read(line[5:])})[0]:"], True
-        if word == "FOR":
-            variable, low, high = re.match(r"FOR\s+(\w+)\s*=\s*(.+?)\s+TO\s+(.+)$", line, re.I).groups()
-            return [f"for {scope.name(variable, False)} in range({read(low)}, {read(high)} + 1):"], True
-        if upper.startswith("WAIT SEC"):
-            return [f"yield 'wait', {read(line[8:])}"], False
-        if upper.startswith("WAIT FOR"):
-            return [f"while not V.logical({read(line[8:])})[0]:", "   yield 'idle', None"], False
-        if word in ("PTP", "LIN"):
-            return [f"yield {word.lower()!r}, {read(line[3:])}"], False
-        if upper in ("HALT", "BRAKE"):
-            return [f"yield {upper.lower()!r}, None"], False
-        if upper == "RESUME":
-            return ["raise Resume"], False
-        if word == "RETURN":
-            return [f"return {read(line[6:])}" if line[6:].strip() else "return"], False
-        if assigned := _ASSIGN.match(line):
-            return self._store(assigned[1], assigned[2], scope), False
-        if re.match(r"\w+\s*\(", line):
-            return [ExpressionReader(line, scope.name).expression().removeprefix("(").removesuffix(")")], False
-        raise KrlError("not understood")
+            _, state, number = line.upper().split()
+            return [f"P.enable({int(number)}, {state == 'ON'})"]
+        return None
+
+
+def _close(word: str, closers: list[str]) -> list[str]:
+    """ELSE, or the end of the innermost block, which is taken off ``closers``."""
+    if not closers or word not in ("ELSE", closers[-1]):
+        raise KrlError(f"{word} closes nothing")
+    if word == "ELSE":
+        return ["   " * len(closers) + "else:"]
+    closers.pop()
+    return []
+
+
+def _block(line: str, word: str, scope: _Scope, read: Callable[[str], str]) -> str | None:
+    """The Python line of a statement that opens a block."""
+    if word == "IF" and line.upper().endswith("THEN"):
+        return f"if V.logical({read(line[2:-4])})[0]:"
+    if word == "LOOP":
+        return "while True:"
+    if word == "WHILE":
+        return f"while V.logical({read(line[5:])})[0]:"
+    if word == "FOR" and (parts := re.match(r"FOR\s+(\w+)\s*=\s*(.+?)\s+TO\s+(.+)$", line, re.I)):
+        variable, low, high = parts.groups()
+        return f"for {scope.name(variable, False)} in range({read(low)}, {read(high)} + 1):"
+    return None
+
+
+def _wait(line: str, read: Callable[[str], str]) -> list[str] | None:
+    if line.upper().startswith("WAIT SEC"):
+        return [f"yield 'wait', {read(line[8:])}"]
+    if line.upper().startswith("WAIT FOR"):
+        return [f"while not V.logical({read(line[8:])})[0]:", "   yield 'idle', None"]
+    return None
+
+
+def _motion(line: str, word: str, read: Callable[[str], str]) -> list[str] | None:
+    """What moves the arm, stops it or leaves the program."""
+    upper = line.upper()
+    if word in ("PTP", "LIN"):
+        return [f"yield {word.lower()!r}, {read(line[3:])}"]
+    if upper in ("HALT", "BRAKE"):
+        return [f"yield {upper.lower()!r}, None"]
+    if upper == "RESUME":
+        return ["raise Resume"]
+    if word == "RETURN":
+        return [f"return {read(line[6:])}" if line[6:].strip() else "return"]
+    return None
 
 
 class _Scope:
@@ -215,7 +256,8 @@ class _Scope:
 
     def kind(self, target: str) -> str:
         """The declared type behind a target; '' where any value may go."""
-        base = re.match(r"\$?\w+", target)[0].lower()
+        found = re.match(r"\$?\w+", target)
+        base = found[0].lower() if found else ""
         kind = self.local.get(base, self._program._types.get(base, ""))
         return "REAL" if "." in target.split("]")[-1] and kind in ("AXIS", "FRAME") else kind
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 INT, REAL, BOOL = "INT", "REAL", "BOOL"
 
@@ -13,6 +13,12 @@ class KrlError(Exception):
 
 class Struct:
     """FRAME, AXIS, EKI_STATUS...: members by lower-case name."""
+
+    if TYPE_CHECKING:  # members are named by the programs
+
+        def __getattr__(self, name: str) -> Any: ...
+
+        def __setattr__(self, name: str, value: Any) -> None: ...
 
     def __init__(self, **members: Any) -> None:
         self.__dict__.update(members)

@@ -1,0 +1,50 @@
+"""Checks of option values that both drivers make. Each raises ConfigError with the robot's name and the option's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from mbcacq.devices import ConfigError
+
+
+def refuse_unknown(name: str, given: Iterable[str], known: list[str]) -> None:
+    if unknown := sorted(set(given) - set(known)):
+        raise ConfigError(f"robot '{name}': unknown option {', '.join(unknown)}; known are {', '.join(known)}")
+
+
+def array(name: str, key: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """value as finite numbers of this shape."""
+    try:
+        numbers = np.asarray(value, dtype=float).reshape(shape)
+        if not np.isfinite(numbers).all():
+            raise ValueError("a value is not finite")
+        return numbers
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"robot '{name}': option {key} is wrong: {error}") from error
+
+
+def check_numbers(name: str, options: Any, ranges: Mapping[str, tuple[float, float, bool]]) -> None:
+    """ranges: option -> lowest, highest, whether it must be whole. None is let through where the option's type has it."""
+    optional = {field.name for field in fields(options) if "None" in str(field.type)}
+    for key, (low, high, whole) in ranges.items():
+        value = getattr(options, key)
+        if value is None and key in optional:
+            continue
+        if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
+            raise ConfigError(
+                f"robot '{name}': option {key} must be a {'whole ' if whole else ''}number from {low:g} to {high:g}, it is {value!r}"
+            )
+
+
+def check_limits(name: str, limits_deg: tuple[tuple[float, float], ...]) -> None:
+    if any(low >= high for low, high in limits_deg):
+        raise ConfigError(f"robot '{name}': in limits_deg every lower limit must be below the upper one")
+
+
+def check_positive(name: str, key: str, values: tuple[float, ...] | None) -> None:
+    if values is not None and min(values) <= 0:
+        raise ConfigError(f"robot '{name}': option {key} must be positive")

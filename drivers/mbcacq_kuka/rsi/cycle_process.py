@@ -1,0 +1,102 @@
+"""The cycle process as the driver sees it: started, commanded, read, ended. What it holds is one RSI session."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from typing import Any
+
+from mbcacq.devices import Cycles
+from mbcacq_kuka.rsi.record import CycleReader
+from mbcacq_kuka.rsi.shared import CLOSE, RsiCommand, Shared
+
+_BRAKING_S = 8.0  # the process may take so long until the arm stands
+
+
+class CycleProcess:
+    """Safe to use from several threads. ``port`` and ``real_time`` are known after ``start``."""
+
+    def __init__(self) -> None:
+        """Raises OSError where there is no shared memory left."""
+        self._shared: Shared | None = Shared.create()
+        self._reader = CycleReader(self._shared)
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self.port, self.real_time = 0, False
+
+    def start(self, settings: dict[str, Any]) -> str:
+        """'' once it listens, else why it cannot."""
+        assert self._shared is not None  # start comes before close
+        command = [sys.executable, "-m", "mbcacq_kuka.rsi.cycle"]
+        process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdin is not None  # both are pipes
+        assert process.stdout is not None
+        process.stdin.write(json.dumps({"shared": self._shared.name, **settings}) + "\n")
+        process.stdin.flush()
+        line = process.stdout.readline()
+        answer = json.loads(line) if line else {"error": "the RSI process did not start"}
+        if "error" in answer:
+            return answer["error"]
+        self._shared.forget()
+        self.port, self.real_time = answer["ready"], answer["real_time"]
+        return ""
+
+    @property
+    def open(self) -> bool:
+        return self._shared is not None
+
+    @property
+    def connected(self) -> bool:
+        return self._shared is not None and self._shared.head > 0
+
+    @property
+    def exit_code(self) -> int | None:
+        return None if self._process is None else self._process.poll()
+
+    @property
+    def lost(self) -> int:
+        """Cycles that were not fetched in time."""
+        return self._reader.lost
+
+    @property
+    def start_deg(self) -> Any:
+        """Axis angles (6,) at the beginning of the session, deg."""
+        return self._reader.start
+
+    def begin(self) -> None:
+        """The session is connected: its telegrams' layout is known."""
+        self._reader.begin()
+
+    def fault(self) -> dict[str, Any] | None:
+        return None if self._shared is None else self._shared.fault()
+
+    def last(self) -> dict[str, Any]:
+        with self._lock:
+            return self._reader.last()
+
+    def drain(self) -> Cycles:
+        with self._lock:
+            return self._reader.drain()
+
+    def send(self, command: RsiCommand) -> int:
+        """The number of the command; 0 where the session is closed."""
+        with self._lock:
+            return 0 if self._shared is None else self._shared.send(command)
+
+    def close(self) -> None:
+        """Brake, end the session, wait until the process has ended; cycles that were not read yet are kept for ``drain``. Idempotent."""
+        process, self._process = self._process, None
+        if process is not None:
+            self.send(RsiCommand(CLOSE))
+            try:
+                process.communicate(timeout=_BRAKING_S)  # closes its input
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+        with self._lock:
+            shared, self._shared = self._shared, None
+            if shared is not None:
+                self._reader.detach()
+                shared.close()

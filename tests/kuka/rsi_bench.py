@@ -1,0 +1,56 @@
+"""An RSI session without sockets, and an arm that follows its last answer at once."""
+
+import re
+
+from mbcacq_kuka.rsi.options import RsiOptions
+from mbcacq_kuka.rsi.session import RsiSession
+from mbcacq_kuka.rsi.shared import MOVE, STOP, RsiCommand, Shared
+
+START = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
+LIMITS = ((-180.0, 180.0), (-150.0, 10.0), (-120.0, 160.0), (-350.0, 350.0), (-125.0, 125.0), (-350.0, 350.0))
+SPEED, ACCELERATION, JERK, T = 100.0, 400.0, 4000.0, 0.004
+SOURCE = ("127.0.0.1", 50007)
+
+
+class Bench:
+    """``cycle`` is one exchange; ``q``: where the arm is, deg; ``sent``: corrections that the controller used; ``heard``: IPOC of
+    the last telegram that was answered."""
+
+    def __init__(self, **options):
+        self.shared = Shared.create()
+        self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, **options).settings())
+        self.ipoc, self.delay, self.sent = 1000, 0, []
+        self.q = START
+        for _ in range(8):
+            self.cycle()
+
+    def telegram(self, ipoc=None):
+        axes = " ".join(f'A{i + 1}="{v:.6f}"' for i, v in enumerate(self.q))
+        return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/><IPOC>{self.ipoc if ipoc is None else ipoc}</IPOC></Rob>'.encode()
+
+    def cycle(self, data=None, source=SOURCE, step=4, accepted=True):
+        """The correction answered, or None."""
+        self.ipoc += step
+        answer = self.reply(self.telegram() if data is None else data, source)
+        if answer is None:
+            return None
+        correction = tuple(float(v) for v in re.findall(rb'A\d="([^"]+)"', answer))
+        if accepted:
+            self.sent.append(correction)
+            self.q = tuple(s + c for s, c in zip(START, correction, strict=True))
+        else:
+            self.delay += 1
+        return correction
+
+    def reply(self, data, source=SOURCE, in_time=True):
+        answer = self.session.reply(data, source, self.ipoc * 1e-3, in_time)
+        self.session.digest(self.ipoc * 1e-3)
+        if answer is not None:
+            self.heard = int(re.search(rb"<IPOC>(\d+)<", data)[1])
+        return answer
+
+    def move(self, target):
+        self.shared.send(RsiCommand(MOVE, target, (SPEED,) * 6, (ACCELERATION,) * 6, (JERK,) * 6, 0.01, 0.1))
+
+    def stop(self):
+        self.shared.send(RsiCommand(STOP))
