@@ -26,6 +26,8 @@ def identifiability_findings(
     """Findings about identifiability; the figures behind them, or None where the poses do not suffice to compute them."""
     options = options or DesignOptions()
     place = f"{loaded.path}:{loaded.lines.get(('steps',), 1)}"
+    if not poses:
+        return [], None, None  # nothing is reachable, and ``check_reach`` says so of every target
     useful = [p for p in poses if p.balls]
     if not any(p.phase != "verification" for p in useful):
         sentence = "there is no pose to calibrate with; add steps of another phase"

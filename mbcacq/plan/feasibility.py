@@ -103,7 +103,7 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
         return
     clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
     spoiled = {p.number for p in poses if clearance.at(p.q, p.station).distance < needed}
-    by_number = {p.number: (before, p) for before, p in zip([None, *poses[:-1]], poses, strict=True)}
+    by_number = {p.number: (before, p) for before, p in zip([None, *poses], poses, strict=False)}
     for each in obstructed:
         before, pose = by_number[each.number]
         if pose.number in spoiled or (before is not None and before.number in spoiled):

@@ -56,6 +56,16 @@ def test_out_of_reach(folder):
     assert all("step 'views'" in f.sentence for f in found)
 
 
+def test_check_of_a_plan_without_a_reachable_pose(folder):
+    far = folder.plan(("[600, 0, 150]", "[2600, 0, 150]"), ("[600, 0, 100]", "[2600, 0, 100]"))
+    done = CliRunner().invoke(command, ["check", str(far)])
+    assert done.exit_code == 2, done.exception
+    assert "plan.yaml:24: step 'views'" in done.output
+    assert "0 poses" in done.output
+    found = json.loads(CliRunner().invoke(command, ["check", str(far), "--json"]).output)
+    assert {f["code"] for f in found["findings"]} == {"reach"}
+
+
 def test_taught_pose_beyond_a_limit_and_close_to_one(folder):
     found = {f.code: f for f in findings(taught(folder, (0, -90, 157, 0, 60, 0), (0, -90, 155, 0, 60, 0)))}
     assert found["limits"].level == "error"
