@@ -11,6 +11,7 @@ from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.result_io import read_result
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
+from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.workflow.diagnose import diagnose_poses
 from mbcacq.workflow.evaluate import determines_all
 from mbcacq.workflow.load import is_run_folder, load_observations
@@ -35,6 +36,7 @@ def write_report(
     if out is None and run is None:
         raise ConfigError("a calibration has no folder; say where the report is to go")
     if out is None and run is not None and run.is_file():
+        refuse_plan(run)
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
     observations = data.observations if isinstance(data, Calibration) else load_observations(data)
     result = _result(data, observations, progress)

@@ -11,6 +11,8 @@ from mbcacq.errors import ConfigError
 from mbcacq.recording.run_folder.latest import mark_latest, named_run
 from mbcacq.recording.viewer import open_viewer
 
+PLANS = Path(__file__).parents[2] / "plans"
+
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
@@ -67,3 +69,10 @@ def test_a_run_that_is_itself_called_latest_is_left_alone(desk):
     new_run("runs/other")
     assert not (desk / "runs" / "latest").is_symlink()
     assert named_run(Path("latest")) == Path("runs/latest")
+
+
+@pytest.mark.parametrize("command", ["report", "view", "calibrate", "diagnose", "compare"])
+def test_a_plan_in_place_of_a_run_says_to_execute_it_first(command):
+    done = CliRunner().invoke(app, [command, str(PLANS / "quick.yaml")])
+    assert done.exit_code == 2, done.exception
+    assert f"quick.yaml is a plan, nothing was measured yet; execute it (without hardware: mbcacq run {PLANS}" in done.stderr

@@ -1,4 +1,5 @@
-"""The name ``latest`` beside the folders of the runs: a link to the newest one, or a file with its name where links are not possible."""
+"""Which run is meant: ``latest`` beside the folders of the runs is a link to the newest one, or a file with its name where links are not
+possible; a plan is none."""
 
 from __future__ import annotations
 
@@ -41,3 +42,16 @@ def named_run(path: Path) -> Path:
     if not folder.is_dir():
         raise ConfigError(f"{mark} names the run {folder}, which is gone; give the folder of another run")
     return folder
+
+
+def refuse_plan(path: Path) -> None:
+    """Raises ConfigError where a plan is given instead of what was recorded with it."""
+    if path.suffix not in (".yaml", ".yml") or not path.is_file():
+        return
+    with path.open("rb") as file:
+        if b"mbcacq-plan/" not in file.read(10_000):
+            return
+    raise ConfigError(
+        f"{path} is a plan, nothing was measured yet; execute it (without hardware: mbcacq run {path} --dry-run), then give the folder of "
+        "the run, or 'latest'"
+    )
