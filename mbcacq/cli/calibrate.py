@@ -113,7 +113,8 @@ def print_result(result: dict[str, Any]) -> None:
     from mbcacq.cli import tables
 
     console = Console(highlight=False, soft_wrap=True)
-    console.print(tables.parameters(result))
+    if tables.identifies_arm(result):
+        console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
     for line in [*tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
         console.print(line)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbcacq.acquisition.event_bus import Subscriber
+from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
@@ -73,6 +74,8 @@ def run(
     operator, loaded = operator or Operator(), as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
+    if sentence := scope_sentence(loaded, poses):
+        operator.message(sentence)
     cell, folder = name_of(dry_run, seed), None if resume is None else Path(resume)
     before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
     for sentence in before.repairs:
