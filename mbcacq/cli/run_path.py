@@ -17,4 +17,6 @@ class RunPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         from mbcacq.recording.run_folder.latest import named_run
 
-        return named_run(Path(super().convert(value, param, ctx)))
+        path = super().convert(value, param, ctx)
+        assert isinstance(path, Path), "path_type asks for it"
+        return named_run(path)
