@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.result import Calibration
-from mbcacq.calibration.sufficiency import refuse_degenerate, refuse_one_station, refuse_poor, refuse_runaway, refuse_undetermined
+from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_undetermined
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import initial_guess as starting
@@ -53,9 +53,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         refuse_runaway(result.state.chain, result.observations.cell.robot.chain, options)
         return result
     obs = select_phases(observations, options)
-    refuse_degenerate(obs, options)
-    if options.kinematics and options.refuse:
-        refuse_one_station(obs)
+    refuse_insufficient(obs, options)
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
     fitted = adjust(obs, options, first)
     result = Calibration.of(

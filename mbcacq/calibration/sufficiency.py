@@ -1,8 +1,12 @@
-"""Refusals: recordings that cannot determine a cell, with a sentence that says what is missing."""
+"""What a recording can determine: its scope, and refusals with a sentence that says what is missing.
+
+A plan before it is executed, a run at its end and a calibration of its recording ask the same functions, and so give the same verdict.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +14,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.phases import select_phases
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
@@ -18,6 +23,31 @@ from mbcacq.model.observations import Observations
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
 RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
 LEAST_ROTATION = np.radians(4.0)
+HAND_EYE_ALONE = (
+    "all poses are at one station, which leaves the arm's geometry undetermined elsewhere: the hand-eye transform alone is calibrated, "
+    "the arm is taken as nominal; for the arm, put the artefact at more places, at different heights and distances (phase 'position')"
+)
+
+
+def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOptions:
+    """The options with the scope that the poses are meant for. obs: recorded, or as planned.
+
+    Poses of phase 'position', and poses without phases, are meant to determine the whole cell: nothing changes. Without that phase, poses
+    at one station determine the hand-eye transform alone; at several stations, what they leave open is held, and the standard deviations
+    show it. Options that hold the arm or refuse nothing already, and those of the published method, stay.
+    """
+    if options.method != "ml" or not (options.kinematics and options.refuse) or obs.phase is None or "position" in obs.phase:
+        return options
+    if at_one_station(select_phases(obs, options)):
+        return replace(options, kinematics=False)
+    return replace(options, refuse=False)
+
+
+def refuse_insufficient(obs: Observations, options: CalibrationOptions) -> None:
+    """Raise CalibrationError where the poses to fit cannot determine what the options ask for, as far as that is known before solving."""
+    refuse_degenerate(obs, options)
+    if options.kinematics and options.refuse:
+        refuse_one_station(obs)
 
 
 def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
@@ -40,12 +70,17 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
 def refuse_one_station(obs: Observations) -> None:
     """Raise CalibrationError where all poses are at one station: its own pose absorbs what the arm does wrong there, and the fit looks
     better than it is anywhere else. A station whose place in the base is given counts as two."""
-    used = np.unique(obs.station)
-    if obs.cell.measurement != TARGET_IN_BASE and len(used) == 1 and obs.cell.stations[used[0]].T_base_station is None:
+    if at_one_station(obs):
         raise CalibrationError(
             "all poses are at one station, which leaves the arm's geometry undetermined elsewhere; put the artefact at "
             "more places, at different heights and distances, or identify the hand-eye transform alone"
         )
+
+
+def at_one_station(obs: Observations) -> bool:
+    """Whether all poses are at one station whose place in the base is not given."""
+    used = np.unique(obs.station)
+    return obs.cell.measurement != TARGET_IN_BASE and len(used) == 1 and obs.cell.stations[used[0]].T_base_station is None
 
 
 def _refuse_few_balls(obs: Observations) -> None:

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command("apply")
-@click.argument("result", type=click.Path(path_type=Path))
+@click.argument("result", type=RunPath())
 @click.argument("cloud", type=click.Path(path_type=Path))
 @click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, deg, as the controller reports them.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: CLOUD with _base before its ending].")

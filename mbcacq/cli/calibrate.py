@@ -8,9 +8,11 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command("calibrate")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", type=RunPath())
 @click.option(
     "--method",
     type=click.Choice(["ml", "paper"]),
@@ -66,11 +68,11 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Calibrate the cell from DATA: a run folder, a recording (.rrd) or an observation set.
+    """Calibrate the cell from DATA: a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set.
 
     \b
     Examples:
-      mbcacq calibrate runs/today
+      mbcacq calibrate latest
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
     """
     import mbcacq
@@ -111,7 +113,8 @@ def print_result(result: dict[str, Any]) -> None:
     from mbcacq.cli import tables
 
     console = Console(highlight=False, soft_wrap=True)
-    console.print(tables.parameters(result))
+    if tables.identifies_arm(result):
+        console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
     for line in [*tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
         console.print(line)

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command("compare")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", type=RunPath())
 @click.option("--no-held-out", is_flag=True, help="Leave out the refits without some stations.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the split.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")

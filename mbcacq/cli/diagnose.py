@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command(name="diagnose")
-@click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("data", nargs=-1, required=True, type=RunPath())
 @click.option(
     "--json",
     "json_file",
@@ -21,13 +23,13 @@ import click
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
 def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None, rrd: Path | None, workers: int | None) -> None:
-    """Diagnose DATA: a run folder, an .rrd, an observation set; or one or several trajectory sets of one robot, together.
+    """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
     In the folder of a run the diagnosis is kept (diagnosis.json, diagnosis.rrd): mbcacq report and mbcacq view show it from then on.
 
     \b
     Examples:
-      mbcacq diagnose runs/today
+      mbcacq diagnose latest
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
     """
     import mbcacq

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 _OPTIONS = (
     click.option(
         "--results",
@@ -39,7 +41,7 @@ def result_options(command: Callable) -> Callable:
 
 
 @click.command("export")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=RunPath())
 @click.option("--observations", type=click.Path(path_type=Path, file_okay=False), help="Write an observation set (YAML, CSV) there.")
 @click.option("--scans", is_flag=True, help="With --observations: the raw clouds as well (scans/POSE.ply, first exposure of each pose).")
 @click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")

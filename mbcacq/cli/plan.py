@@ -107,6 +107,7 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     """
     from mbcacq.design.optimal_design import design
     from mbcacq.design.plan_comparison import compare
+    from mbcacq.design.planned_scope import scope_sentence
     from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
 
@@ -119,7 +120,10 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
     target.write_text(result.text, encoding="utf-8")
     new = load(target)
-    rows = compare([(loaded, expand(loaded)), (new, expand(new))], seed)
+    poses = expand(new)
+    rows = compare([(loaded, expand(loaded)), (new, poses)], seed)
+    if sentence := scope_sentence(new, poses):
+        click.echo(sentence, err=True)
     if as_json:
         click.echo(
             json.dumps(

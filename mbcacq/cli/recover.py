@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command("recover")
-@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("recording", type=RunPath())
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(recording: Path, as_json: bool) -> None:
     """Make RECORDING (a run folder or a .rrd file) readable after a crash, a power cut or a full disk.

@@ -7,21 +7,23 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command("report")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=RunPath())
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The page [default: report.html in the folder of the run].")
 @click.option("--diagnose", "with_diagnosis", is_flag=True, help="Make a diagnosis first, if there is none yet.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
 def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) -> None:
     """Write the report of RUN: one HTML page that opens offline and prints well.
 
-    RUN is a run folder, a recording (.rrd) or an observation set. A result that is there is used, otherwise the cell is calibrated; so is
-    a diagnosis that 'mbcacq diagnose' kept in the folder of a run.
+    RUN is a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set. A result that is there is used,
+    otherwise the cell is calibrated; so is a diagnosis that 'mbcacq diagnose' kept in the folder of a run.
 
     \b
     Examples:
-      mbcacq report runs/today
+      mbcacq report latest
       mbcacq report ur5-tracker --diagnose --out ur5.html
     """
     import mbcacq

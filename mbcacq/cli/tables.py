@@ -22,6 +22,17 @@ def parameters(result: dict[str, Any]) -> Table:
     return table
 
 
+def arm_parameters(result: dict[str, Any]) -> set[str]:
+    """Names of the MD-H parameters."""
+    return {f"{p}_{i + 1}" for p in ("theta", "d", "a", "alpha", "beta") for i in range(len(result["robot"]["sign"]))}
+
+
+def identifies_arm(result: dict[str, Any]) -> bool:
+    """Whether any MD-H parameter was free."""
+    arm = arm_parameters(result)
+    return any(p["name"] in arm and p["status"] != "held" for p in result["parameters"])
+
+
 def _cell(parameter: dict[str, Any] | None) -> str:
     if parameter is None or parameter["status"] == "held":
         return "-"
@@ -56,7 +67,8 @@ def fit(result: dict[str, Any]) -> list[str]:
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
     out = [f"Fit: {size}, residual {fitted['rms_mm']:.4f} mm rms{chi2}, rank {fitted['rank']}"]
     if (expected := fitted.get("expected_accuracy_mm")) is not None:
-        out.append(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, noise of measuring aside)")
+        aside = "noise of measuring aside" if identifies_arm(result) else "noise of measuring and the arm's own errors aside"
+        out.append(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, {aside})")
     if noise:
         sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
         joints = " ".join(f"{1e6 * s:.1f}" for s in noise["joint_rad"])
@@ -70,7 +82,13 @@ def fit(result: dict[str, Any]) -> list[str]:
 def remarks(result: dict[str, Any]) -> list[str]:
     """Held parameters, pairs that the data can hardly separate, rejected measurements, noise that contradicts what was stated."""
     out = []
+    if scope := result.get("scope"):
+        out.append(f"Scope: {scope}")
     held = result.get("held") or {}
+    if not identifies_arm(result):
+        arm = arm_parameters(result)
+        out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
+        held = {name: why for name, why in held.items() if name not in arm}
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
         reasons.setdefault(why, []).append(name)

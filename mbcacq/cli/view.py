@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.run_path import RunPath
+
 
 @click.command("view")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=RunPath())
 @click.option(
     "--screenshot",
     type=click.Path(path_type=Path, file_okay=False),
@@ -18,11 +20,13 @@ import click
 @click.option("--pose", type=int, help="With --screenshot: at the end of this pose [default: the last].")
 @click.option("--size", default="1600x1000", show_default=True, metavar="WxH", help="Size of the picture in points.")
 def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> None:
-    """Open RUN (a run folder or a .rrd file) in the rerun viewer: the cell, its motion, the spheres, calibration and diagnosis as tabs.
+    """Open RUN in the rerun viewer: the cell, its motion, the spheres, calibration and diagnosis as tabs.
+
+    RUN is a run folder ('latest': the newest in runs) or a .rrd file.
 
     \b
     Examples:
-      mbcacq view runs/today
+      mbcacq view latest
       mbcacq view runs/today --screenshot pictures/ --pose 30
 
     The viewer of rerun reports anonymous usage unless that is switched off: rerun analytics disable

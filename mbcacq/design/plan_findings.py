@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from mbcacq.calibration.sufficiency import HAND_EYE_ALONE
 from mbcacq.design.effect_detectability import Detectability, detectability
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy
@@ -26,6 +27,8 @@ def identifiability_findings(
     """Findings about identifiability; the figures behind them, or None where the poses do not suffice to compute them."""
     options = options or DesignOptions()
     place = f"{loaded.path}:{loaded.lines.get(('steps',), 1)}"
+    if not poses:
+        return [], None, None  # nothing is reachable, and ``check_reach`` says so of every target
     useful = [p for p in poses if p.balls]
     if not any(p.phase != "verification" for p in useful):
         sentence = "there is no pose to calibrate with; add steps of another phase"
@@ -33,7 +36,8 @@ def identifiability_findings(
     try:
         accuracy = predicted_accuracy(loaded, useful)
     except CalibrationError as error:
-        return [PlanFinding("warning", "undetermined", "", place, str(error))], None, None
+        sentence = f"a calibration will refuse these poses: {error}"
+        return [PlanFinding("warning", "undetermined", "", place, sentence)], None, None
     starts = {p["pose"]: p["start_s"] for p in summary["poses"]}
     transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
     effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful], options)
@@ -41,6 +45,8 @@ def identifiability_findings(
 
 
 def _of_accuracy(accuracy: PredictedAccuracy, place: str, weak_mm: float) -> list[PlanFinding]:
+    if accuracy.hand_eye_alone:
+        return [PlanFinding("info", "hand-eye-alone", "", place, HAND_EYE_ALONE)]
     harmful = [u for u in accuracy.undetermined if not u.harmless]
     if harmful:
         names = ", ".join(u.name for u in harmful)
@@ -69,7 +75,8 @@ def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
 def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     """A few lines for a terminal."""
     indices = ", ".join(f"{k} {v:.3g}" for k, v in accuracy.indices.items())
-    lines = [f"determines {accuracy.determined} of {accuracy.parameters} parameters of arm and hand-eye; observability {indices}"]
+    what = "the hand-eye transform alone" if accuracy.hand_eye_alone else "arm and hand-eye"
+    lines = [f"determines {accuracy.determined} of {accuracy.parameters} parameters of {what}; observability {indices}"]
     if accuracy.distance_mm is not None:
         spread = [e for _, e in accuracy.distances]
         parts = f"{accuracy.calibration_mm:.4f} mm from the calibration, the rest from measuring them"

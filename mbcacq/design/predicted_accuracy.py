@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mbcacq.calibration import Calibration, CalibrationOptions, Noise
 from mbcacq.calibration.observability import of_calibration
-from mbcacq.calibration.sufficiency import refuse_degenerate
 from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
 from mbcacq.calibration.verification import ball_positions, verification_poses, verify
+from mbcacq.design.planned_scope import planned_scope
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.estimation import identifiability
 from mbcacq.estimation import parameters as blocks
@@ -35,7 +35,8 @@ class PredictedAccuracy:
     over the whole reach of the arm. distance_mm: expected mean error of a certified distance at the verification poses (None: there are
     none); calibration_mm: the share of it that is the calibration's, without the noise of measuring the distance. distances: (station,
     standard uncertainty in mm) of each. Where something that matters stays undetermined these are None or empty: then nothing can be
-    promised. correlated: pairs of parameters that cannot be told apart. weakest: (name, its standard deviation, unit).
+    promised, nor where the arm is taken as nominal (hand_eye_alone). correlated: pairs of parameters that cannot be told apart. weakest:
+    (name, its standard deviation, unit).
     """
 
     parameters: int
@@ -48,11 +49,13 @@ class PredictedAccuracy:
     distances: tuple[tuple[str, float], ...]
     correlated: tuple[tuple[str, str, float], ...]
     weakest: tuple[tuple[str, float, str], ...]
+    hand_eye_alone: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "parameters": self.parameters,
             "determined": self.determined,
+            "hand_eye_alone": self.hand_eye_alone,
             "undetermined": [
                 {"name": u.name, "together": list(u.together), "effect_mm": u.effect_mm, "harmless": u.harmless} for u in self.undetermined
             ],
@@ -72,9 +75,9 @@ def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Pred
     Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where the poses can determine nothing.
     """
     observations = planned_observations(loaded, poses)
-    refuse_degenerate(select_phases(observations, CalibrationOptions()), CalibrationOptions())
-    calibration = predicted_calibration(loaded, observations, planned_noise(loaded, poses))
-    sound = all(u.harmless for u in calibration.undetermined)
+    scope = planned_scope(observations)
+    calibration = predicted_calibration(loaded, observations, planned_noise(loaded, poses), replace(scope, refuse=False))
+    sound = scope.kinematics and all(u.harmless for u in calibration.undetermined)
     pairs = verify(observations, calibration).places if sound else ()
     distances = tuple((p.station, p.expected_mm) for p in pairs if p.expected_mm is not None)
     used = _arm_parameters(calibration)
@@ -90,12 +93,15 @@ def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Pred
         distances=distances,
         correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used),
         weakest=_weakest(calibration),
+        hand_eye_alone=not scope.kinematics,
     )
 
 
-def predicted_calibration(loaded: LoadedPlan, observations: Observations, noise: Noise) -> Calibration:
+def predicted_calibration(
+    loaded: LoadedPlan, observations: Observations, noise: Noise, options: CalibrationOptions | None = None
+) -> Calibration:
     """The calibration that a recording of the planned cell would give: no residual, but the true covariance."""
-    options = CalibrationOptions(refuse=False)
+    options = options or CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
     state = planned_state(loaded)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))

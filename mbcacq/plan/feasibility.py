@@ -12,6 +12,7 @@ from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import PlanFinding, finding
 from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
+from mbcacq.plan.plausibility import lacks_orientation
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
 
 
@@ -21,6 +22,7 @@ def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | Non
     routes: of ``find_paths``, where they are known already.
     """
     return [
+        *check_artefacts(loaded),
         *check_reach(loaded),
         *check_joints(loaded, poses),
         *check_visibility(loaded, poses),
@@ -37,6 +39,15 @@ def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
     if errors:
         more = f" ({len(errors) - 1} more: mbcacq plan check {loaded.path})" if len(errors) > 1 else ""
         raise ConfigError(f"{errors[0]}{more}")
+
+
+def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
+    """Artefacts whose orientation no calibration can determine."""
+    if (found := lacks_orientation(loaded)) is not None:
+        where, sentence = found
+        yield PlanFinding(
+            "error", "few-balls", loaded.plan.steps[int(where[1])].name, f"{loaded.path}:{loaded.lines.get(where, 1)}", sentence
+        )
 
 
 def check_reach(loaded: LoadedPlan) -> Iterator[PlanFinding]:
@@ -103,7 +114,7 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
         return
     clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
     spoiled = {p.number for p in poses if clearance.at(p.q, p.station).distance < needed}
-    by_number = {p.number: (before, p) for before, p in zip([None, *poses[:-1]], poses, strict=True)}
+    by_number = {p.number: (before, p) for before, p in zip([None, *poses], poses, strict=False)}
     for each in obstructed:
         before, pose = by_number[each.number]
         if pose.number in spoiled or (before is not None and before.number in spoiled):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 from mbcacq.model import cell
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.plan.planned import LoadedPlan
+from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
 from mbcacq.plan.schema import Look, Plan, Taught
 from mbcacq.plan.yaml_source import Path_, YamlFile, read
 
@@ -24,7 +26,7 @@ def load(path: str | Path) -> LoadedPlan:
     artefacts = _artefacts(file, plan)
     _check_frames(file, plan)
     _check_stations(file, plan, artefacts)
-    _check_steps(file, plan, robot.n, artefacts)
+    _check_steps(file, plan, robot, artefacts)
     scanner = plan.scanner
     described = cell.Cell(
         robot=robot,
@@ -64,7 +66,7 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
         down = np.array(use.base_to_gravity)
         model = replace(model, gravity=down / np.linalg.norm(down))
     home = np.radians(use.home_deg)
-    _check_joints(file, ("robot", "home_deg"), home, model.n)
+    _check_joints(file, ("robot", "home_deg"), use.home_deg, model)
     outside = np.flatnonzero((home < model.limits[:, 0]) | (home > model.limits[:, 1]))
     if len(outside):
         raise file.error(("robot", "home_deg"), f"the home position exceeds the limits of A{outside[0] + 1}; choose another")
@@ -86,21 +88,16 @@ def _artefacts(file: YamlFile, plan: Plan) -> tuple[cell.Artefact, ...]:
                 sentence = f"ball {ball.id} exists already in {other}; number the balls of a cell once"
                 raise source.error(("balls", ball_index, "id"), sentence)
             owner[ball.id] = spec.id
+        if (found := implausible_artefact(spec)) is not None:
+            raise source.error(*found)
         models.append(spec.model())
     return tuple(models)
 
 
 def _check_frames(file: YamlFile, plan: Plan) -> None:
-    frames: list[tuple[Path_, PoseSpec]] = [(("hand_eye",), plan.hand_eye)]
-    frames += [(("stations", i, "pose_in_base"), s.pose_in_base) for i, s in enumerate(plan.stations)]
-    for where, pose in frames:
-        if pose.rotation is None:
-            continue
-        if pose.abc_deg is not None:
-            raise file.error(where, "a frame has either 'rotation' or 'abc_deg', not both; remove one")
-        R = np.array(pose.rotation)
-        if np.abs(R @ R.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
-            raise file.error((*where, "rotation"), "this is no rotation (rows of length 1, perpendicular, right-handed); correct it")
+    _check_frame(file, ("hand_eye",), plan.hand_eye, SMALLEST_MOUNT_MM)
+    for index, station in enumerate(plan.stations):
+        _check_frame(file, ("stations", index, "pose_in_base"), station.pose_in_base, SMALLEST_DISTANCE_MM)
     view = plan.scanner.field_of_view
     if view.near_z_mm <= view.far_z_mm:
         raise file.error(("scanner", "field_of_view", "near_z_mm"), "near_z_mm must exceed far_z_mm: z points to the scanner")
@@ -112,6 +109,18 @@ def _check_frames(file: YamlFile, plan: Plan) -> None:
     space = plan.workspace
     if space is not None and any(low >= high for low, high in zip(space.min_mm, space.max_mm, strict=True)):
         raise file.error(("workspace",), "workspace: each number of min_mm must be below that of max_mm")
+
+
+def _check_frame(file: YamlFile, where: Path_, pose: PoseSpec, smallest_mm: float) -> None:
+    if sentence := looks_like_metres(pose.translation_mm, smallest_mm):
+        raise file.error((*where, "translation_mm"), sentence)
+    if pose.rotation is None:
+        return
+    if pose.abc_deg is not None:
+        raise file.error(where, "a frame has either 'rotation' or 'abc_deg', not both; remove one")
+    R = np.array(pose.rotation)
+    if np.abs(R @ R.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        raise file.error((*where, "rotation"), "this is no rotation (rows of length 1, perpendicular, right-handed); correct it")
 
 
 def _check_stations(file: YamlFile, plan: Plan, artefacts: tuple[cell.Artefact, ...]) -> None:
@@ -126,7 +135,7 @@ def _check_stations(file: YamlFile, plan: Plan, artefacts: tuple[cell.Artefact, 
             raise file.error(("stations", index, "artefact"), f"{sentence} (it has {', '.join(known)})")
 
 
-def _check_steps(file: YamlFile, plan: Plan, n: int, artefacts: tuple[cell.Artefact, ...]) -> None:
+def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: tuple[cell.Artefact, ...]) -> None:
     artefact_of = {str(s.id): next(a for a in artefacts if a.id == s.artefact) for s in plan.stations}
     names: set[str] = set()
     for index, step in enumerate(plan.steps):
@@ -143,7 +152,7 @@ def _check_steps(file: YamlFile, plan: Plan, n: int, artefacts: tuple[cell.Artef
                 _check_balls(file, where, step.name, step.balls, artefact_of[str(station)], station)
         if isinstance(step, Taught):
             for i, pose in enumerate(step.poses_deg):
-                _check_joints(file, (*where, "poses_deg", i), np.radians(pose), n)
+                _check_joints(file, (*where, "poses_deg", i), pose, robot)
             _check_balls(file, where, step.name, step.balls or (), artefact_of[str(step.station)], step.station)
 
 
@@ -153,6 +162,8 @@ def _check_balls(file: YamlFile, where: Path_, step: str, balls: tuple[int, ...]
         raise file.error((*where, "balls"), sentence)
 
 
-def _check_joints(file: YamlFile, where: Path_, q: np.ndarray, n: int) -> None:
-    if len(q) != n:
-        raise file.error(where, f"{len(q)} joint angles are given, but the robot has {n} axes")
+def _check_joints(file: YamlFile, where: Path_, angles_deg: Sequence[float], robot: cell.RobotModel) -> None:
+    if len(angles_deg) != robot.n:
+        raise file.error(where, f"{len(angles_deg)} joint angles are given, but the robot has {robot.n} axes")
+    if sentence := looks_like_radians(angles_deg, robot.limits):
+        raise file.error(where, sentence)

@@ -40,7 +40,7 @@ def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] 
     if obstructed:
         raise ConfigError(obstructed_sentence(loaded, left, obstructed[0]))
     by_number, out = dict(zip((p.number for p in left), found, strict=True)), []
-    for before, pose in zip([None, *poses[:-1]], poses, strict=True):
+    for before, pose in zip([None, *poses], poses, strict=False):
         transit = by_number[pose.number] if pose.number not in done else Transit()
         if before is not None and before.number in through and pose.number not in done:
             first = by_number[before.number]
@@ -72,7 +72,7 @@ def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
     """Transits to all poses, straight where no free path was found, and which those are."""
     router = Router(loaded)
     transits, obstructed = [], []
-    for before, pose in zip([None, *poses[:-1]], poses, strict=True):
+    for before, pose in zip([None, *poses], poses, strict=False):
         if before is not None and before.station == pose.station:
             retract, approach = [], router.between(before, pose)
         else:

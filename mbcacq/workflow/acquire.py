@@ -20,6 +20,7 @@ from mbcacq.acquisition.runner import Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.cell import Cell
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
 
@@ -113,6 +114,7 @@ class Acquisition:
         from mbcacq.spheres import find_spheres
 
         def gate(q: np.ndarray) -> None:
+            mark_latest(self.folder)  # not before every device answered
             check_start(self.loaded, q)
             if confirm is not None:
                 confirm(q)

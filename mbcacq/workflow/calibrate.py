@@ -12,6 +12,7 @@ from mbcacq.calibration import Calibration, CalibrationOptions, Verification
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
+from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.load import as_observations
@@ -65,16 +66,22 @@ def calibration_content(
     data: Path, options: CalibrationOptions, *, held_out: HeldOutOptions | None = None, with_map: bool = False
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
-    where asked for. Raises CalibrationError, ConfigError."""
+    where asked for. Of a plan without phase 'position' it is what its run calibrates (``options_for``).
+
+    Raises CalibrationError, ConfigError.
+    """
     from mbcacq.calibration.accuracy_map import accuracy_map
     from mbcacq.calibration.cross_validation import held_out as cross_validate
     from mbcacq.recording import find_gaps
 
     observations = as_observations(data)
+    asked, options = options, options_for(observations, options)
     calibration = room.calibrate(observations, options)
     content = calibration.to_dict()
     content["verification"] = room.verify(observations, calibration).to_dict()
     content["gaps"] = find_gaps(data)
+    if asked.kinematics and not options.kinematics:
+        content["scope"] = HAND_EYE_ALONE
     if with_map:
         content["accuracy_map"] = accuracy_map(calibration).to_dict()
     if held_out is not None:

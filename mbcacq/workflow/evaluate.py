@@ -9,8 +9,8 @@ from typing import Any
 
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification, calibrate, verify
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.errors import CalibrationError
-from mbcacq.model.observations import Observations
 from mbcacq.workflow.load import load_observations
 
 
@@ -53,8 +53,8 @@ class RunResult:
 def evaluate(run: Path, limit_mm: float | None = None) -> RunResult:
     """Calibrate what a run recorded, verify it on the poses kept apart, write result.json, report.html and the residuals into its folder.
 
-    A plan without phase 'position' (the artefact at several places) cannot determine the whole cell and is not refused for that: what
-    its poses leave open is held, and the standard deviations show it. limit_mm: the plan's limit of the sphere spacing error.
+    What is calibrated follows from the plan's phases and stations (``options_for``). limit_mm: the plan's limit of the sphere spacing
+    error.
     """
     from mbcacq.recording import find_gaps, log_result
     from mbcacq.recording.datasets.csvfile import write_text
@@ -62,21 +62,19 @@ def evaluate(run: Path, limit_mm: float | None = None) -> RunResult:
     from mbcacq.report import read_run_info, report_from_result
 
     observations = load_observations(run)
-    calibration = calibrate(observations, CalibrationOptions(refuse=determines_all(observations)))
+    options = options_for(observations, CalibrationOptions())
+    calibration = calibrate(observations, options)
     verification = verify(observations, calibration, limit_mm=limit_mm)
     content = calibration.to_dict() | {
         "verification": verification.to_dict(),
         "accuracy_map": accuracy_map(calibration).to_dict(),
         "gaps": find_gaps(run),
     }
+    if not options.kinematics:
+        content["scope"] = HAND_EYE_ALONE
     write_text(run / "result.json", json.dumps(content, indent=1))
     report = report_from_result(content, path=run / "report.html", observations=observations, run_info=read_run_info(run))
     log_result(run, observations, calibration.state, calibration.preliminary)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
     return RunResult(run, calibration, verification, content, limit_mm)
-
-
-def determines_all(observations: Observations) -> bool:
-    """Whether these poses are meant to determine the whole cell: of a plan, those with phase 'position'; any without phases."""
-    return observations.phase is None or "position" in observations.phase

@@ -9,10 +9,11 @@ from typing import Any
 from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
 from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.result_io import read_result
+from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
+from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.workflow.diagnose import diagnose_poses
-from mbcacq.workflow.evaluate import determines_all
 from mbcacq.workflow.load import is_run_folder, load_observations
 
 
@@ -35,6 +36,7 @@ def write_report(
     if out is None and run is None:
         raise ConfigError("a calibration has no folder; say where the report is to go")
     if out is None and run is not None and run.is_file():
+        refuse_plan(run)
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
     observations = data.observations if isinstance(data, Calibration) else load_observations(data)
     result = _result(data, observations, progress)
@@ -58,7 +60,7 @@ def _result(data: Calibration | Path | str, observations: Observations, progress
         calibration = data
     else:
         progress("calibrating")
-        calibration = calibrate(observations, CalibrationOptions(refuse=determines_all(observations)))
+        calibration = calibrate(observations, options_for(observations, CalibrationOptions()))
     if kept is None:
         kept = calibration.to_dict() | {"verification": verify(observations, calibration).to_dict()}
     return kept | {"accuracy_map": accuracy_map(calibration).to_dict()}

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbcacq.acquisition.event_bus import Subscriber
+from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices.addresses import on_loopback_only
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
@@ -73,6 +74,8 @@ def run(
     operator, loaded = operator or Operator(), as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
+    if sentence := scope_sentence(loaded, poses):
+        operator.message(sentence)
     cell, folder = name_of(dry_run, seed), None if resume is None else Path(resume)
     before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
     for sentence in before.repairs:
@@ -85,6 +88,19 @@ def run(
     if not dry_run:
         operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
     acquisition.folder = folder or new_run_folder(None if out is None else Path(out), loaded.path.stem)
-    with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
-        acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
+    try:
+        with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+            acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
+    except ConnectError as error:
+        raise _with_fakes_named(error, loaded, dry_run) from error
     return evaluate(acquisition.folder, loaded.plan.accept.sphere_spacing_error_mm)
+
+
+def _with_fakes_named(error: ConnectError, loaded: LoadedPlan, dry_run: bool) -> ConnectError:
+    """The error, with what to do besides where the plan's robot can only be a fake that was not started."""
+    if dry_run or isinstance(error, IdentityError) or not on_loopback_only(loaded.plan.robot.options):
+        return error
+    return ConnectError(
+        f"{error}; without hardware: mbcacq run {loaded.path} --dry-run, or start the fake cell in another terminal first: "
+        f"mbcacq fakes {loaded.path}"
+    )

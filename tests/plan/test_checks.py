@@ -56,6 +56,40 @@ def test_out_of_reach(folder):
     assert all("step 'views'" in f.sentence for f in found)
 
 
+def test_check_of_a_plan_without_a_reachable_pose(folder):
+    far = folder.plan(("[600, 0, 150]", "[2600, 0, 150]"), ("[600, 0, 100]", "[2600, 0, 100]"))
+    done = CliRunner().invoke(command, ["check", str(far)])
+    assert done.exit_code == 2, done.exception
+    assert "plan.yaml:24: step 'views'" in done.output
+    assert "0 poses" in done.output
+    found = json.loads(CliRunner().invoke(command, ["check", str(far), "--json"]).output)
+    assert {f["code"] for f in found["findings"]} == {"reach"}
+
+
+def test_calibrating_with_two_balls_only_is_refused(folder):
+    """The bar alone in the phase 'position'; beside an artefact of three balls and more it may take part."""
+    bar = ("    stations: [1]", "    stations: [2]")
+    found = [f for f in findings(folder.plan(bar)) if f.code == "few-balls"]
+    assert [(f.level, f.place) for f in found] == [("error", f"{folder.path}/plan.yaml:19")]
+    assert "step 'views' calibrates with artefact 'bar', which has 2 balls" in found[0].sentence
+    with pytest.raises(ConfigError, match="three balls or more"):
+        refuse_errors(load(folder.path / "plan.yaml"), [])
+    assert "few-balls" not in codes(folder.plan(("phase: verification", "phase: position")))
+
+
+def test_calibrating_with_balls_on_one_line_is_refused(folder):
+    third = "  - {id: 11, centre_mm: [0, 0, 0], diameter_mm: 25.0}\n"
+    (folder.path / "bar.yaml").write_text((folder.path / "bar.yaml").read_text() + third)
+    found = [f for f in findings(folder.plan(("    stations: [1]", "    stations: [2]"))) if f.code == "few-balls"]
+    assert "has its balls on one line" in found[0].sentence
+
+
+def test_taught_poses_in_degrees_of_small_size_are_no_radians(folder):
+    assert load(taught(folder, (0, -5, 5, 0, 2.5, 0)))
+    with pytest.raises(ConfigError, match="looks like radians"):
+        load(taught(folder, (0, -1.152, 2.129, 0, 0.419, 1.571)))
+
+
 def test_taught_pose_beyond_a_limit_and_close_to_one(folder):
     found = {f.code: f for f in findings(taught(folder, (0, -90, 157, 0, 60, 0), (0, -90, 155, 0, 60, 0)))}
     assert found["limits"].level == "error"

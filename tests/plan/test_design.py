@@ -61,10 +61,11 @@ def test_calibrated_cells_show_the_predicted_accuracy(published):
     assert np.mean(np.square(bars)) == pytest.approx(1.0, abs=0.75)
 
 
-def test_views_of_one_place_leave_much_undetermined(folder):
-    """All views from one side at one place."""
-    text = folder.plan().read_text().split("steps:")[0]
-    steps = "steps:\n  - name: v\n    phase: position\n    do: look\n    stations: [1]\n    views:\n" + "".join(
+def test_views_of_two_close_places_leave_much_undetermined(folder):
+    """All views from one side at two places, 60 mm apart; at the first alone a calibration would refuse them."""
+    third = ("  - {id: 2,", "  - {id: 3, artefact: mbc, pose_in_base: {translation_mm: [600, 60, 150]}}\n  - {id: 2,")
+    text = folder.plan(third).read_text().split("steps:")[0]
+    steps = "steps:\n  - name: v\n    phase: position\n    do: look\n    stations: [1, 3]\n    views:\n" + "".join(
         f"      - {{tilt_deg: {t}, azimuth_deg: 180, wrist: positive}}\n" for t in (8, 10, 12, 14)
     )
     loaded = load(folder.write("plan.yaml", text + steps))
@@ -74,6 +75,10 @@ def test_views_of_one_place_leave_much_undetermined(folder):
     assert accuracy.determined < accuracy.parameters
     assert accuracy.workspace_mm is None
     assert "undetermined" in {f.code for f in found if f.level == "warning"}
+    alone = [p for p in poses if p.station == "1"]
+    found, accuracy, _ = identifiability_findings(loaded, alone, summary(loaded, alone))
+    assert accuracy is None
+    assert found[0].sentence.startswith("a calibration will refuse these poses: all poses are at one station")
 
 
 def test_one_orientation_is_refused_in_the_calibrations_words(folder):
@@ -243,15 +248,24 @@ def test_more_poses_than_can_be_taken_are_refused(folder):
 
 
 def test_design_on_the_command_line(folder):
-    plan = folder.plan()
+    third = ("  - {id: 2,", "  - {id: 3, artefact: mbc, pose_in_base: {translation_mm: [550, 150, 50]}}\n  - {id: 2,")
+    plan = folder.plan(
+        third, ("    stations: [1]", "    stations: [1, 3]"), ("      - {tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}\n", "")
+    )
     done = CliRunner().invoke(command, ["design", str(plan), "--poses", "16", "--json"], catch_exceptions=False)
-    content = json.loads(done.output)
+    content = json.loads(done.stdout)
     assert content["designed"]["poses"] == 16
     assert content["given"]["expected_bar_mean_mm"] is None  # two poses determine nothing, so nothing is promised
     assert 0 < content["designed"]["expected_bar_mean_mm"] < 0.1
     again = CliRunner().invoke(command, ["design", str(plan), "--poses", "16"])
     assert isinstance(again.exception, ConfigError)
     assert "exists already" in str(again.exception)
+
+
+def test_a_design_at_one_station_says_that_it_cannot_be_calibrated(folder):
+    done = CliRunner().invoke(command, ["design", str(folder.plan()), "--poses", "8", "--json"], catch_exceptions=False)
+    assert json.loads(done.stdout)["designed"]["expected_bar_mean_mm"] is None
+    assert done.stderr.startswith("a calibration will refuse these poses: all poses are at one station")
 
 
 def test_planned_observations_are_what_the_nominal_cell_shows(published):

@@ -67,6 +67,18 @@ FAULTS = {
         [("[0, -90, 90, 0, 90, 0]", "[0, -90, 170, 0, 90, 0]")],
         "plan.yaml:6: the home position exceeds the limits of A3; choose another",
     ),
+    "home in radians": (
+        [("[0, -90, 90, 0, 90, 0]", "[0, -1.5708, 1.5708, 0, 1.5708, 0]")],
+        "plan.yaml:6: all joint angles are within 2 pi, which looks like radians; give them in degrees ([0, -90, 90, 0, 90, 0])",
+    ),
+    "station in metres": (
+        [("[600, 0, 150]", "[0.6, 0, 0.15]")],
+        "plan.yaml:16: a translation of 0.618 mm looks like metres; give translation_mm in mm",
+    ),
+    "hand-eye in metres": (
+        [("[1, -0.5, 265]", "[0.001, -0.0005, 0.265]")],
+        "plan.yaml:13: a translation of 0.265 mm looks like metres; give translation_mm in mm",
+    ),
     "mirror": (
         [("[0, 0, -1]]", "[0, 0, 1]]")],
         "plan.yaml:12: this is no rotation (rows of length 1, perpendicular, right-handed); correct it",

@@ -6,10 +6,14 @@ import shutil
 import struct
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from click.testing import CliRunner
 
+from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.viewer import open_viewer
@@ -56,6 +60,40 @@ def test_the_viewer_opens_the_recording_and_the_result_of_a_run(a_run, tmp_path)
 def test_a_picture_of_a_pose_that_was_not_measured_is_refused(a_run, tmp_path):
     with pytest.raises(ConfigError, match="pose 99 is not in the recording"):
         open_viewer.screenshots(open_viewer.files(a_run), tmp_path, pose=99)
+
+
+class StandIn:
+    """A viewer that shows one picture."""
+
+    def __init__(self):
+        self.opened = []
+
+    def open(self, files):
+        self.opened += files
+
+    def get_state(self):
+        return SimpleNamespace(loading=False)
+
+    def get_blueprint(self, _):
+        return SimpleNamespace(blueprint={})
+
+    def save_screenshot(self, path):
+        Path(path).write_bytes(b"picture")
+
+
+def test_a_picture_of_a_drawn_plan_needs_no_measured_pose(tmp_path, monkeypatch):
+    plan, drawn, viewer = Path(__file__).parents[2] / "plans" / "quick.yaml", tmp_path / "plan.rrd", StandIn()
+    assert CliRunner().invoke(app, ["plan", "show", str(plan), "--rrd", str(drawn)]).exit_code == 0
+    for name in ("SETTLE_S", "STILL_S"):
+        monkeypatch.setattr(open_viewer, name, 0.0)
+    monkeypatch.setattr(open_viewer, "_headless", lambda size: nullcontext(viewer))
+    done = CliRunner().invoke(app, ["view", str(drawn), "--screenshot", str(tmp_path / "pictures")])
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout.strip() == str(tmp_path / "pictures" / "view.png")
+    assert viewer.opened == [str(drawn)]
+    done = CliRunner().invoke(app, ["view", str(drawn), "--screenshot", str(tmp_path / "pictures"), "--pose", "3"])
+    assert done.exit_code == 2
+    assert "holds no measured poses to choose from; leave --pose out" in done.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the program is a POSIX shell script")

@@ -15,10 +15,10 @@ from mbcacq.devices.addresses import on_loopback_only
 class Terminal:
     """The command with a terminal as standard input; what it asks goes to stderr."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, cwd=ROOT):
         self._mine, theirs = pty.openpty()
         self.process = subprocess.Popen(
-            [MBCACQ, *map(str, arguments)], cwd=ROOT, stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            [MBCACQ, *map(str, arguments)], cwd=cwd, stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
         )
         os.close(theirs)
         self.text = ""

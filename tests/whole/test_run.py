@@ -183,6 +183,8 @@ def test_a_scanner_that_is_not_there(tmp_path):
     sentence = one_sentence(done)
     assert "49978" in sentence  # the scanner, and the controller that keeps silent too, in one message
     assert "49977" in sentence
+    assert f"; without hardware: mbcacq run {tmp_path}/plan.yaml --dry-run, or start the fake cell in another terminal first: " in sentence
+    assert sentence.endswith(f"mbcacq fakes {tmp_path}/plan.yaml")
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.9])

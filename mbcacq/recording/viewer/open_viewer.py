@@ -15,6 +15,7 @@ from typing import Any
 
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.run_folder.latest import refuse_plan
 
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
@@ -32,6 +33,7 @@ def files(path: Path | str) -> list[Path]:
         return found + [file for name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE) if (file := path / name).exists()]
     if not path.is_file():
         raise ConfigError(f"{path} does not exist; give the folder of a run, or a .rrd file")
+    refuse_plan(path)
     return [path]
 
 
@@ -231,11 +233,16 @@ def _go_to(client: Any, tab: str, moment: tuple[int, float] | None) -> None:
 
 
 def _moment(sources: Sequence[Path | str], pose: int | None) -> tuple[int, float] | None:
-    """Number of a pose and the run time (s) of its end."""
+    """Number of a pose and the run time (s) of its end. None: nothing was measured, as in a drawn plan or another program's recording."""
     from mbcacq.recording.rrd.reader import Recording
 
     own = [source for source in sources if Path(source).name not in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE)]
-    rows = [row for source in own for row in Recording(source).observed()]
+    try:
+        rows = [row for source in own for row in Recording(source).observed()]
+    except RecordingError:
+        if pose is None:
+            return None
+        raise ConfigError(f"{own[0]} holds no measured poses to choose from; leave --pose out") from None
     ends = {int(row["pose"][0]): float(row["time_s"][0]) for row in rows}
     if pose is not None and pose not in ends:
         raise ConfigError(f"pose {pose} is not in the recording, which has {len(ends)} (up to {max(ends, default=0)}); give another --pose")

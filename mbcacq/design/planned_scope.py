@@ -1,0 +1,35 @@
+"""What the poses of a plan will be calibrated for, by the rule that their recording will be judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for, refuse_insufficient
+from mbcacq.design.simulated_observations import planned_observations
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.phases import select_phases
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose
+
+
+def planned_scope(observations: Observations) -> CalibrationOptions:
+    """The options that these planned observations will be calibrated with.
+
+    Raises CalibrationError, with the sentence that a calibration would refuse the recording with, where it would.
+    """
+    options = options_for(observations, CalibrationOptions())
+    refuse_insufficient(select_phases(observations, options), options)
+    return options
+
+
+def scope_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> str:
+    """What a calibration of these poses will leave out or refuse; '' where it determines the whole cell."""
+    useful = [p for p in poses if p.balls]
+    if not useful:
+        return "no pose expects a ball; nothing will be calibrated"
+    try:
+        options = planned_scope(planned_observations(loaded, useful))
+    except CalibrationError as error:
+        return f"a calibration will refuse these poses: {error}"
+    return "" if options.kinematics else HAND_EYE_ALONE

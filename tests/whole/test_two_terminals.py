@@ -1,0 +1,60 @@
+"""The fake cell in one terminal and the run in another, with the person who moves the artefact, as the README says."""
+
+import socket
+import subprocess
+from contextlib import ExitStack
+
+import pytest
+from test_arming import Terminal
+from test_run import MBCACQ, plan_file
+
+
+def free_ports(count):
+    with ExitStack() as stack:
+        held = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [each.getsockname()[1] for each in held]
+
+
+@pytest.fixture
+def plan(tmp_path):
+    robot, control, health, data = free_ports(4)
+
+    def change(plan):
+        plan["robot"]["options"] = {"bind": "127.0.0.1", "port": robot}
+        plan["scanner"]["options"] = {"address": "127.0.0.1", "control_port": control, "health_port": health, "data_port": data}
+        second = {"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [600, 60, 150]}}
+        plan["stations"].append(second)
+        plan["steps"][1]["stations"] = ["p2"]
+
+    return plan_file(tmp_path, change)
+
+
+@pytest.fixture
+def fake_cell(plan):
+    """The fake cell, once it says that it is up."""
+    process = subprocess.Popen([MBCACQ, "fakes", plan, "--fast"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    said = ""
+    while "in another terminal" not in said:
+        line = process.stdout.readline()
+        assert line, process.stderr.read()
+        said += line
+    yield said
+    process.terminate()
+    assert process.wait(60) == 0, process.stderr.read()
+    process.stdout.close()
+    process.stderr.close()
+
+
+def test_a_run_in_another_terminal_asks_for_each_placement_and_ends(plan, fake_cell, tmp_path):
+    assert f"mbcacq run {plan}" in fake_cell
+    terminal = Terminal("run", plan, cwd=tmp_path)
+    terminal.wait_for("press Enter when it stands still", times=1)
+    assert "p1" in terminal.text
+    terminal.type("")
+    terminal.wait_for("press Enter when it stands still", times=2)
+    assert "p2" in terminal.text.split("press Enter")[1]
+    terminal.type("")
+    assert terminal.end() == 0, terminal.text
+    runs = tmp_path / "runs"
+    assert (runs / "latest" / "report.html").stat().st_size > 10_000
+    assert (runs / "latest").resolve() == next(p for p in runs.iterdir() if p.name.endswith("_plan"))
