@@ -25,6 +25,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     """
     import numpy as np
 
+    from mbcacq.calibration.caveats import caveats
     from mbcacq.errors import ConfigError
     from mbcacq.exports.clouds import read, write
     from mbcacq.exports.result_json import load_result
@@ -47,6 +48,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
                 {
                     "output": str(out),
                     "points": len(moved),
+                    **({"simulated": True} if known.get("simulated") else {}),
                     "T_base_scanner": placed.T_base_scanner.tolist(),
                     "sigma_mm": placed.total_mm.tolist(),
                     "sigma_parameters_mm": placed.parameters_mm.tolist(),
@@ -57,6 +59,8 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
             )
         )
         return
+    for sentence in caveats(known):
+        click.echo(f"*** {sentence} ***", err=True)
     x, y, z = placed.total_mm
     click.echo(f"{out}: {len(moved)} points in the base frame")
     click.echo(

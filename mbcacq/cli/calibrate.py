@@ -108,9 +108,12 @@ def print_result(result: dict[str, Any]) -> None:
     """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout."""
     from rich.console import Console
 
+    from mbcacq.calibration.caveats import caveats
     from mbcacq.cli import tables
 
     console = Console(highlight=False, soft_wrap=True)
+    for sentence in caveats(result):
+        console.print(f"*** {sentence} ***", markup=False)
     console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
     for line in [*tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:

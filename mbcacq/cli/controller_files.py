@@ -27,4 +27,5 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
         return
     for path in written:
         click.echo(str(path))
+    click.echo("the tool frame in them is the plan's first guess, never verified: calibrate before it is relied upon")
     click.echo(f"next: read {out / 'README.txt'}")

@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mbcacq.acquisition import events
+from mbcacq.model.cell import SIMULATED
 
 
 class RunProgress:
@@ -39,6 +40,8 @@ class RunProgress:
         match event:
             case events.RunStarted():
                 self._total = event.n_poses
+                if event.simulated:
+                    self._console.print(f"*** {SIMULATED} ***", markup=False, soft_wrap=True)
                 self._task = self._bar.add_task("connecting", total=event.n_poses, station="-", balls="-")
                 self._bar.start()
             case events.StateChanged(state="waiting" | "paused"):

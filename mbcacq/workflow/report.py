@@ -40,6 +40,8 @@ def write_report(
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
         result["gaps"] = _gaps(run)
+    if observations.cell.simulated:
+        result["simulated"] = True
     info = {} if run is None else _about(run)
     if diagnose and "diagnosis" not in info:
         info |= _diagnosis(observations, run, progress)

@@ -82,6 +82,7 @@ def run(
         operator.message(f"all {len(poses)} poses were measured already; nothing moves")
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm)
     acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
+    acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
     if not dry_run:
         operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
     acquisition.folder = folder or new_run_folder(None if out is None else Path(out), loaded.path.stem)
