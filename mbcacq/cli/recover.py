@@ -17,8 +17,10 @@ def command(recording: Path, as_json: bool) -> None:
     Everything complete before the tear goes into a copy, NAME.recovered.rrd; the original is not touched. All commands that
     take a run folder use the copy from then on.
     """
+    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.recording.run_folder.recovery import recover
 
+    end_in_order_on_signals("the recovery")
     found = recover(recording)
     if as_json:
         click.echo(

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from pathlib import Path
 
 import click
-
-from mbcacq.errors import Aborted
 
 
 @click.command("run")
@@ -48,6 +45,7 @@ def command(
     import mbcacq
     from mbcacq.cli.arming import ask_before_motion
     from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
@@ -75,17 +73,3 @@ def ask_whether_moved(station: str) -> bool:
     if not sys.stdin.isatty():
         return False
     return not click.confirm(f"Station {station} was measured in part. Does its artefact stand exactly as then, untouched?", err=True)
-
-
-def end_in_order_on_signals() -> None:
-    """A closed terminal and ``kill`` end the run as Ctrl-C does: arm at rest, recording complete, nothing left behind."""
-
-    def end(number: int, frame: object) -> None:
-        for each in numbers:
-            signal.signal(each, signal.SIG_IGN)  # once is enough; a second one must not disturb the closing
-        raise Aborted(f"the run was ended by {signal.Signals(number).name}")
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    for number in numbers:
-        if signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
-            signal.signal(number, end)

@@ -25,11 +25,13 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
       mbcacq view runs/today
       mbcacq view runs/today --screenshot pictures/ --pose 30
 
-    The viewer of rerun reports anonymous usage unless that is switched off: rerun analytics disable
+    The viewer is started so that it reports no usage and looks for no update.
     """
+    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.errors import ConfigError
     from mbcacq.recording.viewer import open_viewer
 
+    end_in_order_on_signals("the viewer")
     sources = open_viewer.files(run)
     if screenshot is None:
         open_viewer.view(sources)

@@ -15,6 +15,7 @@ from typing import Any
 
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.rrd.quiet_environment import quiet_environment
 
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
@@ -39,7 +40,7 @@ def view(sources: Sequence[Path | str]) -> None:
     """Open files or addresses in the viewer and wait until it is closed. Raises RecordingError if it cannot start."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
-    with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
+    with quiet_environment() as environment, tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
         command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]  # it would listen everywhere
         child = subprocess.Popen(
@@ -50,6 +51,7 @@ def view(sources: Sequence[Path | str]) -> None:
             text=True,
             errors="replace",
             start_new_session=True,
+            env=environment,
         )
         try:
             _, err = child.communicate()
@@ -168,6 +170,12 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
 
 @contextmanager
 def _headless(size: tuple[int, int]) -> Iterator[Any]:
+    with quiet_environment() as environment, _client(size, environment) as client:
+        yield client
+
+
+@contextmanager
+def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]:
     """A client of a viewer without a screen, which ends with the block. What the viewer raises becomes a RecordingError."""
     from rerun.experimental import ViewerClient
 
@@ -188,6 +196,7 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+        env=environment,
     )
     deadline = time.monotonic() + START_TIMEOUT_S
     try:
