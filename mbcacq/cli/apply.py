@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("apply")
 @click.argument("result", type=click.Path(path_type=Path))
@@ -43,7 +45,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     moved, placed = place_scan(known, q, points)
     write(out, moved, more, placed.T_base_scanner)
     if as_json:
-        click.echo(
+        echo(
             json.dumps(
                 {
                     "output": str(out),
@@ -60,10 +62,10 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
         )
         return
     for sentence in caveats(known):
-        click.echo(f"*** {sentence} ***", err=True)
+        echo(f"*** {sentence} ***", err=True)
     x, y, z = placed.total_mm
-    click.echo(f"{out}: {len(moved)} points in the base frame")
-    click.echo(
+    echo(f"{out}: {len(moved)} points in the base frame")
+    echo(
         f"placed within {x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z (k = 1), 3D {placed.rms_mm:.4f} mm in the middle, "
         f"{placed.worst_mm:.4f} mm at worst"
     )

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 _OPTIONS = (
     click.option(
         "--results",
@@ -71,14 +73,14 @@ def command(
     if artefact is not None:
         written.append(export_artefact(run, artefact, output, force=force))
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
+        echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
         return
     for sentence in _caveats(run, results, written):
-        click.echo(f"*** {sentence} ***", err=True)
+        echo(f"*** {sentence} ***", err=True)
     for one in written:
         one.pop("simulated", None)
         more = ", ".join(f"uncertainty {v:.4f} mm (k = 1)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file")
-        click.echo(one["file"] + (f": {more}" if more else ""))
+        echo(one["file"] + (f": {more}" if more else ""))
 
 
 def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("recover")
 @click.argument("recording", type=click.Path(path_type=Path))
@@ -23,7 +25,7 @@ def command(recording: Path, as_json: bool) -> None:
     end_in_order_on_signals("the recovery")
     found = recover(recording)
     if as_json:
-        click.echo(
+        echo(
             json.dumps(
                 {
                     "recordings": [
@@ -45,6 +47,6 @@ def command(recording: Path, as_json: bool) -> None:
         content = f"{item.poses} finished poses, {item.cycles} controller cycles"
         end = "" if item.complete else "; the run did not come to its end"
         if item.damaged:
-            click.echo(f"{item.source}: torn; {content} are in {item.output}{end}")
+            echo(f"{item.source}: torn; {content} are in {item.output}{end}")
         else:
-            click.echo(f"{item.source}: nothing to do, {content}{end}")
+            echo(f"{item.source}: nothing to do, {content}{end}")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo, printable
+
 
 @click.command("run")
 @click.argument("plan", type=click.Path(path_type=Path))
@@ -53,13 +55,13 @@ def command(
         allow_motion=lambda loaded, poses, sweep: ask_before_motion(loaded, poses, sweep, arm),
         artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
         pause=KeyPause() if step else None,
-        message=lambda sentence: click.echo(sentence, err=True),
+        message=lambda sentence: echo(sentence, err=True),
         subscribers=(RunProgress(quiet=as_json),),
         assume_yes=yes,
     )
     done = mbcacq.run(plan, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
     if as_json:
-        click.echo(json.dumps(done.to_dict()))
+        echo(json.dumps(done.to_dict()))
     else:
         from mbcacq.cli.calibrate import print_result
 
@@ -72,4 +74,5 @@ def ask_whether_moved(station: str) -> bool:
     placements. Without a terminal it is taken to stand as it did."""
     if not sys.stdin.isatty():
         return False
-    return not click.confirm(f"Station {station} was measured in part. Does its artefact stand exactly as then, untouched?", err=True)
+    question = f"Station {station} was measured in part. Does its artefact stand exactly as then, untouched?"
+    return not click.confirm(printable(question), err=True)

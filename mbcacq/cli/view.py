@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("view")
 @click.argument("run", type=click.Path(path_type=Path))
@@ -40,4 +42,4 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):
         raise ConfigError(f"--size {size}: give width and height between 200 and 8000, such as 1600x1000")
     for picture in open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose):
-        click.echo(str(picture))
+        echo(str(picture))

@@ -11,6 +11,8 @@ import numpy as np
 
 from mbcacq.model.observations import Observations
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a cell that begins so is a formula to spreadsheets
+
 
 def parameters_csv(result: Mapping[str, Any]) -> str:
     """name, value, error (value minus nominal), std, unit, status, reason of every parameter."""
@@ -54,14 +56,17 @@ def _csv(result: Mapping[str, Any], header: Sequence[str], rows: Iterable[Sequen
     mark = (["simulated"], ["true"]) if result.get("simulated") else ([], [])
     out = io.StringIO()
     writer = csv.writer(out)
-    writer.writerow([*header, *mark[0]])
+    writer.writerow([*(_cell(name) for name in header), *mark[0]])
     for row in rows:
         writer.writerow([*(_cell(v) for v in row), *mark[1]])
     return out.getvalue()
 
 
 def _cell(value: Any) -> Any:
-    """Shortest text that reads back to the same float; nothing for None."""
+    """Shortest text that reads back to the same float; nothing for None. A spreadsheet would compute a text that begins as a formula does:
+    it gets an apostrophe in front."""
     if value is None:
         return ""
+    if isinstance(value, str) and value.startswith(FORMULA):
+        return f"'{value}"
     return repr(float(value)) if isinstance(value, float | np.floating) else value

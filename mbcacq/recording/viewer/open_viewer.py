@@ -16,6 +16,7 @@ from typing import Any
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
+from mbcacq.recording.rrd.rerun_path import rerun_path
 
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
@@ -120,7 +121,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
         return list(sources)
     path = folder / "layout.rrd"
     stream = rr.RecordingStream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
-    stream.save(path, default_blueprint=for_cell(cell, plan, enlarged(sources)))
+    stream.save(rerun_path(path), default_blueprint=for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
     stream.flush(timeout_sec=10.0)
     stream.disconnect()
@@ -223,7 +224,7 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
 
 def _load(client: Any, sources: Sequence[Path | str]) -> None:
     deadline = time.monotonic() + LOAD_TIMEOUT_S
-    client.open([str(Path(source).absolute()) for source in sources])
+    client.open([rerun_path(Path(source).absolute()) for source in sources])
     while client.get_state().loading and time.monotonic() < deadline:
         time.sleep(0.1)
 
