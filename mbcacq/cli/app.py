@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import errno
 import importlib
+import io
 import os
 import sys
 
 import click
 
-from mbcacq.cli.terminal import echo, printable
+from mbcacq.cli.terminal import echo
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
 from mbcacq.version import __version__
 
@@ -68,8 +69,9 @@ class LazyGroup(click.Group):
             code = super().main(*args, standalone_mode=False, **kwargs)
             sys.exit(code if isinstance(code, int) else ExitCode.OK)
         except click.ClickException as error:
-            error.message = printable(error.message)
-            error.show()
+            shown = io.StringIO()
+            error.show(shown)
+            echo(shown.getvalue(), err=True, nl=False)
             sys.exit(ExitCode.USAGE)
         except (KeyboardInterrupt, click.Abort):
             echo("mbcacq: interrupted", err=True)

@@ -35,7 +35,11 @@ class FakeKrc:
             return self
         if self.state is None:
             self.state = ArmState.attach(self._given) if self._given else ArmState.create(tuple(np.radians(self.settings.start_deg)))
-        self._control = Control.create(self.settings.log)
+        try:
+            self._control = Control.create(self.settings.log)
+        except BaseException:
+            self.stop()
+            raise
         self._control.set_faults(self.settings.faults)
         command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
