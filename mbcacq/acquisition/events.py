@@ -21,7 +21,8 @@ class Event:
 @dataclass(frozen=True)
 class RunStarted(Event):
     """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC. route: number of each
-    pose yet to come -> (k, n) rad, the joint waypoints that lead to it, the pose last. urdf: file that draws the arm, or ''."""
+    pose yet to come -> (k, n) rad, the joint waypoints that lead to it, the pose last. urdf: file that draws the arm, or ''. simulated: the
+    devices are fakes."""
 
     name: str
     started: str
@@ -31,6 +32,7 @@ class RunStarted(Event):
     versions: Mapping[str, str]
     route: Mapping[int, np.ndarray] = field(default_factory=dict)
     urdf: str = ""
+    simulated: bool = False
 
 
 @dataclass(frozen=True)

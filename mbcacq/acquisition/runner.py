@@ -46,7 +46,7 @@ class Runner:
 
     ``find_balls`` extracts the centres of a scan. ``confirm`` is asked once, with the measured joints, before anything moves; it raises
     to refuse. ``pause`` is asked before each pose. ``known``: station -> ball -> place (3,) mm in the base frame, as measured before a
-    resume.
+    resume. ``simulated``: the devices are fakes.
     """
 
     loaded: LoadedPlan
@@ -62,6 +62,7 @@ class Runner:
     done: frozenset[int] = frozenset()
     pause: Pause | None = None
     known: Mapping[str, Mapping[int, np.ndarray]] = field(default_factory=dict)
+    simulated: bool = False
 
     def run(self) -> None:
         """Connect, measure every pose, stop. Emits RunStopped in every case, then raises what ended the run early."""
@@ -97,6 +98,7 @@ class Runner:
             self.versions,
             {pose.number: np.array([*path, pose.q]) for pose, path in left},
             str(self.loaded.path.parent / plan.robot.urdf) if plan.robot.urdf else "",
+            self.simulated,
         )
 
     def _describe(self) -> None:

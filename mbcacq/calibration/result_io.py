@@ -38,6 +38,7 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
         "format": FORMAT,
         "method": c.options.method,
         "measurement": cell.measurement,
+        **({"simulated": True} if cell.simulated else {}),
         "robot": {
             "name": cell.robot.name,
             "sign": nominal.sign.tolist(),

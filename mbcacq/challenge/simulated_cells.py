@@ -52,7 +52,7 @@ def run(
     secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": injected}}))
     folder.mkdir(parents=True, exist_ok=True)
     with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=scenario.seed) as cell:
-        Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder, simulated=True).execute(cell.overrides())
         truth = cell.truth()
     return without(load_observations(folder), scenario.missing), truth
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import importlib
+import io
 import os
 import sys
 
 import click
 
+from mbcacq.cli.terminal import echo
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
 from mbcacq.version import __version__
 
@@ -67,13 +69,15 @@ class LazyGroup(click.Group):
             code = super().main(*args, standalone_mode=False, **kwargs)
             sys.exit(code if isinstance(code, int) else ExitCode.OK)
         except click.ClickException as error:
-            error.show()
+            shown = io.StringIO()
+            error.show(shown)
+            echo(shown.getvalue(), err=True, nl=False)
             sys.exit(ExitCode.USAGE)
         except (KeyboardInterrupt, click.Abort):
-            click.echo("mbcacq: interrupted", err=True)
+            echo("mbcacq: interrupted", err=True)
             sys.exit(ExitCode.INTERRUPTED)
         except MbcacqError as error:
-            click.echo(f"mbcacq: {error}", err=True)
+            echo(f"mbcacq: {error}", err=True)
             sys.exit(error.exit_code)
         except Exception as error:
             if os.environ.get("MBCACQ_DEBUG"):
@@ -81,11 +85,9 @@ class LazyGroup(click.Group):
             if isinstance(error, OSError) and error.errno in FULL:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where not even our words find room
                 where = error.filename or "the output"
-                click.echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
+                echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
                 sys.exit(ExitCode.RECORDING_FAILED)
-            click.echo(
-                f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True
-            )
+            echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True)
             sys.exit(ExitCode.BUG)
 
 

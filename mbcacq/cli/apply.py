@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
 
 
 @click.command("apply")
@@ -27,6 +28,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     """
     import numpy as np
 
+    from mbcacq.calibration.caveats import caveats
     from mbcacq.errors import ConfigError
     from mbcacq.exports.clouds import read, write
     from mbcacq.exports.result_json import load_result
@@ -44,11 +46,12 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     moved, placed = place_scan(known, q, points)
     write(out, moved, more, placed.T_base_scanner)
     if as_json:
-        click.echo(
+        echo(
             json.dumps(
                 {
                     "output": str(out),
                     "points": len(moved),
+                    **({"simulated": True} if known.get("simulated") else {}),
                     "T_base_scanner": placed.T_base_scanner.tolist(),
                     "sigma_mm": placed.total_mm.tolist(),
                     "sigma_parameters_mm": placed.parameters_mm.tolist(),
@@ -59,9 +62,11 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
             )
         )
         return
+    for sentence in caveats(known):
+        echo(f"*** {sentence} ***", err=True)
     x, y, z = placed.total_mm
-    click.echo(f"{out}: {len(moved)} points in the base frame")
-    click.echo(
+    echo(f"{out}: {len(moved)} points in the base frame")
+    echo(
         f"placed within {x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z (k = 1), 3D {placed.rms_mm:.4f} mm in the middle, "
         f"{placed.worst_mm:.4f} mm at worst"
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mbcacq.cli.terminal import echo
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
 from mbcacq.plan.motion_limits import T1_MM_S
@@ -33,7 +34,7 @@ def ask_before_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: S
     if not sys.stdin.isatty():
         raise ConfigError(f"moving {name} must be confirmed by typing, but standard input is not a terminal; run it in a terminal")
     for line in description(loaded, poses, sweep):
-        click.echo(line, err=True)
+        echo(line, err=True)
     sentence = f"move {len(poses)}"
     try:
         answer = click.prompt(

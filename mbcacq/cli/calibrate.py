@@ -9,6 +9,8 @@ from typing import Any
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import console as terminal_console
+from mbcacq.cli.terminal import echo
 
 
 @click.command("calibrate")
@@ -101,18 +103,20 @@ def command(
             raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
         result["files"] = {"result": str(out)}
     if as_json:
-        click.echo(json.dumps(result))
+        echo(json.dumps(result))
     else:
         print_result(result)
 
 
 def print_result(result: dict[str, Any]) -> None:
     """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout."""
-    from rich.console import Console
 
+    from mbcacq.calibration.caveats import caveats
     from mbcacq.cli import tables
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = terminal_console(highlight=False, soft_wrap=True)
+    for sentence in caveats(result):
+        console.print(f"*** {sentence} ***", markup=False)
     if tables.identifies_arm(result):
         console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))

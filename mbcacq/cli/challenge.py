@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import console as terminal_console
+from mbcacq.cli.terminal import echo
+
 
 @click.command("challenge")
 @click.option("--seed", default=0, show_default=True, help="Seed of everything: cells, effects, strengths.")
@@ -79,17 +82,16 @@ def command(
         protocols,
         out,
         jobs,
-        lambda o: click.echo(f"{o.scenario.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True),
+        lambda o: echo(f"{o.scenario.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True),
     )
     rows = summary([o.score for o in outcomes])
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}))
+        echo(json.dumps({"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}))
     else:
         print_table(rows)
 
 
 def print_table(rows: list[dict]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from mbcacq.challenge.table import COLUMNS, cells
@@ -99,5 +101,5 @@ def print_table(rows: list[dict]) -> None:
         table.add_column(name, justify="left" if i == 0 else "right")
     for entry in rows:
         table.add_row(*cells(entry))
-    console = Console()
-    (console if console.is_terminal else Console(width=160)).print(table)
+    console = terminal_console()
+    (console if console.is_terminal else terminal_console(width=160)).print(table)

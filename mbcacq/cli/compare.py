@@ -8,6 +8,8 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import console as terminal_console
+from mbcacq.cli.terminal import echo
 
 
 @click.command("compare")
@@ -28,9 +30,8 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
 
     rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed)
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
+        echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
         return
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=f"{data} (mm)", title_justify="left")
@@ -40,7 +41,7 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
         values = (row.fit_mm, row.bar_mean_mm, row.bar_max_mm, row.held_out_mm)
         shown = [f"{v:.4f}" if v is not None else "-" for v in values]
         table.add_row(row.method, *shown, f"{row.time_s:.2f}" if row.time_s is not None else "-")
-    console = Console(highlight=False, width=max(Console().width, 96))
+    console = terminal_console(highlight=False, width=max(terminal_console().width, 96))
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)

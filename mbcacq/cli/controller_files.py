@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("controller-files")
 @click.argument("plan", type=click.Path(path_type=Path))
@@ -26,8 +28,9 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
     for warning in files.get("WARNINGS.txt", "").splitlines():
         click.echo(f"warning: {warning}", err=True)
     if as_json:
-        click.echo(json.dumps({"files": [str(path) for path in written]}))
+        echo(json.dumps({"files": [str(path) for path in written]}))
         return
     for path in written:
-        click.echo(str(path))
-    click.echo(f"next: read {out / 'README.txt'}")
+        echo(str(path))
+    echo("the tool frame in them is the plan's first guess, never verified: calibrate before it is relied upon")
+    echo(f"next: read {out / 'README.txt'}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
 
 
 @click.command(name="diagnose")
@@ -35,7 +36,7 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
     import mbcacq
     from mbcacq.workflow.load import is_run_folder
 
-    found = mbcacq.diagnose(data, progress=lambda text: click.echo(f"{text} ...", err=True), workers=workers)
+    found = mbcacq.diagnose(data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers)
     if found.poses is not None:
         if report is not None:
             found.write_html(report)
@@ -45,8 +46,8 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
             found.keep(data[0])
     as_json = found.to_json()
     if json_file is not None and str(json_file) == "-":
-        click.echo(as_json)
+        echo(as_json)
         return
     if json_file is not None:
         json_file.write_text(as_json + "\n", encoding="utf-8")
-    click.echo(found.text)
+    echo(found.text)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
 
 COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
@@ -42,11 +43,11 @@ def command(plan: Path | None, arm: bool, as_json: bool) -> None:
         found.append(line)
         if not as_json:
             colour = False if os.environ.get("NO_COLOR") else None
-            click.echo(f"{click.style(f'{line.level:7}', fg=COLOURS[line.level])}  {line.topic}: {line.text}", color=colour)
+            echo(f"  {line.topic}: {line.text}", label=(f"{line.level:7}", COLOURS[line.level]), color=colour)
             if line.cure:
-                click.echo(f"         -> {line.cure}")
+                echo(f"         -> {line.cure}")
     wrong = [line for line in found if line.level == "error"]
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-doctor/1", "errors": len(wrong), "lines": [line.to_dict() for line in found]}))
+        echo(json.dumps({"format": "mbcacq-doctor/1", "errors": len(wrong), "lines": [line.to_dict() for line in found]}))
     if wrong:
         sys.exit(ExitCode.UNREACHABLE if any(line.topic.startswith(DEVICES) for line in wrong) else ExitCode.USAGE)

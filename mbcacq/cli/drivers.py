@@ -6,6 +6,8 @@ import json
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("drivers")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -15,7 +17,7 @@ def command(as_json: bool) -> None:
 
     found = list(survey())
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-drivers/1", "drivers": [driver.to_dict() for driver in found]}))
+        echo(json.dumps({"format": "mbcacq-drivers/1", "drivers": [driver.to_dict() for driver in found]}))
         return
     rows = [("kind", "name", "package", "usable", "tried on hardware", "class")]
     rows += [
@@ -31,4 +33,4 @@ def command(as_json: bool) -> None:
     ]
     wide = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
-        click.echo("  ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True)).rstrip())
+        echo("  ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True)).rstrip())

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
 
 _OPTIONS = (
     click.option(
@@ -46,9 +47,19 @@ def result_options(command: Callable) -> Callable:
 @click.option("--scans", is_flag=True, help="With --observations: the raw clouds as well (scans/POSE.ply, first exposure of each pose).")
 @click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")
 @click.option("--force", is_flag=True, help="Replace what is already there.")
+@click.option("--simulated-anyway", is_flag=True, help="With --results: also write the calibration of a dry run.")
 @result_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
-def command(run: Path, observations: Path | None, scans: bool, trajectory: Path | None, force: bool, as_json: bool, **others: Any) -> None:
+def command(
+    run: Path,
+    observations: Path | None,
+    scans: bool,
+    trajectory: Path | None,
+    force: bool,
+    simulated_anyway: bool,
+    as_json: bool,
+    **others: Any,
+) -> None:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
     import mbcacq
     from mbcacq.workflow.export import export_artefact
@@ -57,12 +68,28 @@ def command(run: Path, observations: Path | None, scans: bool, trajectory: Path 
     wanted = {"observations": observations, "trajectory": trajectory, "results": results}
     written = []
     if artefact is None or any(wanted.values()):
-        written += mbcacq.export(run, scans=scans, targets=mbcacq.Targets(**others), force=force, **wanted)
+        written += mbcacq.export(
+            run, scans=scans, targets=mbcacq.Targets(**others), force=force, simulated_anyway=simulated_anyway, **wanted
+        )
     if artefact is not None:
         written.append(export_artefact(run, artefact, output, force=force))
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
+        echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
         return
+    for sentence in _caveats(run, results, written):
+        echo(f"*** {sentence} ***", err=True)
     for one in written:
+        one.pop("simulated", None)
         more = ", ".join(f"uncertainty {v:.4f} mm (k = 1)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file")
-        click.echo(one["file"] + (f": {more}" if more else ""))
+        echo(one["file"] + (f": {more}" if more else ""))
+
+
+def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:
+    """What must be known before the files are used."""
+    from mbcacq.calibration.caveats import caveats
+    from mbcacq.exports.result_json import load_result
+    from mbcacq.model.cell import SIMULATED
+
+    if results is not None:
+        return caveats(load_result(run))
+    return [SIMULATED] if any(one.get("simulated") for one in written) else []

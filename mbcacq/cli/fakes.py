@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("fakes")
 @click.argument("plan", type=click.Path(path_type=Path))
@@ -23,9 +25,9 @@ def command(plan: Path, fast: bool, seed: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: quit_event.set())
     with load_driver("fakes", "cell")(loaded, expand(loaded), realtime=not fast, seed=seed, ports="plan") as cell:
-        click.echo(f"fake cell of '{loaded.plan.name}' is up:")
+        echo(f"fake cell of '{loaded.plan.name}' is up:")
         for role, options in cell.overrides().items():
             if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None)):
-                click.echo(f"  {role}: {places}")
-        click.echo(f"now, in another terminal: mbcacq run {plan}    (Ctrl-C here ends the fake cell)")
+                echo(f"  {role}: {places}")
+        echo(f"now, in another terminal: mbcacq run {plan}    (Ctrl-C here ends the fake cell)")
         quit_event.wait()

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.terminal import console as terminal_console
+from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
 
 
@@ -36,11 +38,11 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
 
         write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     if as_json:
-        click.echo(json.dumps(content))
+        echo(json.dumps(content))
         return
     _print_steps(content)
     _print_poses(content)
-    click.echo(_time_sentence(content))
+    echo(_time_sentence(content))
 
 
 @command.command("check")
@@ -71,15 +73,15 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
     if as_json:
         content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
         content |= {"prospect": accuracy and accuracy.to_dict(), "visibility": effects and effects.to_dict()}
-        click.echo(json.dumps(content))
+        echo(json.dumps(content))
     else:
         colour = {"error": "red", "warning": "yellow", "info": "cyan"}
         for f in findings if every else merged(findings):
-            click.echo(f"{click.style(f.level, fg=colour[f.level])} {f}", color=_colour())
+            echo(f" {f}", label=(f.level, colour[f.level]), color=_colour())
         for line in sentences(accuracy, effects) if accuracy and effects else []:
-            click.echo(line)
-        click.echo(_time_sentence(content))
-        click.echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
+            echo(line)
+        echo(_time_sentence(content))
+        echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
     if errors:
         sys.exit(ExitCode.USAGE)
 
@@ -125,7 +127,7 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     if sentence := scope_sentence(new, poses):
         click.echo(sentence, err=True)
     if as_json:
-        click.echo(
+        echo(
             json.dumps(
                 {
                     "format": "mbcacq-plan-design/1",
@@ -139,7 +141,7 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
         )
         return
     _print_comparison(rows)
-    click.echo(f"chosen from {result.tried} views that can be taken; written to {target}")
+    echo(f"chosen from {result.tried} views that can be taken; written to {target}")
 
 
 def _colour() -> bool | None:
@@ -149,7 +151,6 @@ def _colour() -> bool | None:
 
 
 def _print_comparison(rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title="expected and simulated accuracy", title_justify="left")
@@ -169,11 +170,10 @@ def _print_comparison(rows: list[dict[str, Any]]) -> None:
         values = [row[key] for row in rows]
         if any(v is not None for v in values):
             table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else f"{v:.4g}" for v in values))
-    Console().print(table)
+    terminal_console().print(table)
 
 
 def _print_steps(content: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=content["name"], title_justify="left")
@@ -181,7 +181,7 @@ def _print_steps(content: dict[str, Any]) -> None:
         table.add_column(name, justify="right" if name in ("poses", "exposures") else "left")
     for step in content["steps"]:
         table.add_row(step["name"], step["phase"], " ".join(step["stations"]), str(step["poses"]), str(step["exposures"]))
-    Console().print(table)
+    terminal_console().print(table)
 
 
 def _print_poses(content: dict[str, Any]) -> None:
@@ -191,11 +191,11 @@ def _print_poses(content: dict[str, Any]) -> None:
         return
     wide = {key: max(len(key), *(len(p[key]) for p in poses)) for key in ("step", "station")}
     axes = "".join(f"{f'A{i + 1}':>8}" for i in range(len(poses[0]["q_deg"])))
-    click.echo(f"{'pose':>4} {'at s':>5}  {'step':{wide['step']}}  {'station':{wide['station']}} {'balls':>5}{axes}  via")
+    echo(f"{'pose':>4} {'at s':>5}  {'step':{wide['step']}}  {'station':{wide['station']}} {'balls':>5}{axes}  via")
     for p in poses:
         angles = "".join(f"{a:8.2f}" for a in p["q_deg"])
         where = f"{p['step']:{wide['step']}}  {p['station']:{wide['station']}}"
-        click.echo(f"{p['pose']:4} {p['start_s']:5.0f}  {where} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
+        echo(f"{p['pose']:4} {p['start_s']:5.0f}  {where} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
 
 
 def _time_sentence(content: dict[str, Any]) -> str:

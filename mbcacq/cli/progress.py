@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mbcacq.acquisition import events
+from mbcacq.cli.terminal import console as terminal_console
+from mbcacq.model.cell import SIMULATED
 
 
 class RunProgress:
     """Subscriber that shows step, pose k of n, station, balls found and remaining time."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self._console = Console(stderr=True, quiet=quiet)
+        self._console = terminal_console(stderr=True, quiet=quiet)
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("pose {task.completed:.0f} of {task.total:.0f}"),
-            TextColumn("station {task.fields[station]}  balls {task.fields[balls]}"),
+            TextColumn("station {task.fields[station]}  balls {task.fields[balls]}", markup=False),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self._console,
@@ -39,6 +40,8 @@ class RunProgress:
         match event:
             case events.RunStarted():
                 self._total = event.n_poses
+                if event.simulated:
+                    self._console.print(f"*** {SIMULATED} ***", markup=False, soft_wrap=True)
                 self._task = self._bar.add_task("connecting", total=event.n_poses, station="-", balls="-")
                 self._bar.start()
             case events.StateChanged(state="waiting" | "paused"):

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
 
 
 @click.command("recover")
@@ -19,11 +20,13 @@ def command(recording: Path, as_json: bool) -> None:
     Everything complete before the tear goes into a copy, NAME.recovered.rrd; the original is not touched. All commands that
     take a run folder use the copy from then on.
     """
+    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.recording.run_folder.recovery import recover
 
+    end_in_order_on_signals("the recovery")
     found = recover(recording)
     if as_json:
-        click.echo(
+        echo(
             json.dumps(
                 {
                     "recordings": [
@@ -45,6 +48,6 @@ def command(recording: Path, as_json: bool) -> None:
         content = f"{item.poses} finished poses, {item.cycles} controller cycles"
         end = "" if item.complete else "; the run did not come to its end"
         if item.damaged:
-            click.echo(f"{item.source}: torn; {content} are in {item.output}{end}")
+            echo(f"{item.source}: torn; {content} are in {item.output}{end}")
         else:
-            click.echo(f"{item.source}: nothing to do, {content}{end}")
+            echo(f"{item.source}: nothing to do, {content}{end}")

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
 
 
 @click.command("report")
@@ -28,8 +29,8 @@ def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) ->
     """
     import mbcacq
 
-    path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=lambda text: click.echo(f"{text} ...", err=True))
+    path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=lambda text: echo(f"{text} ...", err=True))
     if as_json:
-        click.echo(json.dumps({"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}))
+        echo(json.dumps({"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}))
     else:
-        click.echo(str(path))
+        echo(str(path))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from pathlib import Path
 
 import click
 
-from mbcacq.errors import Aborted
+from mbcacq.cli.terminal import echo, printable
 
 
 @click.command("run")
@@ -48,6 +47,7 @@ def command(
     import mbcacq
     from mbcacq.cli.arming import ask_before_motion
     from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
@@ -55,13 +55,13 @@ def command(
         allow_motion=lambda loaded, poses, sweep: ask_before_motion(loaded, poses, sweep, arm),
         artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
         pause=KeyPause() if step else None,
-        message=lambda sentence: click.echo(sentence, err=True),
+        message=lambda sentence: echo(sentence, err=True),
         subscribers=(RunProgress(quiet=as_json),),
         assume_yes=yes,
     )
     done = mbcacq.run(plan, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
     if as_json:
-        click.echo(json.dumps(done.to_dict()))
+        echo(json.dumps(done.to_dict()))
     else:
         from mbcacq.cli.calibrate import print_result
 
@@ -74,18 +74,5 @@ def ask_whether_moved(station: str) -> bool:
     placements. Without a terminal it is taken to stand as it did."""
     if not sys.stdin.isatty():
         return False
-    return not click.confirm(f"Station {station} was measured in part. Does its artefact stand exactly as then, untouched?", err=True)
-
-
-def end_in_order_on_signals() -> None:
-    """A closed terminal and ``kill`` end the run as Ctrl-C does: arm at rest, recording complete, nothing left behind."""
-
-    def end(number: int, frame: object) -> None:
-        for each in numbers:
-            signal.signal(each, signal.SIG_IGN)  # once is enough; a second one must not disturb the closing
-        raise Aborted(f"the run was ended by {signal.Signals(number).name}")
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    for number in numbers:
-        if signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
-            signal.signal(number, end)
+    question = f"Station {station} was measured in part. Does its artefact stand exactly as then, untouched?"
+    return not click.confirm(printable(question), err=True)

@@ -6,6 +6,8 @@ import json
 
 import click
 
+from mbcacq.cli.terminal import echo
+
 
 @click.command("schema")
 @click.argument("kind", type=click.Choice(["plan", "robot", "artefact"]), default="plan")
@@ -20,4 +22,4 @@ def command(kind: str) -> None:
 
     model = {"plan": Plan, "robot": RobotSpec, "artefact": ArtefactSpec}[kind]
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
-    click.echo(json.dumps(schema, indent=1))
+    echo(json.dumps(schema, indent=1))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
 
 
@@ -42,13 +43,13 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
             raise ConfigError(f"{plan} is a trajectory set: --cell and --noise are for plans; leave them out")
         samples = write_motion(plan, out)
         written = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
-        click.echo(json.dumps(written) if as_json else f"{samples} samples written to {out}")
+        echo(json.dumps(written) if as_json else f"{samples} samples written to {out}")
         return
     observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
     write_observation_set(observations, out)
     poses, centres = observations.n_poses, observations.n_centres
     written = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
-    click.echo(json.dumps(written) if as_json else f"{poses} poses, {centres} ball centres written to {out}")
+    echo(json.dumps(written) if as_json else f"{poses} poses, {centres} ball centres written to {out}")
 
 
 def write_motion(trajectory: Path, out: Path) -> int:

@@ -6,6 +6,7 @@ import select
 import sys
 import threading
 
+from mbcacq.cli.terminal import echo
 from mbcacq.errors import Aborted, ConfigError
 from mbcacq.plan import PlannedPose
 
@@ -24,13 +25,8 @@ class KeyPause:
     def wait(self, pose: PlannedPose, n_poses: int) -> None:
         if self._free:
             return
-        print(
-            f"next: pose {pose.number} of {n_poses} ({pose.step_name}, station {pose.station}); Enter moves, g goes on without asking, "
-            "q ends the run: ",
-            end="",
-            file=sys.stderr,
-            flush=True,
-        )
+        where = f"pose {pose.number} of {n_poses} ({pose.step_name}, station {pose.station})"
+        echo(f"next: {where}; Enter moves, g goes on without asking, q ends the run: ", err=True, nl=False)
         answer = self._answer()
         if answer is None or answer.strip().lower() in ("q", "quit"):
             raise Aborted(f"the operator ended the run before pose {pose.number}")

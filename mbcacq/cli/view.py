@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
 
 
 @click.command("view")
@@ -29,11 +30,13 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
       mbcacq view latest
       mbcacq view runs/today --screenshot pictures/ --pose 30
 
-    The viewer of rerun reports anonymous usage unless that is switched off: rerun analytics disable
+    The viewer is started so that it reports no usage and looks for no update.
     """
+    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.errors import ConfigError
     from mbcacq.recording.viewer import open_viewer
 
+    end_in_order_on_signals("the viewer")
     sources = open_viewer.files(run)
     if screenshot is None:
         open_viewer.view(sources)
@@ -42,4 +45,4 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):
         raise ConfigError(f"--size {size}: give width and height between 200 and 8000, such as 1600x1000")
     for picture in open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose):
-        click.echo(str(picture))
+        echo(str(picture))

@@ -13,6 +13,7 @@ import numpy as np
 from mbcacq.calibration import state_from_dict
 from mbcacq.errors import RecordingError
 from mbcacq.exports import kuka, ros, tables, urdf
+from mbcacq.exports.marks import comments, with_comments
 from mbcacq.exports.result_json import result_schema
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.observations import Observations
@@ -46,7 +47,7 @@ def chains(result: Mapping[str, Any]) -> tuple[Chain, Chain]:
 
 def contents(result: Mapping[str, Any], targets: Targets, observations: Observations | None = None) -> dict[str, bytes]:
     """File name -> content. Raises ConfigError where a target does not fit, before anything is written."""
-    T = state_from_dict(dict(result)).T_flange_scanner
+    T, marks = state_from_dict(dict(result)).T_flange_scanner, comments(result)
     text = {
         "result.json": json.dumps(result, indent=1),
         "result.schema.json": json.dumps(result_schema(), indent=1),
@@ -60,14 +61,16 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
         "scanner.launch.py": ros.launch_file(T, targets.flange_frame, targets.scanner_frame),
         "static_transform.sh": "#!/bin/sh\nexec " + ros.static_transform_command(T, targets.flange_frame, targets.scanner_frame) + "\n",
     }
+    text = {name: with_comments(name, content, marks) for name, content in text.items()}
     if observations is not None:
         text["residuals.csv"] = tables.residuals_csv(result, observations)
     files = {name: content.encode("utf-8") for name, content in text.items()}
     if targets.config_dat is not None:
-        files["config.dat.diff"] = kuka.config_diff(targets.config_dat, T, targets.tool, targets.tool_name).encode("latin-1")
+        difference = kuka.config_diff(targets.config_dat, T, targets.tool, targets.tool_name)
+        files["config.dat.diff"] = with_comments("config.dat.diff", difference, marks).encode("latin-1")
     if targets.urdf is not None:
         files[targets.urdf.name] = urdf.patch(
-            targets.urdf, *chains(result), joints=targets.joints or None, T_flange_scanner=T, scanner=targets.scanner_frame
+            targets.urdf, *chains(result), joints=targets.joints or None, T_flange_scanner=T, scanner=targets.scanner_frame, comments=marks
         )
     return files
 

@@ -72,6 +72,7 @@ class ResultFile(Open):
 
     format: Literal["mbcacq-result/1"]
     method: str
+    simulated: bool = Field(False, description="whether a fake cell or a model made the data, and no real arm was measured")
     robot: ResultRobot
     T_flange_scanner: Transform
     stations: list[ResultStation]

@@ -11,23 +11,25 @@ import numpy as np
 
 from mbcacq.model.observations import Observations
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a cell that begins so is a formula to spreadsheets
+
 
 def parameters_csv(result: Mapping[str, Any]) -> str:
     """name, value, error (value minus nominal), std, unit, status, reason of every parameter."""
     keys = ("name", "value", "error", "std", "unit", "status", "reason")
-    return _csv(keys, ([p.get(k) for k in keys] for p in result["parameters"]))
+    return _csv(result, keys, ([p.get(k) for k in keys] for p in result["parameters"]))
 
 
 def covariance_csv(result: Mapping[str, Any]) -> str:
     """Covariance of the free parameters, one row a parameter, in the units of the parameters."""
-    return _csv(["name", *result["names"]], ([name, *row] for name, row in zip(result["names"], result["covariance"], strict=True)))
+    return _csv(result, ["name", *result["names"]], ([name, *row] for name, row in zip(result["names"], result["covariance"], strict=True)))
 
 
 def verification_csv(result: Mapping[str, Any]) -> str:
     """Sphere spacing errors at each place; only the header where nothing was verified."""
     places = (result.get("verification") or {}).get("places") or []
     keys = ("station", "ball_a", "ball_b", "certified_mm", "before_mm", "after_mm", "expected_mm")
-    return _csv(keys, ([p["station"], *p["balls"], *(p.get(k) for k in keys[3:])] for p in places))
+    return _csv(result, keys, ([p["station"], *p["balls"], *(p.get(k) for k in keys[3:])] for p in places))
 
 
 def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
@@ -43,22 +45,28 @@ def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     assert found.outlier is not None, "residuals of observations say which are rejected"
     rows = zip(found.pose, found.phase, found.ball, found.xyz, found.weighted, found.outlier, strict=True)
     return _csv(
+        result,
         ["pose", "phase", "ball", "dx_mm", "dy_mm", "dz_mm", "dx_over_sigma", "dy_over_sigma", "dz_over_sigma", "used"],
         ([int(p), phase, int(b), *xyz, *w, int(not out)] for p, phase, b, xyz, w, out in rows),
     )
 
 
-def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def _csv(result: Mapping[str, Any], header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table; of a simulated result, each row ends with 'true' in a column 'simulated'."""
+    mark = (["simulated"], ["true"]) if result.get("simulated") else ([], [])
     out = io.StringIO()
     writer = csv.writer(out)
-    writer.writerow(header)
+    writer.writerow([*(_cell(name) for name in header), *mark[0]])
     for row in rows:
-        writer.writerow([_cell(v) for v in row])
+        writer.writerow([*(_cell(v) for v in row), *mark[1]])
     return out.getvalue()
 
 
 def _cell(value: Any) -> Any:
-    """Shortest text that reads back to the same float; nothing for None."""
+    """Shortest text that reads back to the same float; nothing for None. A spreadsheet would compute a text that begins as a formula does:
+    it gets an apostrophe in front."""
     if value is None:
         return ""
+    if isinstance(value, str) and value.startswith(FORMULA):
+        return f"'{value}"
     return repr(float(value)) if isinstance(value, float | np.floating) else value

@@ -31,13 +31,14 @@ def patch(
     joints: Sequence[str] | None = None,
     T_flange_scanner: np.ndarray | None = None,
     scanner: str = "scanner_frame",
+    comments: Sequence[str] = (),
 ) -> bytes:
     """The file's XML with calibrated joint origins.
 
     joints: names of the n moving joints from base to flange (default: the revolute ones, of which there must be n). The robot's base is
     the parent link of the first, the flange the child of the fixed joint behind the last, or of the last where there is none. With
     ``T_flange_scanner`` (4, 4) mm, in the flange frame of the MD-H chain, a fixed joint to ``scanner`` is added behind the flange, or
-    its origin set where it exists.
+    its origin set where it exists. comments: put in front of the root element.
 
     Raises ConfigError where the file does not describe this arm at its zero position, naming joint and misfit.
     """
@@ -66,7 +67,7 @@ def patch(
     if T_flange_scanner is not None:
         # The URDF's flange frame may be turned against the MD-H one (KUKA's tool0 looks out of the arm, alpha_n may look into it).
         _add_scanner(root, named, _link(order[-1], "child"), se3.inverse(previous) @ G[-1] @ np.asarray(T_flange_scanner, float), scanner)
-    return _text(root, raw)
+    return _text(root, raw, comments)
 
 
 def _parse(path: Path) -> tuple[Any, bytes]:
@@ -86,8 +87,8 @@ def _parse(path: Path) -> tuple[Any, bytes]:
     return root, raw
 
 
-def _text(root: Any, raw: bytes) -> bytes:
-    """The changed element between the original text before and behind it, with the original line ends."""
+def _text(root: Any, raw: bytes, comments: Sequence[str]) -> bytes:
+    """The comments and the changed element between the original text before and behind it, with the original line ends."""
     import lxml.etree as etree
 
     encoding = root.getroottree().docinfo.encoding or "utf-8"
@@ -97,6 +98,7 @@ def _text(root: Any, raw: bytes) -> bytes:
     start = first.start()
     end = masked.rindex(b">") + 1
     body = etree.tostring(root, encoding=encoding, xml_declaration=False, with_tail=False)
+    body = "".join(f"<!-- {line} -->\n" for line in comments).encode(encoding) + body
     return raw[:start] + (body.replace(b"\n", b"\r\n") if b"\r\n" in raw else body) + raw[end:]
 
 

@@ -10,6 +10,7 @@ from mbcacq.geometry.chain import Chain
 
 ARTEFACT_IN_SCANNER = "artefact_in_scanner"
 TARGET_IN_BASE = "target_in_base"
+SIMULATED = "simulated: the fake cell or a model made these data, no real arm was measured"
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class Cell:
 
     measurement: ARTEFACT_IN_SCANNER (a scanner on the flange) or TARGET_IN_BASE (an external instrument sees a target on
     the flange; then the one station is the instrument and T_flange_scanner holds the target's place).
+    simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
     """
 
     robot: RobotModel
@@ -87,6 +89,7 @@ class Cell:
     scanner_name: str = ""
     noise_mm: np.ndarray | None = None
     measurement: str = ARTEFACT_IN_SCANNER
+    simulated: bool = False
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)

@@ -147,6 +147,7 @@ class CellSpec(Strict):
 
     format: Literal["mbcacq-observation-set/1"]
     measurement: Literal["artefact_in_scanner", "target_in_base"] = "artefact_in_scanner"
+    simulated: bool = False
     robot: RobotSpec
     hand_eye: PoseSpec = PoseSpec()
     artefacts: tuple[ArtefactSpec, ...] = Field(min_length=1)
@@ -170,6 +171,7 @@ class CellSpec(Strict):
             scanner_name=self.scanner.name,
             noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
             measurement=self.measurement,
+            simulated=self.simulated,
         )
 
 

@@ -20,7 +20,8 @@ class Trajectory:
 
     time_s: (T,). q: (T, n) rad, motor side, as the controller reports it; q_set: (T, n) rad, commanded; q_joint: (T, n) rad, joint-side
     encoder; torque: (T, n) N m about the joint; motor_torque: (T, n) N m at the motor; current: (T, n) in ``current_unit`` ('A' or
-    'percent'); temperatures: column (ends in _C) -> (T,). extra: unknown columns as text. name: where it came from.
+    'percent'); temperatures: column (ends in _C) -> (T,). extra: unknown columns as text. name: where it came from. simulated: no real arm
+    was recorded.
     """
 
     robot: RobotModel
@@ -35,6 +36,7 @@ class Trajectory:
     temperatures: Mapping[str, np.ndarray] = field(default_factory=dict)
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     name: str = ""
+    simulated: bool = False
 
 
 def moves(trajectory: Trajectory, samples: int = 15000) -> list[Trajectory]:

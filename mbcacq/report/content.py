@@ -1,7 +1,7 @@
 """Content of a report as plain values, between the result file and the page. Lengths mm, angles deg; None or empty is left out.
 
 ``Content``: figures are those of the verification (name, value, uncertainty, limit, verdict); headlines the numbers of the first screen
-(label, value with unit, what it is compared with).
+(label, value with unit, what it is compared with); caveats the sentences that stand above everything (simulated, never verified).
 """
 
 from __future__ import annotations
@@ -200,6 +200,7 @@ class Content:
     devices: Devices | None = None
     diagnosis: DiagnosisContent | None = None
     warnings: list[str] = field(default_factory=list)
+    caveats: list[str] = field(default_factory=list)
     versions: list[tuple[str, str]] = field(default_factory=list)
     hashes: list[tuple[str, str, str]] = field(default_factory=list)
     plan_yaml: str = ""

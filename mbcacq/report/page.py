@@ -48,7 +48,7 @@ def write(html: str, path: str | Path) -> Path:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(html, encoding="utf-8")
+        path.write_text(html, encoding="utf-8", errors="surrogateescape")  # of a file name under LANG=C
     except OSError as error:
         raise RecordingError(f"{path}: the report cannot be written: {error.strerror}; free space or give another folder") from error
     return path

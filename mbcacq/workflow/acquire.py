@@ -74,7 +74,7 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
 @dataclass
 class Acquisition:
     """A checked path to execute, and the folder of its recording. part: number of the recording (0, but for a resumed run); done: numbers
-    of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it."""
+    of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it; simulated: it is a fake one."""
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
@@ -84,6 +84,7 @@ class Acquisition:
     part: int = 0
     done: frozenset[int] = frozenset()
     cell: str = ""
+    simulated: bool = False
 
     def sweep(self) -> Swept:
         """The box that the arm will sweep, and its largest speed."""
@@ -133,12 +134,13 @@ class Acquisition:
                 create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]),
                 find_spheres,
-                cell_to_yaml(solver_cell(self.loaded)),
+                cell_to_yaml(replace(solver_cell(self.loaded), simulated=self.simulated)),
                 versions(),
                 gate,
                 self.done,
                 pause,
                 known,
+                self.simulated,
             ).run()
         if self.part:
             merge_parts(self.folder, message)

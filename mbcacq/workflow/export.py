@@ -24,16 +24,18 @@ def export(
     results: Path | str | None = None,
     targets: Targets | None = None,
     force: bool = False,
+    simulated_anyway: bool = False,
 ) -> list[dict[str, Any]]:
     """Write what is asked for; one entry for each file or folder: its 'file', and what there is to say of it.
 
     source: a run folder, a recording, an observation set, a result.json; or a calibration, observations. observations: folder for an
     observation set (cell.yaml, poses.csv, centres.csv), with ``scans`` also the raw clouds. trajectory: folder for the controller cycles as
-    a trajectory set. results: folder for the calibration as JSON, CSV, KUKA, ROS and URDF, with ``targets``. force: replace what exists.
+    a trajectory set. results: folder for the calibration as JSON, CSV, KUKA, ROS and URDF, with ``targets``. force: replace what
+    exists. simulated_anyway: write ``results`` of a simulated calibration too.
 
     Raises ConfigError where nothing is asked for, where it exists already or does not fit, RecordingError where writing fails.
     """
-    written = list(_results(source, Path(results), targets or Targets(), force)) if results is not None else []
+    written = list(_results(source, Path(results), targets or Targets(), force, simulated_anyway)) if results is not None else []
     folders = [None if folder is None else Path(folder) for folder in (observations, trajectory)]
     if not (written or any(folders)):
         raise ConfigError("nothing to export; say what and where, such as --observations DIR or --results DIR")
@@ -64,7 +66,7 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
     return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm}
 
 
-def _results(source: Source, folder: Path, targets: Targets, force: bool) -> Iterator[dict[str, Any]]:
+def _results(source: Source, folder: Path, targets: Targets, force: bool, simulated_anyway: bool) -> Iterator[dict[str, Any]]:
     from mbcacq.exports.result_json import load_result
 
     measured = None
@@ -76,11 +78,17 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool) -> Ite
         result = load_result(path)
         if folder.resolve() == (path if path.is_dir() else path.parent).resolve():
             raise ConfigError(f"{folder} is where the result lies; give another folder")
+    if result.get("simulated") and not simulated_anyway:
+        raise ConfigError(
+            "this calibration is simulated, and on a controller it would be taken for a measured one; "
+            "give that of a real arm, or --simulated-anyway"
+        )
     refuse_existing(folder / "result.json", force, f"{folder} already holds an export; give another folder, or --force to replace it")
     if isinstance(source, Path | str) and Path(source).is_dir():
         measured = load_observations(source)
+    marks = {"simulated": True} if result.get("simulated") else {}
     for path in write_folder(contents(result, targets, measured), folder):
-        yield {"file": str(path)}
+        yield {"file": str(path)} | marks
 
 
 def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, Any]]:
@@ -93,7 +101,8 @@ def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, A
     else:
         measured = source if isinstance(source, Observations) else load_observations(source)
     write_observation_set(measured, folder)
-    written: list[dict[str, Any]] = [{"file": str(folder), "poses": measured.n_poses, "centres": measured.n_centres}]
+    marks = {"simulated": True} if measured.cell.simulated else {}
+    written: list[dict[str, Any]] = [marks | {"file": str(folder), "poses": measured.n_poses, "centres": measured.n_centres}]
     if scans:
         from mbcacq.recording.rrd.scan_export import write_scans
 

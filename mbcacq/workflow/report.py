@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,10 @@ def write_report(
 
     data: a calibration, or a run folder, a recording (.rrd), an observation set. A result.json in a run folder is used, otherwise the cell
     is calibrated; so is a diagnosis that is kept there. out: the page (default: report.html in the folder). diagnose: make a diagnosis
-    where there is none. progress: gets a sentence a step. Raises ConfigError, CalibrationError, RecordingError.
+    where there is none. progress: gets a sentence a step. Raises ConfigError, CalibrationError, RecordingError (also where another process
+    writes in the run folder).
     """
-    from mbcacq.report import report_from_result
+    from mbcacq.recording.run_folder.lock import write_lock
 
     run = None if isinstance(data, Calibration) else Path(data)
     if out is None and run is None:
@@ -38,10 +40,22 @@ def write_report(
     if out is None and run is not None and run.is_file():
         refuse_plan(run)
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
+    with write_lock(run, "report") if run is not None and is_run_folder(run) else nullcontext():
+        return _write(data, run, out, diagnose, progress)
+
+
+def _write(
+    data: Calibration | Path | str, run: Path | None, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
+) -> Path:
+    """The report; whoever calls holds the lock of the run folder."""
+    from mbcacq.report import report_from_result
+
     observations = data.observations if isinstance(data, Calibration) else load_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
         result["gaps"] = _gaps(run)
+    if observations.cell.simulated:
+        result["simulated"] = True
     info = {} if run is None else _about(run)
     if diagnose and "diagnosis" not in info:
         info |= _diagnosis(observations, run, progress)

@@ -80,9 +80,9 @@ def measured_balls(folder: Path, loaded: LoadedPlan, done: frozenset[int]) -> di
 
 def merge_parts(folder: Path, message: Callable[[str], None]) -> None:
     """Merge the parts of a resumed run into one recording, whole.rrd; ``message`` gets a sentence where the disk does not take it."""
-    from mbcacq.recording import recover
+    from mbcacq.recording.run_folder.recovery import make_readable
 
     try:
-        recover(folder)
+        make_readable(folder)
     except RecordingError as error:
         message(f"the parts of {folder} were not merged into one recording: {error}; later: mbcacq recover {folder}")

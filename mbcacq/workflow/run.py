@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,33 +68,43 @@ def run(
     this folder; poses measured already are passed over, with ``measure_again`` but for those at partly measured stations. live: serve the
     recording on 127.0.0.1 while it grows. operator: who allows a real arm to move, and is asked and informed.
 
-    Raises ConfigError for a plan or options that cannot be executed, SafetyStop, what a device reports, CalibrationError.
+    Raises ConfigError for a plan or options that cannot be executed, SafetyStop, what a device reports, CalibrationError, RecordingError
+    (also where another process writes in the folder).
     """
     if resume is not None and out is not None:
         raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
+    from mbcacq.recording.run_folder.lock import write_lock
+
     operator, loaded = operator or Operator(), as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
     if sentence := scope_sentence(loaded, poses):
         operator.message(sentence)
     cell, folder = name_of(dry_run, seed), None if resume is None else Path(resume)
-    before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
-    for sentence in before.repairs:
-        operator.message(sentence)
-    done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)
-    if folder is not None and all(pose.number in done for pose in poses):
-        operator.message(f"all {len(poses)} poses were measured already; nothing moves")
+    with ExitStack() as held:
+        if folder is not None and folder.is_dir():
+            held.enter_context(write_lock(folder, "run --resume"))
+        before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
+        for sentence in before.repairs:
+            operator.message(sentence)
+        done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)
+        if folder is not None and all(pose.number in done for pose in poses):
+            operator.message(f"all {len(poses)} poses were measured already; nothing moves")
+            return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm)
+        acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
+        acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
+        if not dry_run:
+            operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
+        if folder is None:
+            folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
+            held.enter_context(write_lock(folder, "run"))
+        acquisition.folder = folder
+        try:
+            with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+                acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
+        except ConnectError as error:
+            raise _with_fakes_named(error, loaded, dry_run) from error
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm)
-    acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
-    if not dry_run:
-        operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
-    acquisition.folder = folder or new_run_folder(None if out is None else Path(out), loaded.path.stem)
-    try:
-        with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
-            acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
-    except ConnectError as error:
-        raise _with_fakes_named(error, loaded, dry_run) from error
-    return evaluate(acquisition.folder, loaded.plan.accept.sphere_spacing_error_mm)
 
 
 def _with_fakes_named(error: ConnectError, loaded: LoadedPlan, dry_run: bool) -> ConnectError:

@@ -63,7 +63,7 @@ def simulate_poses(
     xyz = forward_model.predict(scattered, state).xyz
     if scatter is not None:
         xyz = xyz + scatter.point * rng.standard_normal(xyz.shape)
-    return replace(blank, cell=replace(solver_cell(loaded), noise_mm=_noise(loaded, poses, result).point), xyz=xyz)
+    return replace(blank, cell=replace(solver_cell(loaded), noise_mm=_noise(loaded, poses, result).point, simulated=True), xyz=xyz)
 
 
 def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:
@@ -115,4 +115,5 @@ def simulate_motion(trajectory: Trajectory) -> Trajectory:
         current=None,
         temperatures={},
         extra={},
+        simulated=True,
     )

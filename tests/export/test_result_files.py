@@ -87,3 +87,17 @@ def test_residuals_are_the_noise_that_was_put_in(solved):
     scaled = np.array([[float(r[f"{k}_over_sigma"]) for k in ("dx", "dy", "dz")] for r in rows])
     assert 0.0045 < np.sqrt(np.mean(size**2)) < 0.009  # 5 um of noise and 5 urad of joint repeatability
     assert 0.85 < scaled.std() < 1.1
+
+
+def test_a_cell_that_a_spreadsheet_would_compute_is_quoted(solved):
+    result = copy.deepcopy(solved[0])
+    for name, p in zip(("=cmd()", "+1", "-x", "@SUM(A1)"), result["parameters"], strict=False):
+        p["name"] = name
+    result["names"][0] = "=cmd()"
+    rows = read(tables.parameters_csv(result))
+    assert [row["name"] for row in rows[:4]] == ["'=cmd()", "'+1", "'-x", "'@SUM(A1)"]
+    negative = [p["error"] for p in result["parameters"] if p["error"] < 0]
+    assert [float(row["error"]) for row in rows if row["error"].startswith("-")] == negative  # numbers stay numbers
+    first = read(tables.covariance_csv(result))
+    assert first[0]["name"] == "'=cmd()"
+    assert "'=cmd()" in first[0]

@@ -18,7 +18,7 @@ def cell_to_yaml(cell: Cell) -> str:
 
     The one exception: an angle that no float64 in deg converts to becomes its nearest neighbour (never one that was read from a file).
     """
-    data: dict[str, Any] = {"format": FORMAT, "measurement": cell.measurement, "robot": _robot(cell.robot)}
+    data: dict[str, Any] = {"format": FORMAT, "measurement": cell.measurement} | _simulated(cell.simulated) | {"robot": _robot(cell.robot)}
     data["hand_eye"] = _frame(cell.T_flange_scanner)
     data["artefacts"] = [_artefact(a) for a in cell.artefacts]
     data["stations"] = [_station(s) for s in cell.stations]
@@ -29,9 +29,14 @@ def cell_to_yaml(cell: Cell) -> str:
     return _dump(data)
 
 
-def robot_to_yaml(form: str, robot: RobotModel) -> str:
+def robot_to_yaml(form: str, robot: RobotModel, simulated: bool = False) -> str:
     """A ``cell.yaml`` that holds only the robot, such as a trajectory set's."""
-    return _dump({"format": form, "robot": _robot(robot)})
+    return _dump({"format": form} | _simulated(simulated) | {"robot": _robot(robot)})
+
+
+def _simulated(simulated: bool) -> dict[str, Any]:
+    """The key of simulated data; measured data carry none."""
+    return {"simulated": True} if simulated else {}
 
 
 def _dump(data: dict[str, Any]) -> str:

@@ -43,8 +43,9 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
     }
 
 
-def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None) -> None:
-    """Binary PLY: points (N, 3) as float32 or float64, mm; intensity (N,) uint8 as a property of its own."""
+def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None, simulated: bool = False) -> None:
+    """Binary PLY: points (N, 3) as float32 or float64, mm; intensity (N,) uint8 as a property of its own. simulated: a comment
+    says so."""
     kind, name = ("<f8", "double") if points.dtype == np.float64 else ("<f4", "float")
     fields = [("x", kind), ("y", kind), ("z", kind)] + ([("intensity", "u1")] if intensity is not None else [])
     cloud = np.empty(len(points), dtype=fields)
@@ -53,5 +54,6 @@ def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = Non
     if intensity is not None:
         cloud["intensity"] = intensity
         properties += "property uchar intensity\n"
-    header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(points)}\n{properties}end_header\n"
+    mark = "comment simulated: true\n" if simulated else ""
+    header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\n{mark}element vertex {len(points)}\n{properties}end_header\n"
     path.write_bytes(header.encode("ascii") + cloud.tobytes())

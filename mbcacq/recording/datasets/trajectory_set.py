@@ -38,6 +38,7 @@ class _TrajectorySpec(Strict):
     model_config = ConfigDict(extra="ignore")
 
     format: Literal["mbcacq-trajectory-set/1"]
+    simulated: bool = False
     robot: _RobotUse
 
 
@@ -52,7 +53,8 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     folder = Path(folder)
     path = folder / "cell.yaml"
     data, node = load_yaml(read_yaml_text(path), str(path))
-    robot = _robot(validate(_TrajectorySpec, data, node, str(path)).robot, str(path))
+    spec = validate(_TrajectorySpec, data, node, str(path))
+    robot = _robot(spec.robot, str(path))
     table = read_table(folder / "trajectory.csv")
     table.require(["time_s", *numbered("q{}_deg", robot.n)])
     unit = "percent" if "i1_percent" in table.columns and "i1_A" not in table.columns else "A"
@@ -69,13 +71,23 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
         "current": _signal(table, f"i{{}}_{unit}", robot.n),
     }
     temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C")}
-    return Trajectory(robot, time_s, q, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder))
+    return Trajectory(
+        robot,
+        time_s,
+        q,
+        **signals,
+        current_unit=unit,
+        temperatures=temperatures,
+        extra=table.rest(),
+        name=str(folder),
+        simulated=spec.simulated,
+    )
 
 
 def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
     """Write the folder. Raises RecordingError if that is impossible."""
     t, folder = trajectory, Path(folder)
-    write_text(folder / "cell.yaml", robot_to_yaml(FORMAT, t.robot))
+    write_text(folder / "cell.yaml", robot_to_yaml(FORMAT, t.robot, t.simulated))
     columns = {"time_s": numbers(t.time_s)}
     for pattern, values, text in (
         ("q{}_set_deg", t.q_set, angles.degrees_text),

@@ -11,6 +11,7 @@ from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.recording.rrd.rerun_path import rerun_path
 
 FRAMES_A_MOTION = 16
 OBSTACLE = (120, 96, 80, 90)
@@ -36,7 +37,9 @@ def write_plan_recording(
         eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
     try:
-        rec.save(str(file), default_blueprint=rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1])))
+        rec.save(
+            rerun_path(file), default_blueprint=rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1]))
+        )
     except (OSError, RuntimeError) as error:
         raise RecordingError(f"{file} cannot be written ({error}); give another --rrd") from None
     scene.log_static(rec, cell, loaded.text)

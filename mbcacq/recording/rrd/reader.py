@@ -16,6 +16,7 @@ from mbcacq.devices import Cycles, Scan
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.rerun_path import rerun_path
 
 Row = dict[str, Any]
 
@@ -39,7 +40,7 @@ class Recording:
         from rerun.chunk import RrdReader
 
         with _named_errors(self.path):
-            self._reader = RrdReader(self.path)
+            self._reader = RrdReader(rerun_path(self.path))
             stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
         if not stores:
             raise RecordingError(

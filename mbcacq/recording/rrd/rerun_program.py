@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mbcacq.errors import RecordingError
+from mbcacq.recording.rrd.quiet_environment import quiet_environment
 
 
 def program() -> str:
@@ -28,23 +29,25 @@ def program() -> str:
 
 def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
     """Run the program to its end; it and its children are killed when the time is over. A group of its own (POSIX) keeps signals apart."""
-    child = subprocess.Popen(
-        [program(), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        stdin=subprocess.DEVNULL,
-        text=True,
-        errors="replace",
-        start_new_session=True,
-    )
-    try:
-        out, err = child.communicate(timeout=timeout_s)
-    except BaseException as error:
-        end(child)
-        child.communicate()
-        if isinstance(error, subprocess.TimeoutExpired):
-            raise RecordingError(f"rerun {' '.join(arguments[:2])} did not end within {timeout_s:g} s and was stopped") from None
-        raise
+    with quiet_environment() as environment:
+        child = subprocess.Popen(
+            [program(), *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+            env=environment,
+        )
+        try:
+            out, err = child.communicate(timeout=timeout_s)
+        except BaseException as error:
+            end(child)
+            child.communicate()
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise RecordingError(f"rerun {' '.join(arguments[:2])} did not end within {timeout_s:g} s and was stopped") from None
+            raise
     return subprocess.CompletedProcess(child.args, child.returncode, out, err)
 
 

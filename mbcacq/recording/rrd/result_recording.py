@@ -15,6 +15,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.reader import open_recordings
+from mbcacq.recording.rrd.rerun_path import rerun_path
 
 BALL_ARROW_MM, SPACE_ARROW = 25.0, 0.12  # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
 BEFORE, AFTER = (230, 159, 0), (86, 180, 233)
@@ -41,7 +42,7 @@ def log_result(run: Path | str, observations: Observations, after: CellState, be
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
         scale = _scales(observations, after, errors, shown)
-        stream.save(partial, default_blueprint=for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
+        stream.save(rerun_path(partial), default_blueprint=for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
         _log_static(stream, scale)
         for k, number in enumerate(observations.pose_id.tolist()):
             if number not in times or not known[observations.station[k]]:

@@ -16,9 +16,10 @@ def write_scans(run: Path | str, folder: Path | str) -> int:
     try:
         target.mkdir(parents=True, exist_ok=True)
         for recording in open_recordings(run):
+            simulated = bool(recording.about().get("simulated"))
             for taken in recording.scans():
                 if taken.exposure == 0:
-                    write_ply(target / f"{taken.pose}.ply", taken.scan.points, taken.scan.intensity)
+                    write_ply(target / f"{taken.pose}.ply", taken.scan.points, taken.scan.intensity, simulated)
                     written.add(taken.pose)
     except OSError as error:
         if isinstance(error, RecordingError):

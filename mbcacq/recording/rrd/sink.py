@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.rerun_path import rerun_path
 
 STALLED_S = 5  # without one byte more in the file, while there is something to write
 MARGIN_BYTES = 48 << 20
@@ -24,6 +25,7 @@ class Sink:
     """One recording file. ``stream`` is the rerun stream; it must not be used after ``close`` or a RecordingError."""
 
     def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: rrb.BlueprintLike) -> None:
+        rerun_path(path)  # what is written could not be read
         self.path = path
         self._alive = True
         self._sync = _Syncer(path)

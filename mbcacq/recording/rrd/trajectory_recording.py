@@ -27,9 +27,9 @@ def trajectory_of_run(path: Path | str) -> Trajectory:
     joined = {name: np.concatenate([c[name] for c in columns]) for name in columns[0] if all(name in c for c in columns)}
     time_s, first = np.unique(joined["time_s"], return_index=True)
     taken = {name: values[first] for name, values in joined.items()}
-    robot = parse_cell(recordings[0].text(layout.CELL), f"{path} (its cell description)").robot
+    cell = parse_cell(recordings[0].text(layout.CELL), f"{path} (its cell description)")
     return Trajectory(
-        robot,
+        cell.robot,
         time_s,
         taken["q"],
         q_set=_command(taken),
@@ -38,6 +38,7 @@ def trajectory_of_run(path: Path | str) -> Trajectory:
         current=taken.get("current_percent"),
         current_unit="percent",
         name=str(path),
+        simulated=cell.simulated,
     )
 
 

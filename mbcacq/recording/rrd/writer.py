@@ -15,7 +15,7 @@ import rerun as rr
 
 from mbcacq.acquisition import events
 from mbcacq.errors import Aborted, ConfigError, MbcacqError, RecordingError
-from mbcacq.model.cell import Cell
+from mbcacq.model.cell import SIMULATED, Cell
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import blueprint, for_cell
@@ -132,7 +132,7 @@ class Recorder:
         self._cycles.started(self._started_s)
         self._set_times(event.time_s)
         rec = self._rec
-        rec.send_recording_name(event.name)
+        rec.send_recording_name(f"{event.name} (simulated)" if event.simulated else event.name)
         rec.log(layout.PLAN, rr.TextDocument(event.plan_yaml), static=True)
         rec.log(layout.CELL, rr.TextDocument(event.cell_yaml), static=True)
         about = rows.row(
@@ -142,10 +142,13 @@ class Recorder:
             started=event.started,
             n_poses=event.n_poses,
             offset_s=self._offset,
+            simulated=True if event.simulated else None,
             versions_names=list(event.versions),
             versions_values=list(event.versions.values()),
         )
         rec.log(layout.RUN, about, static=True)
+        if event.simulated:
+            rec.log(layout.LOG, rr.TextLog(f"mbcacq: {SIMULATED}", level="WARN"))
         shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
         rec.send_blueprint(shown, make_active=False, make_default=True)
         self._draw_from_urdf(event.urdf, self._cell)

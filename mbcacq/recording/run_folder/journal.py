@@ -13,6 +13,7 @@ from typing import Any, TextIO
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
+from mbcacq.model.cell import SIMULATED
 from mbcacq.recording.rrd import layout
 
 
@@ -50,9 +51,10 @@ class Journal:
 
     @_write.register
     def _(self, event: events.RunStarted) -> None:
-        self._write_journal(
-            event.time_s, event="run_started", name=event.name, started=event.started, n_poses=event.n_poses, versions=dict(event.versions)
-        )
+        entry = {"name": event.name, "started": event.started, "n_poses": event.n_poses, "versions": dict(event.versions)}
+        self._write_journal(event.time_s, event="run_started", **entry, **({"simulated": True} if event.simulated else {}))
+        if event.simulated:
+            self._write_log(event, "warning", "mbcacq", SIMULATED)
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:

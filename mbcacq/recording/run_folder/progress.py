@@ -63,7 +63,7 @@ def _measured(folder: Path) -> dict[int, str]:
 
 def _repair(folder: Path) -> Iterator[str]:
     from mbcacq.recording.rrd.reader import Recording
-    from mbcacq.recording.run_folder.recovery import recover
+    from mbcacq.recording.run_folder.recovery import make_readable
 
     for path in layout.parts(folder):
         try:
@@ -74,7 +74,7 @@ def _repair(folder: Path) -> Iterator[str]:
         except RecordingError:
             pass
         try:
-            found = recover(path)[0]
+            found = make_readable(path)[0]
             yield f"{path.name} was torn; its {found.poses} finished poses are in {found.output.name}"
         except RecordingError as error:
             if "nothing could be recovered" not in str(error):

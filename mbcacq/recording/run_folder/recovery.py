@@ -9,6 +9,7 @@ from pathlib import Path
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.run_folder.lock import LOCK_FILE, write_lock
 
 WHOLE = "whole.rrd"
 
@@ -35,9 +36,18 @@ def recover(path: Path | str) -> list[Recovered]:
     """Make a .rrd, or every recording of a run folder, readable. Raises RecordingError where nothing is left to read.
 
     A damaged NAME.rrd is copied to NAME.recovered.rrd (never overwriting one), which ``load_observations`` then prefers. A run of several
-    parts is also merged into whole.rrd.
+    parts is also merged into whole.rrd. Raises RecordingError where another process writes in the run folder.
     """
     path = Path(path)
+    folder = path if path.is_dir() else path.parent
+    if folder != path and not ((folder / LOCK_FILE).exists() or (folder / layout.JOURNAL_FILE).exists()):
+        return make_readable(path)  # a file in no run folder
+    with write_lock(folder, "recover"):
+        return make_readable(path)
+
+
+def make_readable(path: Path) -> list[Recovered]:
+    """:func:`recover` for one who holds the lock of the run folder."""
     if path.is_dir():
         sources = sorted((file for file in path.glob("run*.rrd") if layout.RECOVERED not in file.name), key=lambda p: (len(p.name), p.name))
         if not sources:

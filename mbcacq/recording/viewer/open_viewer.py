@@ -15,6 +15,8 @@ from typing import Any
 
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.rrd.quiet_environment import quiet_environment
+from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.run_folder.latest import refuse_plan
 
 START_TIMEOUT_S = 30.0
@@ -41,7 +43,7 @@ def view(sources: Sequence[Path | str]) -> None:
     """Open files or addresses in the viewer and wait until it is closed. Raises RecordingError if it cannot start."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
-    with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
+    with quiet_environment() as environment, tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
         command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]  # it would listen everywhere
         child = subprocess.Popen(
@@ -52,6 +54,7 @@ def view(sources: Sequence[Path | str]) -> None:
             text=True,
             errors="replace",
             start_new_session=True,
+            env=environment,
         )
         try:
             _, err = child.communicate()
@@ -120,7 +123,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
         return list(sources)
     path = folder / "layout.rrd"
     stream = rr.RecordingStream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
-    stream.save(path, default_blueprint=for_cell(cell, plan, enlarged(sources)))
+    stream.save(rerun_path(path), default_blueprint=for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
     stream.flush(timeout_sec=10.0)
     stream.disconnect()
@@ -170,6 +173,12 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
 
 @contextmanager
 def _headless(size: tuple[int, int]) -> Iterator[Any]:
+    with quiet_environment() as environment, _client(size, environment) as client:
+        yield client
+
+
+@contextmanager
+def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]:
     """A client of a viewer without a screen, which ends with the block. What the viewer raises becomes a RecordingError."""
     from rerun.experimental import ViewerClient
 
@@ -190,6 +199,7 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+        env=environment,
     )
     deadline = time.monotonic() + START_TIMEOUT_S
     try:
@@ -216,7 +226,7 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
 
 def _load(client: Any, sources: Sequence[Path | str]) -> None:
     deadline = time.monotonic() + LOAD_TIMEOUT_S
-    client.open([str(Path(source).absolute()) for source in sources])
+    client.open([rerun_path(Path(source).absolute()) for source in sources])
     while client.get_state().loading and time.monotonic() < deadline:
         time.sleep(0.1)
 

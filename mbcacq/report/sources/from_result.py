@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.caveats import caveats
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
@@ -69,6 +70,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         correlation=_correlation(result),
         not_separable=[(" and ".join(c["parameters"]), float(c["correlation"])) for c in result.get("correlated", ())][:20],
         warnings=_warnings(result),
+        caveats=[sentence[0].upper() + sentence[1:] + "." for sentence in caveats(result)],
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
         hashes=list(run_info.get("hashes") or ()),
         plan_yaml=str(run_info.get("plan_yaml") or ""),

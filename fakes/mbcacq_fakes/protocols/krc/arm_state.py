@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
 from dataclasses import dataclass
 from multiprocessing import resource_tracker, shared_memory
+from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+from mbcacq.errors import ConnectError
 
 FAULTS = (
     "",
@@ -22,6 +26,9 @@ _COUNT = struct.Struct("<q")
 _SLOT = struct.Struct("<22d")
 _SLOT_AT = (64, 64 + 256)  # two slots on cache lines of their own; the one not being written is always whole
 _SIZE = 64 + 2 * 256
+
+LINUX = Path("/dev/shm")  # where Linux has shared memory as files
+_NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some in /dev/shm"
 
 
 @dataclass(frozen=True)
@@ -51,8 +58,8 @@ class ArmState:
 
     @classmethod
     def create(cls, q: tuple[float, ...] = (0.0,) * 6, name: str | None = None) -> ArmState:
-        """A new block holding an arm at rest at ``q`` (6,) rad."""
-        state = cls(shared_memory.SharedMemory(name=name, create=True, size=_SIZE), True)
+        """A new block holding an arm at rest at ``q`` (6,) rad. Raises ConnectError where there is no memory for it."""
+        state = cls(create_shared_memory(_SIZE, name), True)
         state.write(0.0, q, (0.0,) * 6, (0.0,) * 6, True, 0)
         return state
 
@@ -104,6 +111,29 @@ class ArmState:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
+
+
+def create_shared_memory(size: int, name: str | None = None) -> shared_memory.SharedMemory:
+    """A new block whose memory is there. Raises ConnectError where it is not: a write into memory that was only promised ends the process.
+
+    Linux promises at creation and allocates at the first write; other systems allocate at creation.
+    """
+    try:
+        memory = shared_memory.SharedMemory(name=name, create=True, size=size)
+    except FileExistsError:
+        raise
+    except OSError as error:
+        raise ConnectError(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
+    file = LINUX / memory.name.lstrip("/")
+    try:
+        if file.exists():
+            with file.open("r+b") as block:
+                os.posix_fallocate(block.fileno(), 0, size)
+    except OSError as error:
+        memory.close()
+        memory.unlink()
+        raise ConnectError(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
+    return memory
 
 
 def attach_shared_memory(name: str) -> shared_memory.SharedMemory:

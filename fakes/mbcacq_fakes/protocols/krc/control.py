@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from multiprocessing import shared_memory
 
-from mbcacq_fakes.protocols.krc.arm_state import attach_shared_memory
+from mbcacq_fakes.protocols.krc.arm_state import attach_shared_memory, create_shared_memory
 from mbcacq_fakes.protocols.krc.settings import FAULTS
 
 COUNTERS = ("cycles", "sessions", "answers", "late", "rejected", "active", "ended")
@@ -29,7 +29,7 @@ class Control:
 
     @classmethod
     def create(cls, log: bool) -> Control:
-        return cls(shared_memory.SharedMemory(create=True, size=4096 + (_LOG_ROWS * _ROW.size if log else 0)), True)
+        return cls(create_shared_memory(4096 + (_LOG_ROWS * _ROW.size if log else 0)), True)
 
     @classmethod
     def attach(cls, name: str) -> Control:

@@ -36,7 +36,11 @@ class FakeKrc:
         if self.state is None:
             name = self._given if isinstance(self._given, str) else ""
             self.state = ArmState.attach(name) if name else ArmState.create(tuple(np.radians(self.settings.start_deg)))
-        control = self._control = Control.create(self.settings.log)
+        try:
+            control = self._control = Control.create(self.settings.log)
+        except BaseException:
+            self.stop()
+            raise
         control.set_faults(self.settings.faults)
         command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
         process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -1,0 +1,16 @@
+"""What whoever uses a result must know first: that it is simulated, that it was never verified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mbcacq.model.cell import SIMULATED
+
+UNVERIFIED = "never verified: no poses were kept apart to check these values; verify them before they are relied upon"
+
+
+def caveats(result: Mapping[str, Any]) -> list[str]:
+    """One sentence each, for the content of a result.json: simulated data, values without verification."""
+    verified = bool((result.get("verification") or {}).get("places") or result.get("held_out"))
+    return [*([SIMULATED] if result.get("simulated") else []), *([] if verified else [UNVERIFIED])]

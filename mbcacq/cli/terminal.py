@@ -1,0 +1,54 @@
+"""Everything that is printed goes through here: what foreign data could tell the terminal to do is shown as text instead.
+
+Names of devices, files and stations come from outside, and an escape sequence in one of them could clear the screen, set its title or
+hide what follows.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import IO, TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+# Control characters but tab and line feed; marks that turn the direction of text; halves of characters, of undecodable file names.
+_UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    """The text with each unsafe character as its escape (``\\x1b``); what is printable already stays as it is."""
+    return _UNSAFE.sub(lambda found: ascii(found.group())[1:-1], text)
+
+
+def echo(text: str = "", err: bool = False, nl: bool = True, label: tuple[str, str] | None = None, color: bool | None = None) -> None:
+    """Print a line of our own words and foreign data, on a terminal of any encoding. label: a word in front, and its colour; color: whether
+    colours are shown, by default on a terminal."""
+    stream = sys.stderr if err else sys.stdout
+    first = "" if label is None else click.style(printable(label[0]), fg=label[1])
+    click.echo(first + _encodable(printable(text), stream), err=err, nl=nl, color=color)
+
+
+def console(**options: Any) -> Console:
+    """A rich console for tables and bars, without markup in the texts that it is given."""
+    from collections.abc import Iterable
+
+    from rich import console as rich
+    from rich.segment import Segment
+
+    class SafeConsole(rich.Console):
+        def render(self, renderable: rich.RenderableType, options: rich.ConsoleOptions | None = None) -> Iterable[Segment]:
+            for segment in super().render(renderable, options):
+                text, style, control = segment
+                yield segment if control else Segment(_encodable(printable(text), self.file), style)
+
+    return SafeConsole(markup=False, emoji=False, **options)
+
+
+def _encodable(text: str, stream: IO[str]) -> str:
+    """What the stream's encoding lacks as escapes."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)

@@ -1,0 +1,64 @@
+"""The shared memory of the fake controller is there when it is created, or a sentence says that it is not."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.control import Control
+
+from mbcacq.errors import ConnectError
+
+SHM = Path("/dev/shm")
+pytestmark = pytest.mark.skipif(not SHM.is_dir(), reason="no shared memory as files here")
+
+FULL = """
+mount -t tmpfs -o size=32k none /dev/shm || exit 77
+exec "$0" -c '
+from mbcacq_fakes.protocols.krc.server import FakeKrc
+try:
+    FakeKrc(log=True).start()
+except Exception as error:
+    print(type(error).__name__, error)
+'
+"""
+
+
+def test_the_memory_is_allocated_at_creation():
+    with ArmState.create() as state:
+        assert SHM.joinpath(state.name).stat().st_blocks > 0
+    control = Control.create(log=True)
+    try:
+        file = SHM / control.name
+        assert file.stat().st_blocks * 512 >= file.stat().st_size > 10 << 20
+    finally:
+        control.close()
+
+
+def test_what_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
+    blocks = []
+
+    def full(handle, *_):
+        blocks.append(Path(os.readlink(f"/proc/self/fd/{handle}")))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(ConnectError, match=r"no 15364 KiB of shared memory \(No space left on device\); free some in /dev/shm"):
+        Control.create(log=True)
+    assert len(blocks) == 1
+    assert not blocks[0].exists()
+
+
+def test_a_full_dev_shm_is_a_sentence_and_no_sigbus():
+    if shutil.which("unshare") is None:
+        pytest.skip("unshare is not installed: no /dev/shm of its own for the test")
+    command = ["unshare", "--mount", "sh", "-c", FULL, sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip("a mount of its own is not permitted here")
+    assert done.returncode == 0, done
+    assert done.stdout.startswith("ConnectError the fake controller has no 15364 KiB of shared memory")

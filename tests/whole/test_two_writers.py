@@ -1,0 +1,26 @@
+"""A run and a resume of the same folder at once."""
+
+import subprocess
+
+from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
+
+
+def test_a_run_that_goes_on_cannot_be_resumed_by_another_process(tmp_path):
+    run = tmp_path / "run"
+    first = subprocess.Popen(
+        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    journal = run / "journal.jsonl"
+    until(lambda: journal.exists() and "pose_done" in journal.read_text())
+    for command in (["run", "plans/quick.yaml", "--dry-run", "--resume", run], ["recover", run], ["report", run]):
+        second = mbcacq(*command)
+        assert second.returncode == 6, second.stderr
+        assert f"process {first.pid}" in one_sentence(second)
+    _, errors = first.communicate(timeout=240)
+    assert first.returncode == 0, errors
+    assert journal.read_text().count("run_started") == 1
+    assert mbcacq("report", run).returncode == 0
