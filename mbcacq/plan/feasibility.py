@@ -10,6 +10,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.plan.clearance import Clearance, Closest
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import PlanFinding, finding
+from mbcacq.plan.motion_limits import axis_limits, requested_limits
 from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
@@ -21,6 +22,7 @@ def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | Non
     routes: of ``find_paths``, where they are known already.
     """
     return [
+        *check_motion_limits(loaded),
         *check_reach(loaded),
         *check_joints(loaded, poses),
         *check_visibility(loaded, poses),
@@ -37,6 +39,18 @@ def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
     if errors:
         more = f" ({len(errors) - 1} more: mbcacq plan check {loaded.path})" if len(errors) > 1 else ""
         raise ConfigError(f"{errors[0]}{more}")
+
+
+def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
+    """Accelerations and jerks that the plan asks for and the arm does not allow."""
+    wanted, allowed = requested_limits(loaded), axis_limits(loaded)
+    for what, key, unit in (("acceleration", "acceleration_time_s", "deg/s2"), ("jerk", "jerk_time_s", "deg/s3")):
+        asked, limit = (np.degrees(getattr(limits, what)) for limits in (wanted, allowed))
+        axis = int(np.argmax(asked / limit))
+        if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
+            line = loaded.lines.get(("robot", key), loaded.lines.get(("robot",), 1))
+            sentence = f"A{axis + 1} would get a {what} of {asked[axis]:.0f} {unit}, its limit is {limit[axis]:.0f}; raise {key}"
+            yield PlanFinding("error", "motion-limits", "", f"{loaded.path}:{line}", sentence)
 
 
 def check_reach(loaded: LoadedPlan) -> Iterator[PlanFinding]:
