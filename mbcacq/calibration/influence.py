@@ -100,14 +100,14 @@ def _explaining_pose(lineariser: Lineariser, strict: Solution, deleted: Deletion
         return None
     rest = np.maximum(strict.cost - deleted.chi2, 1e-300) / np.maximum(rest_dof, 1.0)
     ratio = np.where(judged, deleted.chi2 / np.maximum(deleted.rank, 1.0) / rest, 0.0)
-    chance = f_distribution.sf(ratio, np.maximum(deleted.rank, 1.0), np.maximum(rest_dof, 1.0))
-    chance = np.where(judged, chance, 1.0)
-    pose = int(np.argmin(chance))
+    p_value = f_distribution.sf(ratio, np.maximum(deleted.rank, 1.0), np.maximum(rest_dof, 1.0))
+    p_value = np.where(judged, p_value, 1.0)
+    pose = int(np.argmin(p_value))
     left = strict.cost - deleted.chi2
     others = np.delete(left, pose)
     decided = others.size == 0 or others.min() - left[pose] > options.least_difference
     consistent = left[pose] < chi2_quantile(rest_dof[pose], options.consistent_normal_deviate)
-    return pose if chance[pose] < options.false_alarms / judged.sum() and decided and consistent else None
+    return pose if p_value[pose] < options.false_alarms / judged.sum() and decided and consistent else None
 
 
 def joint_noise_sentence(found: dict[str, Any]) -> str:
