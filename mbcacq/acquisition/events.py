@@ -126,8 +126,8 @@ class HealthReceived(Event):
 
 @dataclass(frozen=True)
 class Gap(Event):
-    """Something the recording lacks. kind: 'pose' (left out), 'sensor', 'cycles', 'scanner' (was away); text: one sentence; pose: number.
-    A Message says the same to the operator."""
+    """Something the recording lacks. kind: 'pose' or 'exposure' (left out), 'sensor', 'cycles', 'scanner' (was away); text: one sentence;
+    pose: number. A Message says the same to the operator."""
 
     kind: str
     text: str

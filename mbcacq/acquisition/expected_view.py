@@ -14,7 +14,8 @@ from mbcacq.plan import PlannedPose
 
 
 class Centres(Protocol):
-    """Centres found in one exposure: ball (k,) ids, xyz (k, 3) mm in the scanner frame, n_points (k,), rms_mm (k,) of the fits."""
+    """Centres found in one exposure: ball (k,) ids, xyz (k, 3) mm in the scanner frame, n_points (k,), rms_mm (k,) of the fits,
+    covariance (k, 3, 3) mm^2."""
 
     @property
     def ball(self) -> np.ndarray: ...
@@ -24,6 +25,8 @@ class Centres(Protocol):
     def n_points(self) -> np.ndarray: ...
     @property
     def rms_mm(self) -> np.ndarray: ...
+    @property
+    def covariance(self) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,25 +11,13 @@ from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
-from mbcacq.acquisition.expected_view import Centres, mean_centres, predicted_centres
+from mbcacq.acquisition.expected_view import mean_centres
+from mbcacq.acquisition.gate_options import GateOptions
+from mbcacq.acquisition.gated_exposures import GatedExposures
 from mbcacq.acquisition.mover import Mover
-from mbcacq.acquisition.placement import PlacementCheck
-from mbcacq.acquisition.reconnect_policy import ReconnectingScanner, read_sensor
+from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.devices import DeviceFault, MbcacqError, SafetyStop
-from mbcacq.model.cell import Artefact
 from mbcacq.plan import LoadedPlan, PlannedPose
-
-
-class BallFinder(Protocol):
-    """Extracts ball centres from a scan."""
-
-    def __call__(self, points: np.ndarray, artefact: Artefact, *, expected: Sequence[int], predicted: np.ndarray) -> Centres:
-        """The balls found. points: (N, 3) mm; expected: (k,) ids; predicted: (k, 3) mm, all in the scanner frame."""
-        ...
-
-
-class Misplaced(DeviceFault):
-    """The artefact does not stand where the plan says."""
 
 
 @dataclass
@@ -40,11 +27,18 @@ class PoseMeasurement:
     loaded: LoadedPlan
     devices: CellDevices
     bus: EventBus
-    find_balls: BallFinder
-    scanner: ReconnectingScanner
-    placement: PlacementCheck
+    exposures: GatedExposures
     mover: Mover
     collector: CycleCollector
+    options: GateOptions = GateOptions()
+    left_out: list[int] = field(default_factory=list)  # numbers of the poses whose exposures failed the checks
+    _in_a_row: int = 0
+
+    @property
+    def fastest(self) -> np.ndarray:
+        """(n,) rad/s: no axis turns faster."""
+        speed = self.loaded.cell.robot.speed
+        return self.mover.limits.speed if speed is None else speed
 
     def measure(self, pose: PlannedPose, first: bool = False) -> bool:
         """Move to a pose and measure it, ``first`` at its station. Returns whether enough balls were found.
@@ -59,19 +53,23 @@ class PoseMeasurement:
             self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
             self.bus.state("scanning")
             self.collector.mark()
-            found = self._exposures(pose, reached.q, first)
+            found, contradiction = self.exposures.take(pose, reached.q, first)
             now = self.devices.robot.state()  # raises what stopped the arm meanwhile
             cycles = self.collector.since_mark()
-            if self._stood(cycles, pose, left):
+            q = np.mean(cycles["q"], axis=0) if cycles else now.q
+            if self._stood(cycles, q, pose, left):
                 break
-        q = cycles["q"].mean(axis=0) if cycles else now.q
         current = cycles["current_percent"].mean(axis=0) if "current_percent" in cycles else None
         sensors = self._read_sensors(pose)
+        if contradiction:
+            self._leave_out(pose, contradiction)
+            return False
         mean = mean_centres(found)
         if len(mean.ball) < min(self.loaded.plan.accept.min_balls, len(pose.balls)):
             few = f"{len(mean.ball)} of {len(pose.balls)} balls found, pose left out"
             self.bus.gap("pose", f"pose {pose.number} ({pose.step_name}): {few}", pose.number)
             return False
+        self._in_a_row = 0
         self.bus.emit(
             events.PoseDone,
             *about,
@@ -89,37 +87,33 @@ class PoseMeasurement:
         )
         return True
 
-    def _exposures(self, pose: PlannedPose, q: np.ndarray, first: bool) -> list[Centres]:
-        found = [self._expose(pose, 0)]
-        if first:
-            self._check_placement(pose, q, found[0])
-        return found + [self._expose(pose, k) for k in range(1, pose.exposures)]
+    def _leave_out(self, pose: PlannedPose, contradiction: str) -> None:
+        """Name a pose whose exposures failed the checks. Raises DeviceFault after several such poses in a row."""
+        self.left_out.append(pose.number)
+        self._in_a_row += 1
+        self.bus.gap("pose", f"pose {pose.number} ({pose.step_name}): {contradiction}, pose left out", pose.number)
+        if self._in_a_row >= self.options.poses_in_a_row:
+            raise DeviceFault(
+                f"{self._in_a_row} poses in a row were left out, the last one because {contradiction}; "
+                "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
+            )
 
-    def _expose(self, pose: PlannedPose, exposure: int) -> Centres:
-        scan = self.scanner.capture(self.loaded.plan.scanner.exposure_us)
-        self.bus.emit(events.ScanTaken, pose.number, exposure, scan)
-        if scan.health:
-            self.bus.emit(events.HealthReceived, "scanner", dict(scan.health))
-        for warning in scan.warnings:
-            self.bus.message("warning", f"pose {pose.number}: {warning}")
-        artefact = self.loaded.cell.artefact(pose.artefact)
-        predicted = predicted_centres(self.loaded.cell, pose)
-        found = self.find_balls(scan.points, artefact, expected=pose.balls, predicted=predicted)
-        self.bus.emit(events.CentresFound, pose.number, exposure, found.ball, found.xyz, found.n_points, found.rms_mm)
-        return found
+    def _stood(self, cycles: Mapping[str, np.ndarray], q: np.ndarray, pose: PlannedPose, left: int) -> bool:
+        """Whether the arm stood at the pose during its exposures, q (n,) rad being the mean of what it reported.
 
-    def _check_placement(self, pose: PlannedPose, q: np.ndarray, found: Centres) -> None:
-        if len(found.ball) == 0 and not self.devices.asks_a_person:
-            return  # nobody to ask: the pose is left out, and more of them end the run
-        if sentence := self.placement.fault(pose, q, found.ball, found.xyz):
-            raise Misplaced(sentence)
-
-    def _stood(self, cycles: Mapping[str, np.ndarray], pose: PlannedPose, left: int) -> bool:
-        """Whether the arm stood during the exposures of a pose. Raises SafetyStop if it did not and no attempt is left."""
+        Raises SafetyStop if it did not and no attempt is left.
+        """
+        limit = self.options.standstill_tolerances * self.mover.limits.tolerance
         moved = float(np.max(np.ptp(cycles["q"], axis=0))) if cycles else 0.0
-        if moved <= 2 * self.mover.limits.tolerance:
+        away = float(np.max(np.abs(q - pose.q)))
+        if moved <= limit and away <= limit:
             return True
-        text = f"the arm moved by {np.degrees(moved):.3f} deg during the exposures of pose {pose.number}"
+        if moved <= limit:
+            text = f"the arm stood {np.degrees(away):.3f} deg from pose {pose.number} during its exposures"
+        else:
+            text = (
+                f"the arm moved by {np.degrees(moved):.3f} deg during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
+            )
         if not left:
             raise SafetyStop(f"{text}, twice; its brakes or its controller do not hold it, so the run was ended")
         self.bus.message("warning", f"{text}; it is measured again")
@@ -136,3 +130,10 @@ class PoseMeasurement:
                 names = ", ".join(f.name for f in sensor.describe().fields)
                 self.bus.gap("sensor", f"sensor {number}: {error}; pose {pose.number} has no {names}", pose.number)
         return values
+
+
+def _by_leap(cycles: Mapping[str, np.ndarray], fastest: np.ndarray) -> str:
+    """A remark where joint angles changed faster than the axes can turn, fastest (n,) rad/s; else ''."""
+    step_s, step = np.diff(cycles["time_s"]), np.abs(np.diff(cycles["q"], axis=0))
+    leaps = ~np.all(step <= fastest * np.maximum(step_s, 0.0)[:, None], axis=1)
+    return f" (in {leaps.sum()} cycles faster than its axes can turn, as damaged telegrams show it)" if leaps.any() else ""

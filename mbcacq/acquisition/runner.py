@@ -14,10 +14,12 @@ from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.gate_options import GateOptions
+from mbcacq.acquisition.gated_exposures import BallFinder, GatedExposures, Misplaced
 from mbcacq.acquisition.monitor import RobotMonitor
 from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.placement import PlacementCheck
-from mbcacq.acquisition.pose_measurement import BallFinder, Misplaced, PoseMeasurement
+from mbcacq.acquisition.pose_measurement import PoseMeasurement
 from mbcacq.acquisition.reconnect_policy import ReconnectingScanner
 from mbcacq.devices import Aborted, DeviceFault, MbcacqError
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
@@ -63,6 +65,7 @@ class Runner:
     pause: Pause | None = None
     known: Mapping[str, Mapping[int, np.ndarray]] = field(default_factory=dict)
     simulated: bool = False
+    gates: GateOptions = GateOptions()
 
     def run(self) -> None:
         """Connect, measure every pose, stop. Emits RunStopped in every case, then raises what ended the run early."""
@@ -117,7 +120,10 @@ class Runner:
             stack.callback(robot.stop)  # before the collector is waited for, which may hang on a slow disk
             self.confirm(robot.state().q)
             mover = Mover(robot, self.loaded.cell, motion_limits(self.loaded), collector)
-            measurement = PoseMeasurement(self.loaded, self.devices, self.bus, self.find_balls, scanner, placement, mover, collector)
+            exposures = GatedExposures(
+                self.loaded, self.bus, scanner, self.find_balls, placement, self.gates, asks_a_person=self.devices.asks_a_person
+            )
+            measurement = PoseMeasurement(self.loaded, self.devices, self.bus, exposures, mover, collector, self.gates)
             self._pass([self.path_home[-1]], mover)
             missed = self._measure_poses(measurement, mover)
             self._pass(self.path_home, mover)
@@ -126,11 +132,13 @@ class Runner:
         late = "" if collector.late is None else f", {collector.late} of them answered late"
         lost = f", {collector.missing} more missing" if collector.missing else ""
         again = f"; the scanner was lost {scanner.losses} times and came back" if scanner.losses else ""
-        few = f", {missed} of them without enough balls" if missed else ""
+        wrong = len(measurement.left_out)
+        few = f", {missed - wrong} of them without enough balls" if missed > wrong else ""
+        few += f", {wrong} of them left out by the checks (pose {', '.join(map(str, measurement.left_out))})" if wrong else ""
         return f"all poses measured{few}; {collector.count} robot cycles{late}{lost}{again}"
 
     def _measure_poses(self, measurement: PoseMeasurement, mover: Mover) -> int:
-        """Returns how many poses showed too few balls. Raises DeviceFault where these become too many."""
+        """Returns how many poses were left out. Raises DeviceFault where these become too many."""
         station = step = None
         missed = 0
         for pose, path in zip(self.poses, self.paths, strict=True):
@@ -150,7 +158,7 @@ class Runner:
             if not measured:
                 missed += 1
                 if missed > max(1, MISSED_SHARE * len(self.poses)):
-                    raise DeviceFault(f"{missed} poses showed too few balls; look at the scans, the exposure and the artefact's place")
+                    raise DeviceFault(f"{missed} poses showed too few balls or failed the checks; look at the scans, exposure and artefact")
         return missed
 
     def _measure_first(self, pose: PlannedPose, path: Transit, measurement: PoseMeasurement, mover: Mover) -> bool:

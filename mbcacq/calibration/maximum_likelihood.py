@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_undetermined
 from mbcacq.calibration.uncertainty import expected_accuracy
@@ -60,7 +61,14 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found
     )
     refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), obs, options)
-    return result
+    return _with_joint_noise_check(result, fitted) if options.kinematics else result  # a nominal arm's errors are noise there
+
+
+def _with_joint_noise_check(result: Calibration, fitted: Adjustment) -> Calibration:
+    found = joint_noise_check(fitted.lineariser, fitted.solution, fitted.noise, result.covariance)
+    if found is None:
+        return result
+    return replace(result, extra={**result.extra, "joint_noise_check": found, "warnings": [joint_noise_sentence(found)]})
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,8 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
         for line in sentences(accuracy, effects) if accuracy and effects else []:
             echo(line)
         echo(_time_sentence(content))
+        for axis in content["axes"]:
+            echo(_axis_sentence(axis))
         echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
     if errors:
         sys.exit(ExitCode.USAGE)
@@ -203,3 +205,9 @@ def _time_sentence(content: dict[str, Any]) -> str:
     moved = f", and the artefact is moved {t['station_changes']} times (not counted)" if t["station_changes"] else ""
     parts = f"{t['motion_s']:.0f} s of motion, {t['settle_s']:.0f} s of settling, {t['exposure_s']:.0f} s of exposures"
     return f"{len(content['poses'])} poses; about {t['total_s'] / 60:.1f} min: {parts}{moved}"
+
+
+def _axis_sentence(axis: dict[str, Any]) -> str:
+    units = {"speed": "deg/s", "acceleration": "deg/s2", "jerk": "deg/s3"}
+    figures = (f"{axis[what]:.0f} of {axis[f'{what}_limit']:.0f} {unit}" for what, unit in units.items())
+    return f"A{axis['axis']}: at most {', '.join(figures)}"

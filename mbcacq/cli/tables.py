@@ -107,7 +107,7 @@ def remarks(result: dict[str, Any]) -> list[str]:
     factor = (result.get("noise") or {}).get("check_factor")
     if factor and (max(factor) > 2 or min(factor) < 0.5):
         out.append(f"The scanner's noise is {max(factor, key=lambda f: abs(np.log(f))):.1f} times what was stated")
-    return out
+    return out + [f"Warning: {warning}" for warning in result.get("warnings") or ()]
 
 
 def scan_scale(result: dict[str, Any]) -> list[str]:

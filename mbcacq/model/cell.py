@@ -17,7 +17,7 @@ SIMULATED = "simulated: the fake cell or a model made these data, no real arm wa
 class RobotModel:
     """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg.
 
-    limits: (n, 2) rad. speed, acceleration: (n,) rad/s and rad/s^2, or None where the source did not say.
+    limits: (n, 2) rad. speed, acceleration, jerk: (n,) rad/s, rad/s^2 and rad/s^3, or None where the source did not say.
     com: (n, 3) mm, each in the frame of its link (behind its MD-H row). gear_ratio: (n,) or None.
     payload_com: (3,) mm in the flange frame. gravity: (3,) unit vector in the base frame, pointing down.
     """
@@ -34,6 +34,7 @@ class RobotModel:
     payload_com: np.ndarray = field(default_factory=lambda: np.zeros(3))
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     repeatability_mm: float | None = None
+    jerk: np.ndarray | None = None
 
     @property
     def n(self) -> int:

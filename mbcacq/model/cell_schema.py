@@ -49,6 +49,7 @@ class LinkSpec(Strict):
     limits_deg: tuple[float, float] = (-360.0, 360.0)
     speed_deg_s: float | None = None
     acceleration_deg_s2: float | None = None
+    jerk_deg_s3: float | None = None
     mass_kg: float = 0.0
     com_mm: Vector = (0.0, 0.0, 0.0)
     gear_ratio: float | None = None
@@ -73,7 +74,7 @@ class RobotSpec(Strict):
         }
         optional = {
             name: _all_or_none([getattr(link, name) for link in self.links])
-            for name in ("speed_deg_s", "acceleration_deg_s2", "gear_ratio")
+            for name in ("speed_deg_s", "acceleration_deg_s2", "jerk_deg_s3", "gear_ratio")
         }
         gravity = np.array(self.base_to_gravity, dtype=float)
         return cell.RobotModel(
@@ -91,6 +92,7 @@ class RobotSpec(Strict):
             com=np.array([link.com_mm for link in self.links], dtype=float),
             speed=_radians(optional["speed_deg_s"]),
             acceleration=_radians(optional["acceleration_deg_s2"]),
+            jerk=_radians(optional["jerk_deg_s3"]),
             gear_ratio=optional["gear_ratio"],
             payload_mass=self.payload.mass_kg,
             payload_com=np.array(self.payload.com_mm, dtype=float),

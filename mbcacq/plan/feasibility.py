@@ -10,6 +10,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.plan.clearance import Clearance, Closest
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import PlanFinding, finding
+from mbcacq.plan.motion_limits import axis_limits, requested_limits
 from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.plausibility import lacks_orientation
@@ -23,6 +24,7 @@ def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | Non
     """
     return [
         *check_artefacts(loaded),
+        *check_motion_limits(loaded),
         *check_reach(loaded),
         *check_joints(loaded, poses),
         *check_visibility(loaded, poses),
@@ -48,6 +50,18 @@ def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
         yield PlanFinding(
             "error", "few-balls", loaded.plan.steps[int(where[1])].name, f"{loaded.path}:{loaded.lines.get(where, 1)}", sentence
         )
+
+
+def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
+    """Accelerations and jerks that the plan asks for and the arm does not allow."""
+    wanted, allowed = requested_limits(loaded), axis_limits(loaded)
+    for what, key, unit in (("acceleration", "acceleration_time_s", "deg/s2"), ("jerk", "jerk_time_s", "deg/s3")):
+        asked, limit = (np.degrees(getattr(limits, what)) for limits in (wanted, allowed))
+        axis = int(np.argmax(asked / limit))
+        if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
+            line = loaded.lines.get(("robot", key), loaded.lines.get(("robot",), 1))
+            sentence = f"A{axis + 1} would get a {what} of {asked[axis]:.0f} {unit}, its limit is {limit[axis]:.0f}; raise {key}"
+            yield PlanFinding("error", "motion-limits", "", f"{loaded.path}:{line}", sentence)
 
 
 def check_reach(loaded: LoadedPlan) -> Iterator[PlanFinding]:

@@ -24,7 +24,8 @@ class PlanningLimits:
     assumed_top_speed: float = float(np.radians(180.0))  # rad/s in that cost, for an arm without stated speeds
 
     # Execution.
-    assumed_safe_speed: float = float(np.radians(60.0))  # rad/s, full speed of an arm without stated speeds: slow enough for any
+    shortest_acceleration_time_s: float = 0.25  # to full speed, of an arm without stated accelerations: slower than any small arm's drives
+    shortest_jerk_time_s: float = 0.05  # to full acceleration, without stated jerks: several periods of an arm's lowest vibration
 
     # Warnings about a single pose.
     near_limit: float = float(np.radians(2.0))  # a pose closer to a limit leaves no room to correct it

@@ -57,6 +57,7 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     for index, link in enumerate(spec.links):
         if link.limits_deg[0] >= link.limits_deg[1]:
             raise source.error(("links", index, "limits_deg"), f"limits of A{index + 1}: the lower one must come first")
+    _check_motion_limits(source, spec)
     if not np.any(spec.base_to_gravity) or (use.base_to_gravity is not None and not np.any(use.base_to_gravity)):
         raise file.error(("robot", "base_to_gravity"), "base_to_gravity is a direction and cannot be zero")
     model = spec.model()
@@ -71,6 +72,20 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     if len(outside):
         raise file.error(("robot", "home_deg"), f"the home position exceeds the limits of A{outside[0] + 1}; choose another")
     return model
+
+
+def _check_motion_limits(source: YamlFile, spec: RobotSpec) -> None:
+    """What moves has joint and speed limits on every axis; accelerations and jerks, which may follow from speeds, on every axis or none."""
+    stated = {name for link in spec.links for name in ("acceleration_deg_s2", "jerk_deg_s3") if getattr(link, name) is not None}
+    for index, link in enumerate(spec.links):
+        if "limits_deg" not in link.model_fields_set:
+            raise source.error(("links", index), f"A{index + 1} has no limits_deg; an arm that is to move needs them for every axis")
+        for name in sorted({"speed_deg_s"} | stated, reverse=True):
+            value = getattr(link, name)
+            if value is None or value <= 0:
+                raise source.error(
+                    ("links", index), f"A{index + 1} has no {name} above 0; give it for every axis of an arm that is to move"
+                )
 
 
 def _artefacts(file: YamlFile, plan: Plan) -> tuple[cell.Artefact, ...]:

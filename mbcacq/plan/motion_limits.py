@@ -2,24 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mbcacq.devices import MotionLimits, SafetyStop
+from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
 from mbcacq.plan.planned import LoadedPlan
 
 T1_MM_S = 250.0  # a controller's reduced speed, ISO 10218-1
 
 
-def motion_limits(loaded: LoadedPlan) -> MotionLimits:
-    """The plan's speed limits applied to the model's: rad/s, rad/s^2, rad/s^3."""
-    use, model = loaded.plan.robot, loaded.cell.robot
-    fastest = model.speed if model.speed is not None else np.full(model.n, loaded.planning.assumed_safe_speed)
-    speed = use.speed * fastest
+@dataclass(frozen=True)
+class AxisLimits:
+    """What the axes may do at most: speed, acceleration, jerk, each (n,) in rad/s, rad/s^2, rad/s^3."""
+
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+
+def axis_limits(loaded: LoadedPlan) -> AxisLimits:
+    """The model's limits; accelerations and jerks that it does not state follow from its speeds. Raises ConfigError without speeds."""
+    model, planning = loaded.cell.robot, loaded.planning
+    if model.speed is None:
+        raise ConfigError(f"robot '{model.name}' has no speed limits and cannot be moved; give speed_deg_s of every axis in its file")
+    acceleration = model.speed / planning.shortest_acceleration_time_s if model.acceleration is None else model.acceleration
+    jerk = acceleration / planning.shortest_jerk_time_s if model.jerk is None else model.jerk
+    return AxisLimits(model.speed, acceleration, jerk)
+
+
+def requested_limits(loaded: LoadedPlan) -> AxisLimits:
+    """What the plan asks for, whether the model allows it or not."""
+    use, allowed = loaded.plan.robot, axis_limits(loaded)
+    speed = use.speed * allowed.speed
     acceleration = speed / use.acceleration_time_s
-    if model.acceleration is not None:
-        acceleration = np.minimum(acceleration, model.acceleration)
-    return MotionLimits(speed, acceleration, acceleration / use.jerk_time_s, np.radians(use.tolerance_deg), use.settle_s)
+    return AxisLimits(speed, acceleration, acceleration / use.jerk_time_s)
+
+
+def motion_limits(loaded: LoadedPlan) -> MotionLimits:
+    """What the plan asks for, within what the model allows: rad/s, rad/s^2, rad/s^3. Raises ConfigError without speeds."""
+    use, allowed = loaded.plan.robot, axis_limits(loaded)
+    acceleration = np.minimum(requested_limits(loaded).acceleration, allowed.acceleration)
+    jerk = np.minimum(acceleration / use.jerk_time_s, allowed.jerk)
+    return MotionLimits(use.speed * allowed.speed, acceleration, jerk, np.radians(use.tolerance_deg), use.settle_s)
 
 
 def check_target(target: np.ndarray, limits: np.ndarray) -> None:

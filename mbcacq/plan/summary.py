@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.plan.axis_extremes import axis_extremes
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.routing import Routes, find_paths
@@ -48,6 +49,7 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
             "exposure_s": total.exposure_s,
             "station_changes": total.station_changes,
         },
+        "axes": [axis.to_dict() for axis in axis_extremes(loaded, poses, transits)],
     }
 
 

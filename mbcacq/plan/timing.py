@@ -31,24 +31,33 @@ class Duration:
 def duration(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> Duration:
     """Time of a whole run, from home to home, at the plan's own speed."""
     limits, plan = motion_limits(loaded), loaded.plan
-    home = np.radians(plan.robot.home_deg)
-    stops = [home]
-    for pose, transit in zip(poses, transits, strict=True):
-        stops += [*transit, pose.q]
-    stops.append(home)
+    stops = stopping_points(loaded, poses, transits)
     motion = sum(motion_time(a, b, limits) for a, b in pairwise(stops))
     changes = sum(a.station != b.station for a, b in pairwise(poses))
     exposures = sum(p.exposures for p in poses)
     return Duration(motion, (len(stops) - 1) * plan.robot.settle_s, exposures * plan.scanner.scan_time_s, changes)
 
 
+def stopping_points(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:
+    """Joint positions (n,) rad at which the arm stops, in order, from home to home."""
+    home = np.radians(loaded.plan.robot.home_deg)
+    stops = [home]
+    for pose, transit in zip(poses, transits, strict=True):
+        stops += [*transit, pose.q]
+    return [*stops, home]
+
+
 def motion_time(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> float:
     """s of one jerk-limited joint motion (n,) rad from rest to rest."""
+    return float(joint_motion(start, end, limits).duration)
 
+
+def joint_motion(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> ruckig.Trajectory:
+    """The jerk-limited joint motion (n,) rad from rest to rest."""
     wanted = ruckig.InputParameter(len(start))
     wanted.current_position, wanted.target_position = start.tolist(), end.tolist()
     wanted.max_velocity, wanted.max_acceleration = limits.speed.tolist(), limits.acceleration.tolist()
     wanted.max_jerk = limits.jerk.tolist()
     trajectory = ruckig.Trajectory(len(start))
     ruckig.Ruckig(len(start)).calculate(wanted, trajectory)
-    return float(trajectory.duration)
+    return trajectory

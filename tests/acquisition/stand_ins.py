@@ -86,10 +86,12 @@ class Found:
     xyz: np.ndarray
     n_points: np.ndarray = field(init=False)
     rms_mm: np.ndarray = field(init=False)
+    covariance: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.n_points = np.full(len(self.ball), 100)
         self.rms_mm = np.full(len(self.ball), 0.01)
+        self.covariance = np.tile(1e-6 * np.eye(3), (len(self.ball), 1, 1))
 
 
 class Finder:

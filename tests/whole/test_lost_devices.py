@@ -35,8 +35,8 @@ def short(plan):
     ]
 
 
-def run_with(tmp_path, hurt, change=lambda plan: None):
-    """Run; ``hurt(cell)`` is called once when the second pose is done. Returns the error that ended it, and the folder."""
+def run_with(tmp_path, hurt, change=lambda plan: None, at=(events.PoseDone, 1)):
+    """Run; ``hurt(cell)`` is called once, at the first event of that kind and pose. Returns the error that ended it, and the folder."""
     loaded = load(plan_file(tmp_path, lambda p: (short(p), change(p))))
     poses = expand(loaded)
     acquisition = acquire.plan_acquisition(loaded, poses, frozenset(), 0, "the fake cell")
@@ -44,10 +44,9 @@ def run_with(tmp_path, hurt, change=lambda plan: None):
     done, still = [], []
 
     def watch(event):
-        if isinstance(event, events.PoseDone):
+        if isinstance(event, at[0]) and event.pose == at[1] and not done:
             done.append(event.pose)
-            if len(done) == 2:
-                hurt(cell)
+            hurt(cell)
         if isinstance(event, events.RunStopped):
             before = np.array(cell.arm.read().q)
             time.sleep(0.2)

@@ -60,6 +60,8 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         columns["speed_deg_s"] = _degrees(robot.speed)
     if robot.acceleration is not None:
         columns["acceleration_deg_s2"] = _degrees(robot.acceleration)
+    if robot.jerk is not None:
+        columns["jerk_deg_s3"] = _degrees(robot.jerk)
     if robot.gear_ratio is not None:
         columns["gear_ratio"] = _list(robot.gear_ratio)
     data: dict[str, Any] = {"name": robot.name}

@@ -11,6 +11,7 @@ from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE
 
 _GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
 _UNKNOWN_TYPE = 0x3FF
+_OFFSET_Z = 36  # of the surface message: header 8, size 8, resolutions 12, two offsets of 4
 
 
 def apply_fault(messages: list[bytearray], faults: Faults) -> list[object]:
@@ -33,6 +34,13 @@ def _short_surface(messages: list[bytearray]) -> list[object]:
     return [stamp, short, *rest]
 
 
+def _shifted_surface(messages: list[bytearray]) -> list[object]:
+    """One bit of the surface's offset along z is flipped: 512 um."""
+    shifted = bytearray(messages[1])
+    shifted[_OFFSET_Z + 1] ^= 0x02
+    return [messages[0], shifted, *messages[2:]]
+
+
 def _unknown_type(messages: list[bytearray]) -> list[object]:
     return [messages[0], encode.message(_UNKNOWN_TYPE, b"nobody knows this"), *messages[1:]]
 
@@ -45,5 +53,6 @@ _SPOILED: dict[str, Callable[[list[bytearray]], list[object]]] = {
     "close_in_message": lambda messages: _half_surface(messages, CLOSE),
     "stall": lambda messages: _half_surface(messages, MUTE),
     "short_message": _short_surface,
+    "shifted_surface": _shifted_surface,
     "unknown_type": _unknown_type,
 }

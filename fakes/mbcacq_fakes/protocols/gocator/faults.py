@@ -19,6 +19,7 @@ FAULTS = {
     "old_stamp": "data sets carry a time stamp of long ago",
     "unknown_type": "a message of an unknown type comes before the surface",
     "short_message": "the surface message ends early, with a size field that agrees",
+    "shifted_surface": "one flipped bit in the header of the surface shifts it by 0.512 mm",
     "garbage": "random bytes instead of a message",
     "close_data": "the data connection is closed instead of sending",
     "close_in_message": "the data connection is closed in the middle of the surface message",

@@ -1,0 +1,149 @@
+"""The exposures of one pose: each is judged as it comes, and taken again where it contradicts the plan or the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from mbcacq.acquisition import events
+from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.expected_view import Centres, mean_centres, predicted_centres
+from mbcacq.acquisition.exposure_agreement import ExposureAgreement
+from mbcacq.acquisition.gate_options import GateOptions
+from mbcacq.acquisition.placement import PlacementCheck
+from mbcacq.acquisition.reconnect_policy import ReconnectingScanner
+from mbcacq.acquisition.view_prediction import ViewPrediction
+from mbcacq.devices import DeviceFault
+from mbcacq.model.cell import Artefact
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.field_of_view import margin
+
+
+class BallFinder(Protocol):
+    """Extracts ball centres from a scan."""
+
+    def __call__(self, points: np.ndarray, artefact: Artefact, *, expected: Sequence[int], predicted: np.ndarray) -> Centres:
+        """The balls found. points: (N, 3) mm; expected: (k,) ids; predicted: (k, 3) mm, all in the scanner frame."""
+        ...
+
+
+class Misplaced(DeviceFault):
+    """The artefact does not stand where the plan says."""
+
+
+@dataclass
+class GatedExposures:
+    """Takes the exposures of the poses of a run and judges them: by the field of view, by what the station's earlier poses and the
+    nominal arm predict, and by the other exposures of the pose."""
+
+    loaded: LoadedPlan
+    bus: EventBus
+    scanner: ReconnectingScanner
+    find_balls: BallFinder
+    placement: PlacementCheck
+    options: GateOptions = GateOptions()
+    asks_a_person: bool = False
+    _agreement: ExposureAgreement = field(init=False)
+    _prediction: ViewPrediction = field(init=False)
+
+    def __post_init__(self) -> None:
+        plan = self.loaded.plan
+        self._agreement = ExposureAgreement(plan.scanner.noise_mm, self.options)
+        self._prediction = ViewPrediction(self.loaded.cell, plan.station_tolerance_mm, self.options)
+
+    def take(self, pose: PlannedPose, q: np.ndarray, first: bool) -> tuple[list[Centres], str]:
+        """The exposures of a pose that agree, and ''; or what they contradict, as a clause, where it is to be left out.
+
+        q: (n,) rad as reached; ``first`` at its station. Raises Misplaced, and what the scanner raises.
+        """
+        taken: list[Centres] = []
+        contradiction, number = "", 0
+        if first:
+            self._prediction.new_station()
+            taken, number = self._placed(pose, q)
+        for exposure in range(number, pose.exposures + self.options.repeated_exposures):
+            if self._complete(pose, taken):
+                break
+            found = self._expose(pose, exposure)
+            if why := self._contradiction(pose, found, first):
+                contradiction = why
+                self.bus.gap("exposure", f"pose {pose.number}: {why}; the exposure was left out", pose.number)
+            else:
+                taken.append(found)
+        kept = self._complete(pose, taken)
+        if not kept:
+            return [], contradiction or self._difference(taken)
+        if len(kept) < len(taken):
+            self._name_left_out(pose, taken, kept)
+        found = [taken[k] for k in kept]
+        self._agreement.learn(found)
+        mean = mean_centres(found)
+        self._prediction.learn(pose, mean.ball, mean.xyz)
+        return found, ""
+
+    def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[Centres], int]:
+        """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""
+        found = self._expose(pose, 0)
+        if not (sentence := self._misplacement(pose, q, found)):
+            return [found], 1
+        again = self._expose(pose, 1)
+        if self._misplacement(pose, q, again):
+            raise Misplaced(sentence)
+        self.bus.gap("exposure", f"pose {pose.number}: {sentence}, but not in a second exposure; the first was left out", pose.number)
+        return [again], 2
+
+    def _misplacement(self, pose: PlannedPose, q: np.ndarray, found: Centres) -> str:
+        if len(found.ball) == 0 and not self.asks_a_person:
+            return ""  # nobody to ask: the pose is left out, and more of them end the run
+        return self.placement.fault(pose, q, found.ball, found.xyz)
+
+    def _expose(self, pose: PlannedPose, exposure: int) -> Centres:
+        scan = self.scanner.capture(self.loaded.plan.scanner.exposure_us)
+        self.bus.emit(events.ScanTaken, pose.number, exposure, scan)
+        if scan.health:
+            self.bus.emit(events.HealthReceived, "scanner", dict(scan.health))
+        for warning in scan.warnings:
+            self.bus.message("warning", f"pose {pose.number}: {warning}")
+        artefact = self.loaded.cell.artefact(pose.artefact)
+        predicted = predicted_centres(self.loaded.cell, pose)
+        found = self.find_balls(scan.points, artefact, expected=pose.balls, predicted=predicted)
+        self.bus.emit(events.CentresFound, pose.number, exposure, found.ball, found.xyz, found.n_points, found.rms_mm)
+        return found
+
+    def _contradiction(self, pose: PlannedPose, found: Centres, first: bool) -> str:
+        """What one exposure contradicts, as a clause, or ''."""
+        plan = self.loaded.plan
+        if not np.all(np.isfinite(found.xyz)):
+            return "a ball centre is no finite number"
+        if len(found.ball) == 0:
+            return ""
+        aimed = margin(plan.scanner.field_of_view, predicted_centres(self.loaded.cell, pose)).min(initial=0.0)
+        inside = margin(plan.scanner.field_of_view, found.xyz)
+        if inside.min() < aimed - plan.station_tolerance_mm:
+            worst = int(np.argmin(inside))
+            return f"ball {found.ball[worst]} appears {-inside[worst]:.0f} mm outside the scanner's field of view"
+        if first:
+            return ""  # what it would be compared with is not known yet
+        sigmas, away = self._prediction.deviation(pose, found.ball, found.xyz)
+        if sigmas > self.options.prediction_sigmas:
+            return f"its balls appear {away:.1f} mm from where the earlier poses at station '{pose.station}' put them"
+        return ""
+
+    def _complete(self, pose: PlannedPose, taken: list[Centres]) -> list[int]:
+        """Indices of the exposures that agree, as soon as they are enough and the majority; else none."""
+        agreeing = self._agreement.majority(taken) or []
+        return agreeing if len(agreeing) >= pose.exposures else []
+
+    def _difference(self, taken: list[Centres]) -> str:
+        distance, ball = self._agreement.largest_difference(taken)
+        return f"its exposures differ by {distance:.2f} mm at ball {ball}"
+
+    def _name_left_out(self, pose: PlannedPose, taken: list[Centres], kept: list[int]) -> None:
+        out = sorted(set(range(len(taken))) - set(kept))
+        text = f"pose {pose.number}: {self._difference(taken)}; {len(out)} of {len(taken)} exposures were left out"
+        if max(out) < min(kept):  # one place before, another one after
+            text += "; if the artefact was touched then, its station is no longer one place: resume with --again"
+        self.bus.gap("exposure", text, pose.number)

@@ -1,0 +1,31 @@
+"""Whole dry runs in which one exposure is wrong: nothing is averaged over it, and the run folder names it."""
+
+import numpy as np
+from test_lost_devices import readable, run_with
+
+from mbcacq.acquisition import events
+from mbcacq.recording import Recording, find_gaps
+
+
+def largest_scatter_mm(folder):
+    return max(float(np.max(row["scatter_mm"])) for row in Recording(folder / "run.rrd").observed())
+
+
+def test_a_flipped_bit_in_a_scan_header_costs_one_exposure(tmp_path):
+    error, folder = run_with(tmp_path, lambda cell: cell.faults.scanner("shifted_surface", times=1))
+    assert error is None
+    readable(folder, [0, 1, 2, 3], "success")
+    assert "differ by 0.5" in "; ".join(find_gaps(folder))
+    assert largest_scatter_mm(folder) < 0.05
+
+
+def test_an_artefact_bumped_between_two_exposures_is_named(tmp_path):
+    def bump(cell):
+        cell.faults.mishap("bumped_tripod", station="p1", shift_mm=(0.5, 0, 0), rotation_deg=(0, 0, 0))
+
+    error, folder = run_with(tmp_path, bump, at=(events.CentresFound, 2))
+    assert error is None
+    gaps = "; ".join(find_gaps(folder))
+    assert "pose 2: its exposures differ by 0.5" in gaps
+    assert "if the artefact was touched then" in gaps
+    assert largest_scatter_mm(folder) < 0.05
