@@ -10,7 +10,7 @@ class GateOptions:
     """Limits of one run. Lengths in mm, angles in rad. ``sigmas`` are multiples of a standard uncertainty."""
 
     # Agreement of the exposures of one pose. The sigma is the largest of the sphere fit's, the stated noise and the scatter seen so far.
-    agreement_sigmas: float = 6.0  # of the difference of two centres: by chance in none of a million exposures
+    agreement_sigmas: float = 6.0  # of the difference of two centres: far in the tail of a normal distribution
     least_disagreement_mm: float = 0.1  # one of three exposures off by less moves their mean by less than an arm's repeatability
     unstated_noise_factor: float = 4.0  # of the distance of the two closest exposures, where the plan states no noise of the scanner
 

@@ -25,7 +25,7 @@ class InfluenceOptions:
     """When joint noise contradicts a data sheet, and when one pose is the reason."""
 
     noise_factor: float = 3.0  # of the data sheet's: what arms in good order reach under other conditions than the sheet's (load, time)
-    false_alarms: float = 1e-3  # share of recordings without a wrong pose in which one is named; divided among the poses
+    false_alarms: float = 1e-3  # nominal level of the test, divided among the poses; the rate itself is not yet measured
     least_difference: float = 20.0  # of chi square to the second pose: odds of e^10; a wrong name is worse than none
     consistent_normal_deviate: float = 4.0  # of the chi square that remains: without the pose, the data sheet's noise must do
     least_dof: int = 6  # that must be left without the pose: fewer explain anything
@@ -116,6 +116,6 @@ def joint_noise_sentence(found: dict[str, Any]) -> str:
     if found["pose"] is None:
         return f"{text}; something is not in the model, or poses do not belong to it. mbcacq diagnose looks for it."
     return (
-        f"{text}, and pose {found['pose']} explains most of it: without it the hand-eye moves by "
-        f"{found['hand_eye_sigmas']:.1f} of its stated standard uncertainties. Look at that pose, or measure it again."
+        f"{text}. Pose {found['pose']} is the first to look at: without it most of the misfit goes, and the hand-eye moves by "
+        f"{found['hand_eye_sigmas']:.1f} of its stated standard uncertainties. Measure it again before it is left out."
     )

@@ -24,7 +24,7 @@ class PlanningLimits:
     assumed_top_speed: float = float(np.radians(180.0))  # rad/s in that cost, for an arm without stated speeds
 
     # Execution.
-    shortest_acceleration_time_s: float = 0.25  # to full speed, of an arm without stated accelerations: slower than any small arm's drives
+    shortest_acceleration_time_s: float = 0.25  # to full speed, of an arm without stated accelerations: a guess that errs on the slow side
     shortest_jerk_time_s: float = 0.05  # to full acceleration, without stated jerks: several periods of an arm's lowest vibration
 
     # Warnings about a single pose.
