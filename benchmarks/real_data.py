@@ -221,7 +221,7 @@ def run(folder: Path, out: Path) -> None:
     picture = spectrum(found, f"{folder.name}: periodic error of each joint, one order at a time")
     (out / f"{folder.name}-lines.svg").write_text(picture, encoding="utf-8")
     (out / f"{folder.name}.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    picture = bars(rows, list(splits), f"{folder.name}: what is left on poses that took no part (mm rms)")
+    picture = bars(rows, list(splits), f"{folder.name}: residual on held-out poses (mm rms)")
     (out / f"{folder.name}.svg").write_text(picture, encoding="utf-8")
 
 

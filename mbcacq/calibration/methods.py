@@ -39,7 +39,7 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
 
     def fit(obs: Observations) -> CellState:
         try:
-            import cv2
+            import cv2  # pyright: ignore[reportMissingImports]  # not a dependency: compared where it is installed
         except ImportError as error:
             raise CalibrationError("OpenCV is not installed; pip install 'opencv-python-headless<5'") from error
         if not hasattr(cv2, "calibrateHandEye"):

@@ -15,7 +15,7 @@ GRAVITY = 9.80665
 def mujoco() -> Any:
     """The engine. Raises ConfigError where it is not installed."""
     try:
-        import mujoco as engine
+        import mujoco as engine  # pyright: ignore[reportMissingImports]  # an extra, for the moving arm alone
     except ImportError as error:
         raise ConfigError("the moving fake arm needs MuJoCo; install it with: pip install 'mbcacq[dev]'") from error
     return engine

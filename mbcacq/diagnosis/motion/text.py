@@ -20,16 +20,16 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
     """Verdict, mismatch, effects with their parameters, and residuals on held-out data, in lines."""
     lines = [VERDICTS[diagnosis.verdict], ""]
     if diagnosis.mismatch:
-        lines.append("Where simulation and recording part:")
+        lines.append("Where model and data disagree:")
         for m in diagnosis.mismatch[:MOST_ROWS]:
             lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {m.share:.0%} ({CHANNELS[m.channel]})")
         lines.append("")
     for effect in diagnosis.effects:
         gain = effect.held_out_gain_here if isinstance(effect, MotionEffect) else effect.held_out_gain
         where = ", ".join(effect.where)
-        lines.append(f"{effect.name} at {where} (removes {gain:.1%} of the excess there, on data that took no part)")
+        lines.append(f"{effect.name} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
         lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
-    lines += ["", f"On data that took no part (by {diagnosis.split}):"]
+    lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
         held_out = c.held_out
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {held_out.before_rms:.4g} {c.unit} before, {held_out.after_rms:.4g} after")

@@ -26,16 +26,16 @@ def words(d: Diagnosis) -> str:
         lines.append(STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED)
     lines.append("")
     if d.mismatch:
-        lines.append("Where simulation and recording part:")
+        lines.append("Where model and data disagree:")
         lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {m.share:.0%}" for m in d.mismatch]
         lines.append("")
     for effect in d.effects:
         lines += describe(effect)
     held = d.fit.held_out
     lines.append(
-        f"On data that took no part (by {held.split}): {held.before_rms_mm:.4f} mm before, {held.after_rms_mm:.4f} mm after; "
+        f"On held-out data (by {held.split}): {held.before_rms_mm:.4f} mm before, {held.after_rms_mm:.4f} mm after; "
         f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; "
-        f"noise alone makes {d.fit.repeatability_floor_mm:.4f} mm."
+        f"expected from noise alone: {d.fit.repeatability_floor_mm:.4f} mm."
     )
     lines += [f"Cannot be told apart: {' and '.join(pair.effects)} (correlation {pair.correlation:.2f})" for pair in d.not_separable]
     lines += [f"Measure next: {a.reason}" for a in d.advice]
