@@ -26,7 +26,7 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
     files = controller_files.make(load(plan))
     written = controller_files.write(files, out, replace)
     for warning in files.get("WARNINGS.txt", "").splitlines():
-        click.echo(f"warning: {warning}", err=True)
+        echo(f"warning: {warning}", err=True)
     if as_json:
         echo(json.dumps({"files": [str(path) for path in written]}))
         return

@@ -39,13 +39,13 @@ def test_clean_cells_conceal_nothing_and_two_conceal_two_different():
     assert len(set(two.names)) == 2
 
 
-def test_without_times_nothing_that_creeps_is_concealed():
+def test_without_times_no_drift_is_injected():
     left = kinds("catalogue", ["time_s", "temperature"])
     assert "station_drift" not in left
     assert "thermal_growth" not in left
     assert "joint_compliance" in left
     assert "backlash" not in kinds("catalogue", ["direction"])
-    with pytest.raises(ConfigError, match="without direction none of the effects 'backlash' can be told"):
+    with pytest.raises(ConfigError, match="without direction none of the effects 'backlash' can be identified"):
         kinds("backlash", ["direction"])
 
 

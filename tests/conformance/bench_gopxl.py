@@ -33,7 +33,7 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
         given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
-        hasty = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
+        short_limits = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
 
         def use(scanner: GoPxL) -> None:
             before = len(asked)
@@ -48,5 +48,10 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             scanner.capture()
 
         yield Stand(
-            lambda **o: GoPxL("scanner", "3504", {**given, **o}), use, proxies, lambda: GoPxL("scanner", "3210", given), begin, hasty=hasty
+            lambda **o: GoPxL("scanner", "3504", {**given, **o}),
+            use,
+            proxies,
+            lambda: GoPxL("scanner", "3210", given),
+            begin,
+            short_limits=short_limits,
         )

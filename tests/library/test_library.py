@@ -154,16 +154,16 @@ def test_simulation_of_a_plan_is_that_of_its_poses(plan):
 
 def test_observations_are_exported_and_loaded(data, tmp_path):
     written = mbcacq.export(data, observations=tmp_path / "set")
-    assert written == [{"file": str(tmp_path / "set"), "poses": data.n_poses, "centres": data.n_centres}]
+    assert written == [{"simulated": True, "file": str(tmp_path / "set"), "poses": data.n_poses, "centres": data.n_centres}]
     np.testing.assert_allclose(mbcacq.load_observations(tmp_path / "set").xyz, data.xyz, atol=1e-9)
     with pytest.raises(ConfigError, match="already holds a set"):
         mbcacq.export(data, observations=tmp_path / "set")
 
 
 def test_results_are_exported_from_a_calibration_and_from_its_file(cell, tmp_path):
-    from_object = mbcacq.export(cell, results=tmp_path / "a")
+    from_object = mbcacq.export(cell, results=tmp_path / "a", simulated_anyway=True)
     (tmp_path / "result.json").write_text(cell.to_json(), encoding="utf-8")
-    mbcacq.export(tmp_path / "result.json", results=tmp_path / "b")
+    mbcacq.export(tmp_path / "result.json", results=tmp_path / "b", simulated_anyway=True)
     assert {Path(w["file"]).name for w in from_object} > {"result.json", "parameters.csv"}
     assert (tmp_path / "a" / "parameters.csv").read_text() == (tmp_path / "b" / "parameters.csv").read_text()
 
