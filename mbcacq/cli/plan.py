@@ -127,7 +127,7 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     poses = expand(new)
     rows = compare([(loaded, expand(loaded)), (new, poses)], seed)
     if sentence := scope_sentence(new, poses):
-        click.echo(sentence, err=True)
+        echo(sentence, err=True)
     if as_json:
         echo(
             json.dumps(
