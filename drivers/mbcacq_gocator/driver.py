@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -32,6 +32,7 @@ from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
+from mbcacq_gocator.named_errors import named
 from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.session import GocatorSession, check_unchanged
 
@@ -128,7 +129,7 @@ class Gocator:
                 raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
             try:
                 session = self._connect()
-                with _named(self.name):
+                with named(self.name):
                     return self._bracket(session)
             except IdentityError:
                 self._drop()
@@ -148,7 +149,7 @@ class Gocator:
     def _connect(self) -> GocatorSession:
         if self._session is not None:
             return self._session
-        with _named(self.name):
+        with named(self.name):
             self._place = located(self.options)
             session = GocatorSession(self._place, self.model, self._cancel.is_set, self._before)
             try:
@@ -221,15 +222,3 @@ class Gocator:
         session, self._session = self._session, None
         if session is not None:
             session.close()
-
-
-@contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Puts the device's name in front of the messages of errors that pass."""
-    prefix = f"scanner '{name}'"
-    try:
-        yield
-    except MbcacqError as error:
-        if error.args and not str(error.args[0]).startswith(prefix):
-            error.args = (f"{prefix}: {error.args[0]}", *error.args[1:])
-        raise

@@ -29,8 +29,8 @@ def simulated_file(solved, tmp_path):
 
 def test_a_calibration_of_simulated_observations_says_so(solved):
     _, observations, _, _ = solved
-    told = mbcacq.calibrate(replace(observations, cell=replace(observations.cell, simulated=True))).to_dict()
-    assert told["simulated"] is True
+    content = mbcacq.calibrate(replace(observations, cell=replace(observations.cell, simulated=True))).to_dict()
+    assert content["simulated"] is True
     assert "simulated" not in mbcacq.calibrate(observations).to_dict()
 
 

@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import tilted_plane
+from gopxl_scene import tilted_plane
 from mbcacq_fakes.protocols.gopxl import resources
 from mbcacq_gocator import generation
 from mbcacq_gocator.gopxl import discovery

@@ -31,7 +31,7 @@ def spying_program(tmp_path, monkeypatch):
     return script
 
 
-def told(folder: Path) -> dict[str, str]:
+def environment_of(folder: Path) -> dict[str, str]:
     return dict(line.split("=", 1) for line in (folder / "env").read_text().splitlines() if "=" in line)
 
 
@@ -61,7 +61,7 @@ def test_whatever_starts_the_program_gives_it_this_environment(spying_program, t
         open_viewer.view([a_run / "run.rrd"])
     else:
         rerun_program.run(["rrd", "verify", "x"])
-    assert told(tmp_path)["HTTPS_PROXY"] == "http://127.0.0.1:9"
+    assert environment_of(tmp_path)["HTTPS_PROXY"] == "http://127.0.0.1:9"
     assert json.loads((tmp_path / "analytics.json").read_text())["analytics_enabled"] is False
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -17,6 +16,7 @@ from mbcacq_gocator.gopxl.discovery import located
 from mbcacq_gocator.gopxl.options import GoPxLOptions
 from mbcacq_gocator.gopxl.session import Found, GoPxLSession
 from mbcacq_gocator.guard import HealthGuard
+from mbcacq_gocator.named_errors import named
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, right-handed, float32"),
@@ -118,14 +118,14 @@ class GoPxL:
 
     def _expose(self) -> Scan:
         session = self._connect()
-        with _named(self.name):
+        with named(self.name):
             scan = session.expose(self._exposure_us)
             return replace(scan, warnings=self._guard.look(scan.health))
 
     def _connect(self) -> GoPxLSession:
         if self._session is not None:
             return self._session
-        with _named(self.name):
+        with named(self.name):
             place = located(self.options)
             session = GoPxLSession(place, self.model, self._cancel.is_set, self._found)
             try:
@@ -146,15 +146,3 @@ class GoPxL:
         session, self._session = self._session, None
         if session is not None:
             session.close()
-
-
-@contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Puts the device's name in front of the messages of errors that pass."""
-    prefix = f"scanner '{name}'"
-    try:
-        yield
-    except MbcacqError as error:
-        if error.args and not str(error.args[0]).startswith(prefix):
-            error.args = (f"{prefix}: {error.args[0]}", *error.args[1:])
-        raise

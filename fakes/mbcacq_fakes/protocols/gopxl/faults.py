@@ -1,4 +1,4 @@
-"""Faults that a running fake GoPxL sensor can be told to have."""
+"""Faults that a running fake GoPxL sensor can be given."""
 
 from __future__ import annotations
 
