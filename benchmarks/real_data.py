@@ -21,7 +21,7 @@ import numpy as np  # noqa: E402
 from real_data_figures import bars, spectrum  # noqa: E402
 
 from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem  # noqa: E402
+from mbcacq.estimation.linear_problem import LinearProblem  # noqa: E402
 from mbcacq.effects.context import Context  # noqa: E402
 from mbcacq.recording import load_observations  # noqa: E402
 

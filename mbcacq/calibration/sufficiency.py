@@ -5,13 +5,11 @@ A plan before it is executed, a run at its end and a calibration of its recordin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.phases import select_phases
@@ -94,24 +92,6 @@ def _refuse_few_balls(obs: Observations) -> None:
         "fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "
         "stations undetermined; show at least three balls that are not on one line"
     )
-
-
-def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: CalibrationOptions) -> None:
-    """Raise CalibrationError if something is undetermined that would matter elsewhere in the workspace."""
-    harmful = [u for u in found if not u.harmless]
-    if not harmful or not options.refuse:
-        return
-    names = [u.name for u in harmful]
-    named = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-    hand_eye = any(name.startswith("hand_eye") for name in names)
-    n_stations = len(np.unique(obs.station))
-    if hand_eye:
-        advice = "add poses that turn the scanner about two different axes by 20 deg and more"
-    elif n_stations == 1 and obs.cell.measurement != TARGET_IN_BASE:
-        advice = "all poses are at one station: put the artefact at more places, at different heights and distances"
-    else:
-        advice = "add stations at other places and poses with a larger range of joint angles"
-    raise CalibrationError(f"the poses do not determine {named}; {advice}, or hold what is not needed")
 
 
 def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs: Observations, options: CalibrationOptions) -> None:

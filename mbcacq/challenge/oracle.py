@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -18,6 +16,8 @@ from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.validation import folds, predictive_score
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 
 FOLDS = 4
@@ -53,7 +53,7 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     known = bool(truth) and all(each)
     model, rest = EffectSet((*companions, *chain.from_iterable(each))), EffectSet(tuple(companions))
     linear = setup.linear
-    sigma = noise_with(linear, model, None, setup.prior_noise, setup.prior_noise)
+    sigma = noise_with(linear, model, None, setup.noise, setup.prior_noise)
     better = kept_centres(CandidateScoring.of(linear, sigma), model)
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
@@ -70,7 +70,7 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
         stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
         return [(c, None) for c in payload.correction_for(setup.context, stiffness)]
     chosen = []
-    screen = CandidateScoring.of(setup.linear, setup.prior_noise)
+    screen = CandidateScoring.of(setup.linear, setup.noise)
     for group in location_sets(effect):
         fitting = [c for c in setup.candidates if c.name == effect["name"] and set(c.where) == group]
         scored = []
@@ -114,11 +114,11 @@ def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str,
 def without_effect(with_it: Observations, without_it: Observations) -> Achievable:
     """For an effect outside the catalogue: held-out chi2 of the geometry alone, and in the same cell had nothing been injected."""
     clean = prepare(without_it)
-    sigma = noise_with(clean.linear, NO_EFFECTS, None, clean.prior_noise, clean.prior_noise)
+    sigma = noise_with(clean.linear, NO_EFFECTS, None, clean.noise, clean.prior_noise)
     return Achievable(held_out(prepare(with_it).linear, NO_EFFECTS, sigma), held_out(clean.linear, NO_EFFECTS, sigma), False)
 
 
-def held_out(linear: LinearProblem, model: EffectSet, sigma: NoiseEstimate, by_pose: bool = False) -> float:
+def held_out(linear: LinearProblem, model: EffectSet, sigma: Noise, by_pose: bool = False) -> float:
     """chi2 per degree of freedom on stations left out in turn. by_pose: on poses, for what happens to one station alone."""
     fold = np.arange(linear.obs.n_poses) % FOLDS if by_pose else folds.split(linear, FOLDS)[0]
     total = predictive_score.NO_CENTRES

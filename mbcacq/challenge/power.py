@@ -17,7 +17,6 @@ from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.nonparametric.model_comparison import log_restricted_likelihood
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
@@ -28,6 +27,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM_RATE, SelectionCriteria
+from mbcacq.estimation.options import Noise
 
 INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole
 CATALOGUE_LEVEL = 0.02  # false-alarm rate of a search over the whole catalogue
@@ -103,9 +103,9 @@ def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[Ef
     return EffectSet(tuple(members)), choices
 
 
-def geometry_noise(setup: DiagnosisProblem) -> NoiseEstimate:
+def geometry_noise(setup: DiagnosisProblem) -> Noise:
     """The noise of a model of the geometry alone."""
-    return noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise)
+    return noise_with(setup.linear, NO_EFFECTS, None, setup.noise, setup.prior_noise)
 
 
 def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:

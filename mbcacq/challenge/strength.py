@@ -10,9 +10,9 @@ import numpy as np
 
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import Injected, observe
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 LARGEST_STRENGTH = 30.0  # times its plain size: beyond this an effect that the plan cannot see stays weak
@@ -39,7 +39,7 @@ class Gauge:
         joint = TRUE_JOINT if urad is None else 1e-6 * float(urad)
         point = np.array(self.loaded.plan.scanner.noise_mm or (0.005, 0.005, 0.009)) / np.sqrt(self.poses[0].exposures)
         return CandidateScoring.of(
-            LinearProblem.of(observations, planned_state(self.loaded)), NoiseEstimate(point, np.full(self.loaded.cell.robot.n, joint))
+            LinearProblem.of(observations, planned_state(self.loaded)), Noise(point, np.full(self.loaded.cell.robot.n, joint))
         )
 
     def gain(self, scenario: Scenario, injected: Injected) -> float:

@@ -35,7 +35,9 @@ from mbcacq.cli.terminal import echo
 @click.option("--seed", default=0, show_default=True, help="Seed of the random choice.")
 @click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
 @click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
-@click.option("--release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable).")
+@click.option(
+    "--free", "--release", "release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable)."
+)
 @click.option("--hand-eye-only", is_flag=True, help="Take the arm as nominal; identify hand-eye and stations only.")
 @click.option(
     "--noise",

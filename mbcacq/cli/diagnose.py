@@ -23,7 +23,19 @@ from mbcacq.cli.terminal import echo
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
-def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None, rrd: Path | None, workers: int | None) -> None:
+@click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
+@click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
+@click.option("--free", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable).")
+def command(
+    data: tuple[Path, ...],
+    json_file: Path | None,
+    report: Path | None,
+    rrd: Path | None,
+    workers: int | None,
+    phases: tuple[str, ...],
+    hold: tuple[str, ...],
+    free: tuple[str, ...],
+) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
     In the folder of a run the diagnosis is kept (diagnosis.json, diagnosis.rrd): mbcacq report and mbcacq view show it from then on.
@@ -36,7 +48,8 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
     import mbcacq
     from mbcacq.workflow.load import is_run_folder
 
-    found = mbcacq.diagnose(data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers)
+    options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
+    found = mbcacq.diagnose(data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, options=options)
     if found.poses is not None:
         if report is not None:
             found.write_html(report)

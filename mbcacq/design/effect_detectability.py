@@ -14,12 +14,12 @@ import numpy as np
 
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.catalogue import candidates
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
 
@@ -72,7 +72,7 @@ def detectability(
     observations = planned_observations(loaded, poses, transits, starts)
     linear = LinearProblem.of(observations, planned_state(loaded))
     noise = planned_noise(loaded, poses)
-    problem = CandidateScoring.of(linear, NoiseEstimate(noise.point, noise.joint, noise.turn))
+    problem = CandidateScoring.of(linear, Noise(noise.point, noise.joint, noise.turn))
     found, missing = candidates(Context(observations, planned_state(loaded), linear.prediction))
     effects, remaining = [], {}
     for candidate in found:

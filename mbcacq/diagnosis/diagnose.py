@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.model_fit import ModelFit, fit_model
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.outlier_readmission import readmit_outliers
@@ -15,29 +16,37 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.verdict import WEAK, conclude
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
 Progress = Callable[[str], None]
 
 
-def diagnose(obs: Observations, folds: int | None = None, progress: Progress = lambda text: None, workers: int = 1) -> Diagnosis:
+def diagnose(
+    obs: Observations,
+    folds: int | None = None,
+    progress: Progress = lambda text: None,
+    workers: int = 1,
+    options: CalibrationOptions | None = None,
+) -> Diagnosis:
     """Locate the mismatch, explain it by effects, and validate these on data left out.
 
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
+    options: of the adjustment, as :func:`mbcacq.calibrate` takes them; the same poses, noise and geometry come out.
     Raises CalibrationError where the data do not even determine the geometry.
     """
     if obs.n_poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{obs.n_poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        return _diagnose(obs, folds, progress, workers)
+        return _diagnose(obs, folds, progress, workers, options_for(obs, options or CalibrationOptions()))
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 
 
-def _diagnose(obs: Observations, folds: int | None, progress: Progress, workers: int) -> Diagnosis:
+def _diagnose(obs: Observations, folds: int | None, progress: Progress, workers: int, options: CalibrationOptions) -> Diagnosis:
     progress("fitting the geometry")
-    problem = readmit_outliers(prepare(obs))
-    notes = []
+    problem = readmit_outliers(prepare(obs, options))
+    obs, notes = problem.linear.obs, []
     if obs.n_poses > OPTIONS.most_poses:
         problem = thinned(problem, problem.linear.keep, OPTIONS.most_poses)
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis import noise_consistent_ranking
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric import model_comparison, random_effects, residual_tests
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, kept_centres, noise_with, relinearized
@@ -20,6 +18,9 @@ from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.pruning import pruned
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior
 
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "prepare", "search_parametric_effects"]
 
@@ -36,7 +37,7 @@ class ModelFit:
     model: EffectSet
     smooth: RandomEffectsModel | None
     cells: tuple[MapCell, ...]
-    noise: NoiseEstimate
+    noise: Noise
     geometry_only: CandidateScoring
     conditioned: CandidateScoring
     residual_tests: ResidualTests | None
@@ -47,13 +48,13 @@ class SearchResult:
     """Parametric effects, the noise with them in place, the search that found them, the linearisation with them in place."""
 
     model: EffectSet
-    noise: NoiseEstimate
+    noise: Noise
     search: BeamSearch
     linear: LinearProblem
 
 
 def search_parametric_effects(
-    problem: DiagnosisProblem, linear: LinearProblem, plain: NoiseEstimate, relinearize: bool = True, threshold_reduction: float = 0.0
+    problem: DiagnosisProblem, linear: LinearProblem, plain: Noise, relinearize: bool = True, threshold_reduction: float = 0.0
 ) -> SearchResult:
     """Parametric effects, noise and linearisation in turns, until the set of effects stands still. plain: noise with geometry alone."""
     large = linear.obs.n_poses > OPTIONS.many_poses
@@ -123,7 +124,8 @@ def fit_model(
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
     if linear.obs.n_poses > OPTIONS.many_poses:
         return fit_long_recording(problem, linear, keep, reconsider, structure_expected)
-    plain = noise_with(linear, NO_EFFECTS, None, problem.prior_noise, problem.prior_noise)
+    settled = linear is problem.linear and reconsider  # the adjustment's own noise is of these centres
+    plain = problem.noise if settled else noise_with(linear, NO_EFFECTS, None, problem.noise, problem.prior_noise)
     reduction = OPTIONS.known_effect_reduction if effect_expected else 0.0
     found = search_parametric_effects(problem, linear, plain, keep is None, reduction)
     search, noise = found.search, found.noise
@@ -167,7 +169,7 @@ def fit_long_recording(
 ) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, linear.keep, OPTIONS.searched_poses)
-    plain = noise_with(small.linear, NO_EFFECTS, None, small.prior_noise, small.prior_noise)
+    plain = noise_with(small.linear, NO_EFFECTS, None, small.noise, small.prior_noise)
     found = search_parametric_effects(small, small.linear, plain, keep is None)
     model = transferred(small, problem, found.model)
     linear = relinearized(linear, model, found.noise)
@@ -192,7 +194,7 @@ def fit_long_recording(
     return ModelFit(model, smooth, (), projected.noise, projected, conditioned, tests)
 
 
-def examine_thinned(problem: DiagnosisProblem, small: DiagnosisProblem, model: EffectSet, noise: NoiseEstimate) -> ResidualTests:
+def examine_thinned(problem: DiagnosisProblem, small: DiagnosisProblem, model: EffectSet, noise: Noise) -> ResidualTests:
     """Residual tests of a thinned recording with the effects found on the whole of it."""
     projected = CandidateScoring.of(small.linear, noise)
     conditioned = conditioned_on_effects(projected, transferred(problem, small, model))
@@ -214,12 +216,10 @@ def random_effects_everywhere(
     return smooth, projected
 
 
-def noise_left_by(
-    linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel, start: NoiseEstimate, prior: NoiseEstimate
-) -> NoiseEstimate:
+def noise_left_by(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel, start: Noise, prior: NoisePrior) -> Noise:
     """Noise of what random effects leave, counting the coefficients they used."""
     remaining = linear.with_residual(linear.residual - smooth.columns @ smooth.coefficients)
     noise = noise_with(remaining, model, None, start, prior)
     rows = float(linear.keep.sum() * linear.width)
     grow = np.sqrt(rows / max(rows - smooth.used, 0.3 * rows))
-    return NoiseEstimate(noise.point * grow, noise.joint * grow, noise.rotation * grow)
+    return Noise(noise.point * grow, noise.joint * grow, noise.turn * grow)

@@ -11,20 +11,21 @@ from itertools import chain
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.nonparametric.model_comparison import log_restricted_likelihood
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior
 
 NEAR_MISS = 10.0  # chi2 by which a candidate may miss its threshold under the noise of nothing
 TRIED = 3  # candidates that are reconsidered
 MAX_DEFICIT = 25.0  # log posterior odds by which an alternative under the noise of another set may be behind
 
 
-def reconsider_near_misses(search: BeamSearch, linear: LinearProblem, noise: NoiseEstimate, prior_noise: NoiseEstimate) -> EffectSet:
+def reconsider_near_misses(search: BeamSearch, linear: LinearProblem, noise: Noise, prior_noise: NoisePrior) -> EffectSet:
     """What missed its threshold by little, under the noise half way between its own and that without it: single effects, and the best set.
 
     There the gain is the likelihood ratio to second order; under the noise without the effect (a score test) it is too small, under its
@@ -45,13 +46,13 @@ def reconsider_near_misses(search: BeamSearch, linear: LinearProblem, noise: Noi
     return best
 
 
-def geometric_mean(a: NoiseEstimate, b: NoiseEstimate) -> NoiseEstimate:
-    return NoiseEstimate(np.sqrt(a.point * b.point), np.sqrt(a.joint * b.joint), float(np.sqrt(a.rotation * b.rotation)))
+def geometric_mean(a: Noise, b: Noise) -> Noise:
+    return Noise(np.sqrt(a.point * b.point), np.sqrt(a.joint * b.joint), float(np.sqrt(a.turn * b.turn)))
 
 
 def compare_single_exchanges(
-    search: BeamSearch, linear: LinearProblem, model: EffectSet, noise: NoiseEstimate, prior_noise: NoiseEstimate
-) -> tuple[EffectSet, NoiseEstimate]:
+    search: BeamSearch, linear: LinearProblem, model: EffectSet, noise: Noise, prior_noise: NoisePrior
+) -> tuple[EffectSet, Noise]:
     """The most probable of a set and those that have another candidate in the place of one of its effects, with its noise."""
     projected = CandidateScoring.of(linear, noise)
     best = log_posterior(projected, model, prior_noise), model, noise
@@ -63,7 +64,7 @@ def compare_single_exchanges(
 
 
 def under_own_noise(
-    search: BeamSearch, linear: LinearProblem, model: EffectSet, start: NoiseEstimate, prior_noise: NoiseEstimate
+    search: BeamSearch, linear: LinearProblem, model: EffectSet, start: Noise, prior_noise: NoisePrior
 ) -> tuple[CandidateScoring, EffectSet | None]:
     """The problem under the noise that a set leaves, and the set solved there; None where physics forbids that."""
     there = CandidateScoring.of(linear, noise_with(linear, model, None, start, prior_noise))
@@ -87,7 +88,7 @@ def single_exchanges(search: BeamSearch, projected: CandidateScoring, model: Eff
     return out
 
 
-def log_posterior(projected: CandidateScoring, model: EffectSet, prior_noise: NoiseEstimate) -> float:
+def log_posterior(projected: CandidateScoring, model: EffectSet, prior_noise: NoisePrior) -> float:
     """Twice the log of the posterior of a set of effects and its noise, up to a constant."""
     likelihood = log_restricted_likelihood(projected, conditioned_on_effects(projected, model), prior_noise)
     return likelihood - (model.gain - model.log_posterior_odds)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.beam_search import BeamSearch
@@ -25,8 +24,8 @@ def readmit_outliers(problem: DiagnosisProblem) -> DiagnosisProblem:
     left = np.bincount(linear.obs.pose, linear.keep, linear.obs.n_poses)
     if rejected <= MANY * len(linear.keep) and int(np.sum(left == 0)) < WHOLE_POSES:
         return problem
-    noise = noise_with(linear, NO_EFFECTS, None, problem.prior_noise, problem.prior_noise)
-    everything = LinearProblem.of(linear.obs, linear.state, np.ones(len(linear.keep), bool))
+    noise = problem.noise
+    everything = linear.restricted(np.ones(len(linear.keep), bool))
     projected, search = CandidateScoring.of(everything, noise), BeamSearch([c for c in problem.candidates if not c.several])
     best, fewest = None, STILL_REJECTED * rejected
     for scored in search.expand(projected, NO_EFFECTS)[:TRIED]:
@@ -36,4 +35,7 @@ def readmit_outliers(problem: DiagnosisProblem) -> DiagnosisProblem:
         keep = kept_centres(projected, model)
         if np.sum(~keep) < fewest:
             best, fewest = keep, np.sum(~keep)
-    return problem if best is None else replace(problem, linear=everything.restricted(best))
+    if best is None:
+        return problem
+    better = everything.restricted(best)
+    return replace(problem, linear=better, noise=noise_with(better, NO_EFFECTS, None, noise, problem.prior_noise))

@@ -6,15 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized import geometry_fit
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation import parameters
+from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.estimation.identifiability import Undetermined
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
 
@@ -22,31 +26,41 @@ from mbcacq.model.observations import Observations
 class DiagnosisProblem:
     """The recording linearised at its geometric fit, and everything that may explain it.
 
-    dropped: effect -> what the recording lacks for it. prior_noise: as stated, the prior of the variance components. design_blocks: of
-    unmodelled effects; they depend on the poses alone.
+    dropped: effect -> what the recording lacks for it. noise: with geometry alone, as calibration estimates it. prior_noise: prior of the
+    variance components. undetermined: what the poses leave open of the geometry. design_blocks: of unmodelled effects; they depend on the
+    poses alone.
     """
 
     linear: LinearProblem
     context: Context
     candidates: list[Candidate]
     dropped: dict[str, str]
-    prior_noise: NoiseEstimate
+    noise: Noise
+    prior_noise: NoisePrior
     design_blocks: DesignBlocks
+    undetermined: tuple[Undetermined, ...] = ()
 
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
         """The same with another linearisation of the same poses, or with other centres kept."""
         return replace(self, linear=linear)
 
 
-def prepare(obs: Observations) -> DiagnosisProblem:
-    """Raises CalibrationError where the recording does not belong to this robot."""
-    prior_noise = geometry_fit.stated_noise(obs)
-    state, keep = geometry_fit.gauss_newton_fit(obs, prior_noise)
-    linear = LinearProblem.of(obs, state, keep)
-    context = Context(obs, state, linear.prediction)
+def prepare(obs: Observations, options: CalibrationOptions | None = None) -> DiagnosisProblem:
+    """The recording adjusted as calibration does it: the same poses, outliers, noise and geometry.
+
+    What the poses leave undetermined is held.
+
+    Raises CalibrationError where the recording contradicts the cell.
+    """
+    options = replace(options or CalibrationOptions(), refuse=False)
+    obs = select_phases(obs, options)
+    adjusted = adjust_recording(obs, options)
+    linear = LinearProblem.of(obs, adjusted.state, adjusted.used, layout=parameters.build(obs, options))
+    context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
-    candidates = with_detectability(linear, prior_noise, candidates)
-    return DiagnosisProblem(linear, context, candidates, dropped, prior_noise, DesignBlocks(context))
+    candidates = with_detectability(linear, adjusted.noise, candidates)
+    prior = noise_prior(obs.cell, options.noise)
+    return DiagnosisProblem(linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), tuple(adjusted.found))
 
 
 def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> DiagnosisProblem:
@@ -57,10 +71,10 @@ def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> Diagnosis
     chosen = np.zeros(obs.n_poses, bool)
     chosen[[rng.choice(part) for part in np.array_split(has[np.argsort(problem.context.order[has])], min(most, len(has)))]] = True
     small = obs.select(chosen)
-    linear = LinearProblem.of(small, problem.linear.state, keep[chosen[obs.pose]])
+    linear = LinearProblem.of(small, problem.linear.state, keep[chosen[obs.pose]], layout=problem.linear.layout)
     context = Context(small, problem.linear.state, linear.prediction)
     candidates = catalogue.candidates(context)[0]
-    return DiagnosisProblem(linear, context, candidates, problem.dropped, problem.prior_noise, DesignBlocks(context))
+    return replace(problem, linear=linear, context=context, candidates=candidates, design_blocks=DesignBlocks(context))
 
 
 def transferred(source: DiagnosisProblem, target: DiagnosisProblem, model: EffectSet) -> EffectSet:

@@ -113,7 +113,7 @@ def _figures(before: PredictiveScore, after: PredictiveScore) -> tuple[float, fl
 def expected_rms(full: ModelFit, fallback: float) -> float:
     """3D rms (mm) that the estimated noise alone makes at one centre; fallback: where no centre was kept."""
     linear, noise = full.geometry_only.linear, full.noise
-    joint = np.sum((linear.joint[:, :3] * noise.joint) ** 2, axis=(1, 2))
+    joint = np.sum((linear.joint_columns[:, :3] * noise.joint) ** 2, axis=(1, 2))
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
@@ -145,6 +145,8 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     """Sentences on what was left out of the diagnosis."""
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
     keep = full.geometry_only.linear.keep
+    if open_ones := [u.name for u in setup.undetermined if not u.harmless]:
+        out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")
     dropped = int(np.sum(~keep))
     if dropped:
         out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")

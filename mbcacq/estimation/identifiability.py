@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
@@ -64,6 +67,24 @@ def hold_undetermined(
         layout = layout.hold(found[-1].name, found[-1].reason)
         kept = np.delete(kept, worst)
     return layout, found
+
+
+def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: CalibrationOptions) -> None:
+    """Raise CalibrationError if something is undetermined that would matter elsewhere in the workspace."""
+    harmful = [u for u in found if not u.harmless]
+    if not harmful or not options.refuse:
+        return
+    names = [u.name for u in harmful]
+    named = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    hand_eye = any(name.startswith("hand_eye") for name in names)
+    n_stations = len(np.unique(obs.station))
+    if hand_eye:
+        advice = "add poses that turn the scanner about two different axes by 20 deg and more"
+    elif n_stations == 1 and obs.cell.measurement != TARGET_IN_BASE:
+        advice = "all poses are at one station: put the artefact at more places, at different heights and distances"
+    else:
+        advice = "add stations at other places and poses with a larger range of joint angles"
+    raise CalibrationError(f"the poses do not determine {named}; {advice}, or hold what is not needed")
 
 
 def workspace_information(

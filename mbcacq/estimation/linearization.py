@@ -11,6 +11,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 
 
@@ -43,10 +44,13 @@ class Lineariser:
         return prediction, forward_model.residual(self.obs, prediction)
 
     def __call__(self, estimate: Estimate) -> Linearization:
-        obs, rows = self.obs, self.rows
         prediction, residual = self.residual(estimate)
+        return self.at(estimate.state.chain, prediction, residual)
+
+    def at(self, chain: Chain, prediction: forward_model.Prediction, residual: np.ndarray) -> Linearization:
+        """The columns at a prediction by an arm ``chain``, next to any residual (M, R)."""
+        obs, rows = self.obs, self.rows
         order = rows.order
-        chain = estimate.state.chain
         G = rows.pad(prediction.gradient)
         twists = chain.parameter_twists(prediction.frames, obs.q).reshape(obs.n_poses, -1, 6)
         mount = np.swapaxes(se3.adjoint(prediction.T_base_scanner), 1, 2)

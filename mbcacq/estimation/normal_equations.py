@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.estimation.whitening import PoseRows
+from mbcacq.estimation.whitening import PoseRows, Whitening
 
 # Share of a station's largest information below which a direction is unobservable: balls on one line but for a lever 3000 times smaller.
 UNOBSERVABLE = 1e-7
@@ -75,6 +75,14 @@ class Normal:
         """(S', 6) best local twists of the stations after a step (g,) of the parameters."""
         return np.einsum("sij,sj->si", self.station_root, self.station_b - self.reduced @ step)
 
+    def fitted(self, X: np.ndarray) -> np.ndarray:
+        """(P, B R): what the parameters and stations that minimise the cost explain of the residual; X as given to the constructor."""
+        g = self.size
+        H = self.information
+        step = np.linalg.solve(H + 1e-14 * np.diag(H).max(initial=1.0) * np.eye(g), self.gradient)
+        stations = self.station_step(step)[self.rows.run]
+        return X[..., :g] @ step + (X[..., g : g + 6] @ stations[:, :, None])[..., 0]
+
     def reduce(self, A: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows (P, m, g) and (P, m, 6) of any linear form, as (P, m, g) and (P, m, 6) so that its variance is
         x C x' + y y', with C the covariance of the parameters."""
@@ -86,3 +94,12 @@ class Normal:
         back = self.station_root @ self.reduced
         own = self.station_root @ np.swapaxes(self.station_root, 1, 2)
         return own + back @ C @ np.swapaxes(back, 1, 2)
+
+
+@dataclass(frozen=True)
+class WhitenedSystem:
+    """A whitened problem: X (P, B R, g + 7), columns of the g parameters, of the pose's own station (6) and the residual (1)."""
+
+    whitening: Whitening
+    X: np.ndarray
+    normal: Normal

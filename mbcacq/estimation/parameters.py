@@ -13,6 +13,7 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.terms import Term
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
@@ -94,7 +95,7 @@ def build(observations: Observations, options: CalibrationOptions) -> ParameterL
     """
     cell = observations.cell
     blocks = [_chain(cell, options), _hand_eye(observations), _balls(observations, options)]
-    layout = ParameterLayout((*blocks, *(_term(t) for t in options.terms)))
+    layout = ParameterLayout((*blocks, *(term_block(t) for t in options.terms)))
     for name in options.hold:
         layout = layout.hold(name, "held on request")
     return layout
@@ -152,7 +153,8 @@ def _balls(obs: Observations, options: CalibrationOptions) -> ParameterBlock:
     )
 
 
-def _term(term) -> ParameterBlock:
+def term_block(term: Term) -> ParameterBlock:
+    """The block of a term's coefficients, all free."""
     scale = np.where(np.isfinite(term.sigma), term.sigma, 1.0)
     return ParameterBlock(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale)
 

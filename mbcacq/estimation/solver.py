@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.estimation.linearization import Lineariser, Linearization
-from mbcacq.estimation.normal_equations import Normal, Prior
+from mbcacq.estimation.normal_equations import Normal, Prior, WhitenedSystem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.whitening import Whitening
@@ -43,6 +43,10 @@ class Solution:
     @property
     def cost(self) -> float:
         return self.normal.cost
+
+    @property
+    def system(self) -> WhitenedSystem:
+        return WhitenedSystem(self.whitening, self.X, self.normal)
 
 
 def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: Weights, iterations: int = 0) -> Solution:
@@ -102,9 +106,10 @@ def gauss_newton_step(normal: Normal, scale: np.ndarray, damping: float) -> np.n
 
 
 def prior_rows(cell: Cell, layout: ParameterLayout, estimate: Estimate, stations: np.ndarray) -> Prior:
-    """Certificates, priors of terms, and the placements that were given, at an estimate."""
+    """Certificates, priors of the arm and of terms, and the placements that were given, at an estimate."""
     balls = (estimate.state.balls - cell.ball_centres).reshape(-1)
-    offsets = [np.zeros(len(layout.blocks[0].names)), np.zeros(6), balls, *estimate.coefficients]
+    arm = (estimate.state.chain.rows - cell.robot.chain.rows).reshape(-1)
+    offsets = [arm, np.zeros(6), balls, *estimate.coefficients]
     offset = np.concatenate([o[b.free] for o, b in zip(offsets, layout.blocks, strict=True)])
     information = np.zeros((len(stations), 6, 6))
     twist = np.zeros((len(stations), 6))

@@ -7,12 +7,14 @@ accounted for through the traces.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.estimation.normal_equations import Normal, WhitenedSystem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.solver import Solution
+from mbcacq.estimation.whitening import Whitening
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is unknown.
@@ -28,6 +30,11 @@ class NoisePrior:
     centre: np.ndarray
     precision: np.ndarray
 
+    def log_density(self, noise: Noise) -> float:
+        """Log density of a noise, up to a constant."""
+        off = pack(noise) - self.centre
+        return -0.5 * float(off @ self.precision @ off)
+
 
 def first_noise(cell: Cell) -> Noise:
     """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach."""
@@ -40,8 +47,12 @@ def first_noise(cell: Cell) -> Noise:
     return Noise(point, np.full(chain.n, repeatability / 4 / (0.5 * reach)), 1e-4)
 
 
-def noise_prior(cell: Cell, noise: Noise, option: str) -> NoisePrior:
-    """option: 'auto', 'given' or 'estimate'. Joints share an unknown common level and differ from it by JOINT."""
+def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
+    """Prior about :func:`first_noise`. option: 'auto', 'given' or 'estimate'.
+
+    Joints share an unknown common level and differ from it by JOINT.
+    """
+    noise = first_noise(cell)
     n = len(noise.joint)
     stated = {"auto": STATED, "given": EXACT, "estimate": GUESSED}[option] if cell.noise_mm is not None else GUESSED
     common, single = (EXACT, EXACT) if option == "given" and cell.robot.repeatability_mm else (COMMON, JOINT)
@@ -61,9 +72,21 @@ def unpack(theta: np.ndarray) -> Noise:
     return Noise(value[:3], value[3:-1], float(value[-1]))
 
 
-def reml_step(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
-    """One step of average-information scoring (REML) at a converged solution; also the largest change of a logarithm."""
-    score, information = reml_score_and_information(solution, noise)
+def restricted_maximum_likelihood(
+    system: Callable[[Noise], WhitenedSystem], start: Noise, prior: NoisePrior, rounds: int = 12, tolerance: float = 0.02
+) -> Noise:
+    """Most probable noise of a linear problem, whose whitened system under any noise ``system`` gives."""
+    noise = start
+    for _ in range(rounds):
+        noise, change = reml_step(system(noise), noise, prior)
+        if change < tolerance:
+            break
+    return noise
+
+
+def reml_step(system: WhitenedSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
+    """One step of average-information scoring (REML); also the largest change of a logarithm."""
+    score, information = reml_score_and_information(system, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
@@ -72,11 +95,11 @@ def reml_step(solution: Solution, noise: Noise, prior: NoisePrior) -> tuple[Nois
     return unpack(moved), float(np.abs(moved - theta).max())
 
 
-def reml_score_and_information(solution: Solution, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+def reml_score_and_information(system: WhitenedSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas."""
-    W, normal = solution.whitening, solution.normal
+    W, normal = system.whitening, system.normal
     rows, g = normal.rows, normal.size
-    X, r = solution.X[..., : g + 6], solution.X[..., g + 6 :]
+    X, r = system.X[..., : g + 6], system.X[..., g + 6 :]
     root = np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
     back = W.transpose(np.concatenate([X, r], axis=2))  # inverse covariance times columns and residual
     n, width = len(noise.joint), rows.width
@@ -115,13 +138,13 @@ def reml_score_and_information(solution: Solution, noise: Noise) -> tuple[np.nda
     return score, 2 * information
 
 
-def _leverage(normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _leverage(normal: Normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Variance (P, m) of linear forms (P, m, g + 6), from parameters and stations."""
     a, y = normal.reduce(rows[..., : normal.size], rows[..., normal.size :])
     return np.sum((a @ root.T) ** 2, axis=2) + np.sum(y**2, axis=2)
 
 
-def _own_trace(W) -> np.ndarray:
+def _own_trace(W: Whitening) -> np.ndarray:
     """(P, B R): diagonal of W'W, the inverse covariance."""
     inverse = np.linalg.inv(np.swapaxes(W.J, 1, 2) @ W.J + np.eye(W.J.shape[2]))
     share = np.einsum("pij,pjk,pik->pi", W.J, inverse, W.J, optimize=True)

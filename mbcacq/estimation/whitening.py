@@ -42,6 +42,12 @@ class PoseRows:
         rows = blocks.reshape(self.n_poses * self.depth, -1, *blocks.shape[2:])
         return rows if self.full else rows[self.slot]
 
+    def per_pose(self, blocks: np.ndarray) -> np.ndarray:
+        """Blocks (P, ...) in the order of the observations' poses."""
+        out = np.empty_like(blocks)
+        out[self.order] = blocks
+        return out
+
     def by_station(self, per_pose: np.ndarray) -> np.ndarray:
         """Sums (P, ...) over the poses of each station in use: (S', ...), in the order of ``stations``."""
         return np.add.reduceat(per_pose, self.first, axis=0)
@@ -79,3 +85,26 @@ class Whitening:
         X = blocks - self.J @ (np.swapaxes(self.M, 1, 2) @ (np.swapaxes(self.J, 1, 2) @ blocks))
         X *= self.scale
         return X
+
+
+class CentreWhitening:
+    """The same whitening of rows that are given centre by centre: (M, R) or (M, R, k) become (M R,) or (M R, k) of unit variance.
+
+    Centres that are not kept have rows of zero. log_det: log determinant of the covariance of the rows kept.
+    """
+
+    def __init__(self, rows: PoseRows, joint: np.ndarray, noise: Noise, keep: np.ndarray):
+        """joint: (P, B R, n) derivative by the joints; keep: (M,) bool."""
+        self.rows = rows
+        self.blocks = Whitening(rows, joint, noise, keep.astype(float), np.ones(rows.n_poses))
+        self.log_det = float(self.blocks.log_det + 2 * keep.sum() * np.log(noise.row_sigma(rows.width)).sum())
+
+    def __call__(self, columns: np.ndarray) -> np.ndarray:
+        flat = columns if columns.ndim == 3 else columns[..., None]
+        out = self.rows.unpad(self.blocks(self.rows.pad(flat))).reshape(-1, flat.shape[2])
+        return out if columns.ndim == 3 else out[:, 0]
+
+    def pose_products(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """(P, c, z): left'right over the rows of each pose; left (M R, c), right (M R, z), whitened or not."""
+        a, b = (self.rows.pad(x.reshape(-1, self.rows.width, x.shape[1])) for x in (left, right))
+        return self.rows.per_pose(np.swapaxes(a, 1, 2) @ b)

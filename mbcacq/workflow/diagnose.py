@@ -11,6 +11,7 @@ from typing import Any
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
 from mbcacq.diagnosis.result import FORMAT, Diagnosis, EffectFound
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
@@ -131,13 +132,18 @@ class DiagnosisResult:
 
 
 def diagnose(
-    data: Data | Sequence[Data], *, progress: Callable[[str], None] = lambda text: None, workers: int | None = None
+    data: Data | Sequence[Data],
+    *,
+    progress: Callable[[str], None] = lambda text: None,
+    workers: int | None = None,
+    options: CalibrationOptions | None = None,
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
     data: observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets), one or
     several together. Of a run whose controller recorded torques or joint-side angles, the motion between the poses is compared too.
-    progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core).
+    progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core). options: of the
+    adjustment of poses, as :func:`mbcacq.calibrate` takes them (which phases are used, what is held).
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
@@ -149,7 +155,7 @@ def diagnose(
     (one,) = several
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
-    found = diagnose_poses(as_observations(one), progress, workers)
+    found = diagnose_poses(as_observations(one), progress, workers, options)
     return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
 
 
@@ -160,12 +166,16 @@ def diagnose_motion(trajectories: Sequence[Trajectory | Path | str]) -> Diagnosi
     return DiagnosisResult(motion=diagnose_trajectories(as_trajectories(trajectories)))
 
 
-def diagnose_poses(observations: Observations, progress: Callable[[str], None], workers: int | None) -> DiagnosisResult:
+def diagnose_poses(
+    observations: Observations, progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None = None
+) -> DiagnosisResult:
     """The diagnosis of poses at standstill. Raises CalibrationError."""
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
-    return DiagnosisResult(room.diagnose(observations, progress=progress, workers=workers or cores()), observations=observations)
+    return DiagnosisResult(
+        room.diagnose(observations, progress=progress, workers=workers or cores(), options=options), observations=observations
+    )
 
 
 def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:

@@ -8,8 +8,8 @@ from cells import scanner_cell
 
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.influence import deletions
-from mbcacq.calibration.maximum_likelihood import adjust
 from mbcacq.cli.tables import remarks
+from mbcacq.estimation.adjustment import adjust
 from mbcacq.estimation.solver import Weights, solve
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, scalar_report
-from mbcacq.estimation import forward_model
+from mbcacq.estimation import forward_model, initial_guess
 from mbcacq.estimation.forward_model import CellState, Displacements
 from mbcacq.estimation.terms import Part, accumulate, term
 from mbcacq.geometry import se3
@@ -141,17 +141,22 @@ def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:
     return errors
 
 
+def nominal_state(obs: Observations) -> CellState:
+    """The arm and the hand-eye as stated, the stations where the measured points put them then."""
+    robot, T_flange_scanner = obs.cell.robot, obs.cell.T_flange_scanner
+    stations = initial_guess.place_stations(obs, robot.chain.flange(obs.q), T_flange_scanner)
+    return CellState(robot.chain, T_flange_scanner, stations, obs.cell.ball_centres.copy())
+
+
 def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE) -> Observations:
     """The poses of a recording measured again in another cell.
 
     effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the context that
     return displacements. outliers: share of centres that are off by millimetres.
     """
-    from mbcacq.diagnosis.linearized import geometry_fit
-
     rng = np.random.default_rng(seed)
     obs = template
-    start = geometry_fit.initial_state(obs)
+    start = nominal_state(obs)
     state = CellState(
         obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)),
         obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),

@@ -20,7 +20,7 @@ def setup(plan):
 
 @pytest.mark.parametrize("effects", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
 def test_batch_gains_equal_those_of_each_candidate_alone(setup, effects):
-    projected = CandidateScoring.of(setup.linear, setup.prior_noise)
+    projected = CandidateScoring.of(setup.linear, setup.noise)
     chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in effects]
     here = projected.conditioned_on([(projected.block(c, None), np.zeros(c.k)) for c in chosen])
 
@@ -36,7 +36,7 @@ def test_batch_gains_equal_those_of_each_candidate_alone(setup, effects):
 
 def test_expand_leaves_out_only_candidates_below_their_threshold(setup):
     """The filter leaves out what cannot pay, and nothing else: without it the best are the same."""
-    projected = CandidateScoring.of(setup.linear, setup.prior_noise)
+    projected = CandidateScoring.of(setup.linear, setup.noise)
     search = BeamSearch(setup.candidates)
 
     kept = search.expand(projected, NO_EFFECTS)

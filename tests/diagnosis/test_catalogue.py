@@ -3,7 +3,6 @@
 import numpy as np
 import simulated
 
-from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.estimation import forward_model
@@ -36,7 +35,7 @@ def test_every_effect_of_the_contract_has_a_file():
 
 def test_scans_multiply_the_same_functions_as_built_columns(plan):
     obs = simulated.observe(plan, 31)
-    state = geometry_fit.initial_state(obs)
+    state = simulated.nominal_state(obs)
     context = Context(obs, state, forward_model.predict(obs, state))
     scanned = [c for c in catalogue.candidates(context)[0] if c.separable]
     assert scanned
@@ -51,7 +50,7 @@ def test_scans_multiply_the_same_functions_as_built_columns(plan):
 
 
 def test_gravity_moment_about_a_joint_axis_is_its_torque(plan):
-    state = geometry_fit.initial_state(plan)
+    state = simulated.nominal_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     for i in range(s.n):
         about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]

@@ -22,7 +22,7 @@ def by_location(candidates, name):
 def test_elasticity_is_detectable_where_the_load_is(setup):
     elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
     light = [replace(elastic[1], typical=1e-4 * elastic[1].typical)]
-    detectability = by_location(with_detectability(setup.linear, setup.prior_noise, [elastic[0], *light]), "joint_compliance")
+    detectability = by_location(with_detectability(setup.linear, setup.noise, [elastic[0], *light]), "joint_compliance")
 
     assert detectability["A2"] > 0.9
     assert detectability["A3"] == pytest.approx(OPTIONS.least_detectability, abs=0.01)
@@ -31,8 +31,8 @@ def test_elasticity_is_detectable_where_the_load_is(setup):
 def test_detectability_is_by_chi2_at_the_typical_size(setup):
     """Four of chi2 is the middle; a tenth of the noise makes a hundred times as much of it."""
     joints = [c for c in setup.candidates if c.name == "joint_scale"]
-    tenth = replace(setup.prior_noise, point=setup.prior_noise.point / 10, joint=setup.prior_noise.joint / 10)
-    coarse, fine = (by_location(with_detectability(setup.linear, noise, joints), "joint_scale") for noise in (setup.prior_noise, tenth))
+    tenth = replace(setup.noise, point=setup.noise.point / 10, joint=setup.noise.joint / 10)
+    coarse, fine = (by_location(with_detectability(setup.linear, noise, joints), "joint_scale") for noise in (setup.noise, tenth))
     small = by_location(with_detectability(setup.linear, tenth, [replace(c, typical=c.typical / 10) for c in joints]), "joint_scale")
 
     for joint, one in coarse.items():

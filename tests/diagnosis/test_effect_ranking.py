@@ -55,7 +55,7 @@ def test_an_effect_absorbed_by_the_noise_is_reconsidered(plan):
     """Lost motion makes its joint look like one that repeats badly: under that noise it is not significant, under a noise half as wrong it is."""
     observed = simulated.observe(plan, 139, [("backlash", ("A1",), [6e-6], None)])
     setup = model_fit.prepare(observed)
-    sigma = noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise)
+    sigma = noise_with(setup.linear, NO_EFFECTS, None, setup.noise, setup.prior_noise)
     search = BeamSearch(setup.candidates)
 
     looked = noise_consistent_ranking.reconsider_near_misses(search, setup.linear, sigma, setup.prior_noise)
@@ -137,7 +137,7 @@ def test_one_unmodelled_effect_is_not_split_into_many_parametric_ones(plan):
     two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
     for effects, one_block in (([twist], True), (two, False)):
         setup = model_fit.prepare(simulated.observe(plan, 168, effects))
-        projected = CandidateScoring.of(setup.linear, noise_with(setup.linear, NO_EFFECTS, None, setup.prior_noise, setup.prior_noise))
+        projected = CandidateScoring.of(setup.linear, noise_with(setup.linear, NO_EFFECTS, None, setup.noise, setup.prior_noise))
         found = BeamSearch(setup.candidates, context=setup.context).beam_search(projected)
 
         assert len(found.effects) > 1

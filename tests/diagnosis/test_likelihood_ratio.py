@@ -7,7 +7,6 @@ import simulated
 from scipy.stats import chi2, kstest
 
 from mbcacq.challenge.power import likelihood_ratio, with_estimated_hypers
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet
 
@@ -24,7 +23,8 @@ def test_likelihood_ratio_without_an_effect_is_chi_square(plan):
     tail = []
     for seed in range(16):
         setup = prepare(simulated.observe(plan, 900 + seed))
-        setup = replace(setup, prior_noise=NoiseEstimate(setup.prior_noise.point * 1.2, setup.prior_noise.joint * 1.5))
+        wrong = np.log(np.concatenate([[1.2] * 3, [1.5] * 6, [1.0]]))
+        setup = replace(setup, prior_noise=replace(setup.prior_noise, centre=setup.prior_noise.centre + wrong))
         sought = [c for c in setup.candidates if c.key in SOUGHT]
         tail += [chi2.sf(max(likelihood_ratio(setup, EffectSet(((c, None),))), 0.0), c.k) for c in sought]
 

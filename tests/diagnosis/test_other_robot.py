@@ -13,5 +13,5 @@ from mbcacq.errors import CalibrationError
 @pytest.mark.parametrize("spoil", [np.radians, lambda q: q[:, [0, 1, 2, 4, 3, 5]]], ids=["angles in rad", "joints exchanged"])
 def test_angles_of_another_robot_are_refused(plan, spoil):
     obs = simulated.observe(plan, 7)
-    with pytest.raises(CalibrationError, match="does not belong to this robot"):
+    with pytest.raises(CalibrationError, match="miss each other by"):
         diagnose(replace(obs, q=spoil(obs.q)))

@@ -8,7 +8,6 @@ import pytest
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
 from mbcacq.effects.pose import payload
@@ -74,7 +73,7 @@ def test_elastic_joints_are_not_reported_as_a_wrong_payload(seeing):
 def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
     from mbcacq.estimation import forward_model
 
-    state = geometry_fit.initial_state(plan)
+    state = simulated.nominal_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     arm, mass, com = plan.cell.robot, 4.2, np.array([30.0, -20, 90])
     none = np.zeros(s.n)
@@ -87,7 +86,7 @@ def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
 def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
     from mbcacq.estimation import forward_model
 
-    state = geometry_fit.initial_state(plan)
+    state = simulated.nominal_state(plan)
     s = Context(plan, state, forward_model.predict(plan, state))
     assert payload.candidates(s) == []
     assert payload.correction_for(s, {}) == []

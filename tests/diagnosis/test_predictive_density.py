@@ -41,9 +41,7 @@ def test_predictive_densities_obey_the_chain_rule(plan):
     def chained(model, order):
         seen, total = np.isin(station, order[:2]), 0.0
         for k in order[2:]:
-            total += predictive_score.held_out_score(
-                linear, seen, station == k, model, None, setup.prior_noise
-            ).negative_log_predictive_density
+            total += predictive_score.held_out_score(linear, seen, station == k, model, None, setup.noise).negative_log_predictive_density
             seen = seen | (station == k)
         return total
 
@@ -62,7 +60,7 @@ def test_poorly_determined_coefficients_stay_near_zero(plan):
     columns, sigma = columns_of(setup.linear, model, None)
     parts = predictive_score.effect_columns(model, columns.shape[2])
 
-    free = Posterior.of(setup.linear.whitener(setup.prior_noise), columns, sigma, setup.linear.residual)
+    free = Posterior.of(setup.linear.whitener(setup.noise), columns, sigma, setup.linear.residual)
     sized = free.with_estimated_prior(model, parts)
 
     shift, turn = parts[0].start, slice(parts[0].start + 3, parts[0].stop)

@@ -73,7 +73,7 @@ def test_a_large_effect_is_not_replaced_by_a_block_at_its_own_location():
 
 def test_a_column_that_vanishes_in_these_data_makes_no_random_effect(plan):
     setup = prepare(simulated.observe(plan, 17, [("joint_compliance", ("A2",), [2e-5], None)]))
-    projected = CandidateScoring.of(setup.linear, setup.prior_noise)
+    projected = CandidateScoring.of(setup.linear, setup.noise)
     cell = EvidenceMap(projected, setup.design_blocks).evaluate(projected).best()
     for group in setup.design_blocks.groups:
         group.functions[:] = 0.0

@@ -6,7 +6,6 @@ import numpy as np
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.linearized import geometry_fit
 from mbcacq.diagnosis.nonparametric import joint_travel
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
@@ -15,7 +14,7 @@ from mbcacq.estimation.forward_model import Displacements
 
 
 def context_of(obs):
-    state = geometry_fit.initial_state(obs)
+    state = simulated.nominal_state(obs)
     return Context(obs, state, forward_model.predict(obs, state))
 
 

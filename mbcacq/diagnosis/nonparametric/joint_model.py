@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.variance_components import restricted_maximum_likelihood
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
-from mbcacq.estimation.terms import accumulate, term
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.outliers import outlier_distances, reject_outliers
+from mbcacq.estimation.solver import Weights
+from mbcacq.estimation.terms import term
+from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
+
+
+def effect_columns(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None) -> tuple[np.ndarray, np.ndarray]:
+    """Parametric effects and random effects: columns (M, R, k) and prior sigma (k,)."""
+    blocks = [linear.columns(candidate.build(hyper)) for candidate, hyper in model.effects]
+    widths = [prior_sigma(candidate) for candidate, _ in model.effects]
+    if smooth is not None:
+        blocks.append(smooth.columns)
+        widths.append(smooth.sigma)
+    nothing = np.zeros((*linear.residual.shape, 0))
+    return np.concatenate([nothing, *blocks], axis=2), np.concatenate([np.zeros(0), *widths])
 
 
 def columns_of(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None) -> tuple[np.ndarray, np.ndarray]:
     """Free geometry, parametric effects and random effects together: (M, R, z) and prior sigma (z,)."""
-    columns, sigma, _ = linear.nuisance()
-    blocks, widths = [columns], [sigma]
-    for candidate, hyper in model.effects:
-        blocks.append(linear.columns(candidate.build(hyper)))
-        widths.append(prior_sigma(candidate))
-    if smooth is not None:
-        blocks.append(smooth.columns)
-        widths.append(smooth.sigma)
-    return np.concatenate(blocks, axis=2), np.concatenate(widths)
+    parts = linear.nuisance(), effect_columns(linear, model, smooth)
+    return np.concatenate([columns for columns, _ in parts], axis=2), np.concatenate([sigma for _, sigma in parts])
 
 
-def noise_with(
-    linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None, start: NoiseEstimate, prior: NoiseEstimate
-) -> NoiseEstimate:
+def noise_with(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None, start: Noise, prior: NoisePrior) -> Noise:
     """Restricted maximum likelihood estimate of the noise with a model in place."""
-    return restricted_maximum_likelihood(linear, *columns_of(linear, model, smooth), start, prior)
+    columns, sigma = effect_columns(linear, model, smooth)
+    return restricted_maximum_likelihood(lambda noise: linear.system(noise, columns, sigma), start, prior)
 
 
 def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> CandidateScoring:
@@ -47,36 +50,21 @@ def conditioned_on_random_effects(projected: CandidateScoring, smooth: RandomEff
 
 
 def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
-    """(M,) bool of the centres that are no outliers with the model in place, by instrument and joint noise."""
+    """(M,) bool of the centres that are no outliers with the model in place, by the rule of the adjustment."""
     linear = projected.linear
     columns, sigma = columns_of(linear, model, None)
     Z = projected.whiten(columns) * sigma
     normal = Z.T @ Z
     residual = linear.residual - columns @ (sigma * np.linalg.solve(normal + np.eye(len(sigma)), Z.T @ projected.r0))
-    J = linear.joint * projected.noise.joint
-    S = J @ np.swapaxes(J, 1, 2)
-    S[:, np.arange(linear.width), np.arange(linear.width)] += projected.noise.rows(linear.width) ** 2
-    square = np.einsum("mr,mr->m", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
-    typical = max(float(np.median(square[linear.keep])) / chi2.median(linear.width), 1.0)
-    return square < typical * chi2.isf(OPTIONS.outlier_level, linear.width)
+    weights = Weights(linear.keep.astype(float), np.ones(linear.obs.n_poses))
+    judged = outlier_distances(linear.rows, linear.joint, residual, projected.noise, weights)
+    found = reject_outliers(judged, weights, linear.obs.pose)
+    return (found.centre > 0) & (found.pose[linear.obs.pose] > 0)
 
 
-def relinearized(linear: LinearProblem, model: EffectSet, noise: NoiseEstimate) -> LinearProblem:
-    """Linearised anew with the model in place: a fit without it had distorted the derivatives."""
+def relinearized(linear: LinearProblem, model: EffectSet, noise: Noise) -> LinearProblem:
+    """Adjusted and linearised anew with the model in place: a fit without it had distorted the derivatives."""
     if not model.effects:
         return linear
-    columns, sigma = columns_of(linear, model, None)
-    whiten = linear.whitener(noise)
-    scaled = whiten(columns) * sigma
-    normal = scaled.T @ scaled
-    solution = sigma * np.linalg.solve(normal + np.eye(len(sigma)), scaled.T @ whiten(linear.residual))
-    _, _, layout = linear.nuisance()
-    terms = [term(c.name, c.build(h)) for c, h in model.effects]
-    ends = layout.size + np.cumsum([0] + [c.k for c, _ in model.effects])
-    values = [solution[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    state = linear.moved(solution[: layout.size], layout)
-    new = LinearProblem.of(linear.obs, state, linear.keep, accumulate(linear.obs, terms, values))
-    residual = new.residual
-    for one, value in zip(terms, values, strict=True):
-        residual = residual + new.columns(list(one.parts)) @ value
-    return new.with_residual(residual)
+    sigmas = ((c.name, c.build(h), prior_sigma(c)) for c, h in model.effects)
+    return linear.adjusted([term(name, parts, sigma=sigma) for name, parts, sigma in sigmas], noise)

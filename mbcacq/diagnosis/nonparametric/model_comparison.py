@@ -10,9 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized import variance_components
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, conditioned_on_random_effects, noise_with
@@ -21,6 +18,9 @@ from mbcacq.diagnosis.nonparametric.residual_tests import STRUCTURE
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior, pack
 
 MOST_GROUPS = 5
 DISTORTED = 0.7  # share of a block's gain that an effect at its location has alone, if the block may be that effect
@@ -37,7 +37,7 @@ class Hypothesis:
     model: EffectSet
     cells: tuple[MapCell, ...]
     smooth: RandomEffectsModel | None
-    noise: NoiseEstimate
+    noise: Noise
     log_posterior: float
 
 
@@ -47,11 +47,11 @@ class ComparisonProblem:
 
     linear: LinearProblem
     design_blocks: DesignBlocks
-    prior_noise: NoiseEstimate
+    prior_noise: NoisePrior
     search: BeamSearch
     least: float = STRUCTURE
 
-    def build(self, model: EffectSet, start: NoiseEstimate, cells: tuple[MapCell, ...] = (), rounds: int = 4) -> Hypothesis:
+    def build(self, model: EffectSet, start: Noise, cells: tuple[MapCell, ...] = (), rounds: int = 4) -> Hypothesis:
         """Random effects beyond the parametric ones, until the map has no further evidence. cells: to begin with."""
         noise, smooth = start, None
         for number in range(rounds):
@@ -90,7 +90,7 @@ class ComparisonProblem:
             smooth = fitted(evidence_map, conditioned, cells)
         return cells, smooth
 
-    def log_posterior(self, model: EffectSet, cells: tuple[MapCell, ...], smooth: RandomEffectsModel | None, noise: NoiseEstimate) -> float:
+    def log_posterior(self, model: EffectSet, cells: tuple[MapCell, ...], smooth: RandomEffectsModel | None, noise: Noise) -> float:
         """Twice the log of the posterior probability of a hypothesis, up to a constant."""
         projected = CandidateScoring.of(self.linear, noise)
         conditioned = conditioned_on_effects(projected, model)
@@ -103,13 +103,12 @@ class ComparisonProblem:
         return value - penalty - 2 * sum(c.log_bayes_factor - c.log_posterior + UNMODELLED for c in cells)
 
 
-def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoiseEstimate) -> float:
+def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoisePrior) -> float:
     """Twice the log of the restricted likelihood of a noise with its prior, up to a constant.
 
     conditioned: the problem conditioned on the effects of the model, of whose coefficients no determinant is counted.
     """
-    log_prior = variance_components.log_prior(projected.noise, prior_noise, projected.linear)
-    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * log_prior
+    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * prior_noise.log_density(projected.noise)
 
 
 def single_block_more_probable(projected: CandidateScoring, design_blocks: DesignBlocks, model: EffectSet) -> bool:
@@ -131,15 +130,15 @@ def leads_plainly(block: MapCell, model: EffectSet, gain_there: float) -> bool:
     return block.log_posterior - UNMODELLED - DECISIVE > 0.5 * RELATIVE_LEAD * model.log_posterior_odds
 
 
-def nearly_equal(a: NoiseEstimate, b: NoiseEstimate) -> bool:
-    return bool(np.all(np.abs(np.log(variance_components.pack(a, False) / variance_components.pack(b, False))) < 0.05))
+def nearly_equal(a: Noise, b: Noise) -> bool:
+    return bool(np.all(np.abs(pack(a) - pack(b)) < 0.05))
 
 
 def fitted(evidence_map: EvidenceMap, conditioned: CandidateScoring, cells: tuple[MapCell, ...]) -> RandomEffectsModel | None:
     return fit_random_effects(conditioned, [evidence_map.random_effect(c) for c in cells]) if cells else None
 
 
-def most_probable_hypothesis(problem: ComparisonProblem, model: EffectSet, start: NoiseEstimate, plain: NoiseEstimate) -> Hypothesis:
+def most_probable_hypothesis(problem: ComparisonProblem, model: EffectSet, start: Noise, plain: Noise) -> Hypothesis:
     """The most probable of parametric effects with random effects beyond them, random effects alone, and effects found beyond those.
 
     start: noise with the parametric effects in place; plain: with geometry alone.

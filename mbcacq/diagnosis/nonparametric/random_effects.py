@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.variance_components import inverse_of_lower
 from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.projection import inverse_of_lower
 from mbcacq.effects.context import Context
+from mbcacq.estimation.linear_problem import LinearProblem
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,8 @@ def neighbour_dependence(projected: CandidateScoring, s: Context) -> float:
     linear = projected.linear
     units = tuple(("joint", i, 0) for i in range(s.n))
     E = np.stack([projected.unit(key) for key in units], axis=1)
-    b = projected.by_pose(E * projected.r[:, None])
-    A = projected.by_pose(E[:, :, None] * E[:, None, :])
+    products = projected.whiten.pose_products(E, np.concatenate([E, projected.r[:, None]], axis=1))
+    A, b = products[:, :, :-1], products[:, :, -1]
     used = np.flatnonzero(np.einsum("pii->p", A) > 0)
     if len(used) < 40:
         return 1.0

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.output.alternatives import SizedEffect
 from mbcacq.diagnosis.result import Advice
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation import forward_model
+from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.observations import Observations
 
 TRIED, GIVEN = 400, 6  # postures that are tried, and poses that one piece of advice gives

@@ -7,8 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
@@ -17,6 +15,8 @@ from mbcacq.diagnosis.output.response_curves import ResponseCurve, response_curv
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.context import Context
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PlotData:
     ball: np.ndarray
     curves: list[ResponseCurve]
     linear: LinearProblem
-    noise: NoiseEstimate
+    noise: Noise
     context: Context
 
     @cached_property

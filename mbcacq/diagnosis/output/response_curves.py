@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import PER_POSE, Part
 
 MOST = 12

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import Whitener
 from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_blocks
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.whitening import CentreWhitening
 
 
 class FixedBlocks:
@@ -50,7 +50,7 @@ class BatchScoring:
     blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
     @classmethod
-    def of(cls, candidates: list[Candidate], linear: LinearProblem, whiten: Whitener, Q: np.ndarray, r: np.ndarray) -> BatchScoring:
+    def of(cls, candidates: list[Candidate], linear: LinearProblem, whiten: CentreWhitening, Q: np.ndarray, r: np.ndarray) -> BatchScoring:
         """Q (rows, z): basis of what geometry absorbs; r (rows,): residual beyond it."""
         fixed = FixedBlocks.of(candidates, linear)
         X = whiten(fixed.columns)

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.variance_components import PoseSums, inverse_of_lower, ridge_projection
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate, Whitener
 from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
 from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, solve_blocks
+from mbcacq.diagnosis.search.projection import inverse_of_lower, ridge_projection
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.whitening import CentreWhitening
 
 UnitKey = tuple[str, int, int]  # location, index, component
 PER_CHUNK = 2e6  # numbers of functions of one product of a scan: bounds its memory
@@ -60,24 +61,23 @@ class CandidateScoring:
     """
 
     linear: LinearProblem
-    noise: NoiseEstimate
-    whiten: Whitener
+    noise: Noise
+    whiten: CentreWhitening
     Q: np.ndarray
     log_det: float
     r0: np.ndarray
     r: np.ndarray
     dof: float
-    by_pose: PoseSums
     conditioned: np.ndarray
     along: np.ndarray
     store: ProductStore = field(default_factory=ProductStore, repr=False)
     conditioned_products: dict[tuple[UnitKey, ...], np.ndarray] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, linear: LinearProblem, noise: NoiseEstimate, nuisance: tuple[np.ndarray, np.ndarray] | None = None) -> CandidateScoring:
+    def of(cls, linear: LinearProblem, noise: Noise, nuisance: tuple[np.ndarray, np.ndarray] | None = None) -> CandidateScoring:
         """nuisance: more columns (M, R, k) with their prior sigma (k,), to be projected out as geometry is."""
         whiten = linear.whitener(noise)
-        columns, sigma, _ = linear.nuisance()
+        columns, sigma = linear.nuisance()
         Z = whiten(columns) * sigma
         if nuisance is not None:
             Z = np.concatenate([Z, whiten(nuisance[0]) * nuisance[1]], axis=1)
@@ -86,7 +86,7 @@ class CandidateScoring:
         r0 = whiten(linear.residual)
         dof = float(linear.keep.sum() * linear.width - np.sum(Q * Q))
         nothing = np.zeros((len(r0), 0)), np.zeros(0)
-        return cls(linear, noise, whiten, Q, log_det, r0, r0 - Q @ (Q.T @ r0), dof, PoseSums.of(linear), *nothing)
+        return cls(linear, noise, whiten, Q, log_det, r0, r0 - Q @ (Q.T @ r0), dof, *nothing)
 
     def conditioned_on(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> CandidateScoring:
         """The problem that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
@@ -157,7 +157,7 @@ class CandidateScoring:
         kept = self.store.pose_products
         if components not in kept:
             E = np.stack([self.unit(key) for key in components], axis=1)
-            products = self._products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
+            products = self.whiten.pose_products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
             z = self.Q.shape[1]
             kept[components] = products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
         return kept[components]
@@ -166,17 +166,8 @@ class CandidateScoring:
         """(P, c, a): the same with the basis of what the problem is conditioned on."""
         kept = self.conditioned_products
         if components not in kept:
-            kept[components] = self._products(np.stack([self.unit(key) for key in components], axis=1), self.conditioned)
+            kept[components] = self.whiten.pose_products(np.stack([self.unit(key) for key in components], axis=1), self.conditioned)
         return kept[components]
-
-    def _products(self, E: np.ndarray, Y: np.ndarray) -> np.ndarray:
-        """(P, c, z): E'Y over the rows of each pose; E (rows, c), Y (rows, z)."""
-        linear, out = self.linear, np.zeros((self.linear.obs.n_poses, E.shape[1], Y.shape[1]))
-        E, Y = E.reshape(-1, linear.width, E.shape[1]), Y.reshape(-1, linear.width, Y.shape[1])
-        for index, _ in self.whiten.groups:
-            rows = len(index), index.shape[1] * linear.width, -1
-            out[linear.obs.pose[index[:, 0]]] = np.swapaxes(E[index].reshape(rows), 1, 2) @ Y[index].reshape(rows)
-        return out
 
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
         """Gain (H,) of a separable candidate at each value of its hyper-parameter, or at ``values``."""

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 
 
-def with_detectability(linear: LinearProblem, noise: NoiseEstimate, candidates: Sequence[Candidate]) -> list[Candidate]:
+def with_detectability(linear: LinearProblem, noise: Noise, candidates: Sequence[Candidate]) -> list[Candidate]:
     """The candidates, with the ``detectability`` of those of which all of the kind have one coefficient and no hyper-parameter."""
     if linear.obs.n_poses > OPTIONS.many_poses:
         return list(candidates)  # everything is detectable

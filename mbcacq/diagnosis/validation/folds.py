@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.model_fit import ModelFit, fit_model
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
+from mbcacq.estimation.linear_problem import LinearProblem
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.whitening import Whitener
 from mbcacq.diagnosis.search.effect_prior import EffectPrior
 from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.estimation.whitening import CentreWhitening
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Posterior:
     right: np.ndarray
 
     @classmethod
-    def of(cls, whiten: Whitener, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Posterior:
+    def of(cls, whiten: CentreWhitening, columns: np.ndarray, sigma: np.ndarray, residual: np.ndarray) -> Posterior:
         """columns (M, R, z), residual (M, R); the whitener says which centres."""
         X = whiten(columns)
         return cls(sigma, X.T @ X, X.T @ whiten(residual))
@@ -48,7 +48,7 @@ class Posterior:
             sigma[p] = np.minimum(sigma[p], own.scale * candidate.typical)
         return replace(self, sigma=sigma)
 
-    def negative_log_predictive_density(self, whiten: Whitener, columns: np.ndarray, residual: np.ndarray) -> float:
+    def negative_log_predictive_density(self, whiten: CentreWhitening, columns: np.ndarray, residual: np.ndarray) -> float:
         """Minus twice the log of the density of other centres given these, up to a constant: by the chain rule, the density of all of them
         over that of these alone.
         """

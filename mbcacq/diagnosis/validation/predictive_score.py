@@ -10,8 +10,6 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.joint_model import columns_of
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.options import OPTIONS
@@ -19,6 +17,8 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.posterior import Posterior
 from mbcacq.effects.pose import steps
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def predicts_better(one: PredictiveScore, other: PredictiveScore) -> bool:
 
 
 def held_out_score(
-    linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, smooth: RandomEffectsModel | None, noise: NoiseEstimate
+    linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, smooth: RandomEffectsModel | None, noise: Noise
 ) -> PredictiveScore:
     """Fit geometry and the model's coefficients on train (M,) bool, evaluate on test (M,) bool, where only the stations that are not in
     train are free, and the moment of a change that fell among the poses left out.
@@ -90,7 +90,7 @@ def effect_columns(model: EffectSet, end: int) -> list[slice]:
 
 
 def score_with_new_stations(
-    linear: LinearProblem, train: np.ndarray, test: np.ndarray, residual: np.ndarray, noise: NoiseEstimate
+    linear: LinearProblem, train: np.ndarray, test: np.ndarray, residual: np.ndarray, noise: Noise
 ) -> PredictiveScore:
     """Residual (M, R) on test after the poses of stations that are not in train are fitted to it."""
     obs = linear.obs
@@ -98,16 +98,11 @@ def score_with_new_stations(
     new_stations = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
     dof = float(test.sum() * linear.width)
     if new_stations:
-        columns, sigma, layout = linear.nuisance()
-        position = {k: j for j, k in enumerate(np.unique(obs.station))}
-        free = np.concatenate(
-            [np.arange(layout.stations.start + 6 * position[k], layout.stations.start + 6 * position[k] + 6) for k in new_stations]
-        )
-        station, width = columns[:, :, free], sigma[free]
+        station, width = linear.station_columns(new_stations)
         Z = whiten(station) * width
         normal = Z.T @ Z
-        residual = residual - station @ (width * np.linalg.solve(normal + np.eye(len(free)), Z.T @ whiten(residual)))
-        dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(free)), normal)))
+        residual = residual - station @ (width * np.linalg.solve(normal + np.eye(len(width)), Z.T @ whiten(residual)))
+        dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(width)), normal)))
     r = whiten(residual)
     return PredictiveScore(float(np.sum(residual[test, :3] ** 2)), int(test.sum()), float(r @ r), dof)
 

@@ -1,1 +1,0 @@
-"""The recording linearised at its geometric fit: whitening, variance components, geometry."""

@@ -1,0 +1,174 @@
+"""Adjustment of a cell to a recording: initial guess, hand-eye alone, all parameters, outliers, variance components by turns.
+
+It is the one engine behind calibration and diagnosis: the same recording gives both the same poses, outliers, noise and geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation import initial_guess as starting
+from mbcacq.estimation import parameters, variance_components
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.identifiability import Undetermined, hold_undetermined, refuse_undetermined
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import outlier_distances, reject_outliers
+from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.solver import Solution, Weights, solve, system
+from mbcacq.model.observations import Observations
+
+COARSE, FINE = 1e-2, 1e-7
+OUTLIER_ROUNDS, NOISE_ROUNDS = 8, 12
+REJECTED_SHARE = 0.4
+CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
+THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
+
+
+def adjust_recording(obs: Observations, options: CalibrationOptions) -> Adjustment:
+    """The adjustment of a whole recording; of a long one, that of a part of its poses is the start.
+
+    Raises CalibrationError where the data contradict the cell or, with ``options.refuse``, leave it undetermined.
+    """
+    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
+    return adjust(obs, options, first)
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """A converged adjustment and what led to it."""
+
+    lineariser: Lineariser
+    solution: Solution
+    noise: Noise
+    weights: Weights
+    preliminary: CellState
+    found: list[Undetermined]
+
+    @property
+    def state(self) -> CellState:
+        return self.solution.estimate.state
+
+    @property
+    def used(self) -> np.ndarray:
+        """(M,) bool: centres that took part."""
+        return (self.weights.centre > 0) & (self.weights.pose[self.lineariser.obs.pose] > 0)
+
+
+def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | None = None) -> Adjustment:
+    """Everything from the start to the settled noise; ``first``, an adjustment of some of the poses, saves most of it."""
+    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    if first is None:
+        preliminary = fit_hand_eye(obs, options)
+        start = Estimate(preliminary, tuple(np.zeros(t.size) for t in options.terms))
+        noise = variance_components.first_noise(obs.cell)
+    else:
+        preliminary, whole = (starting.with_all_stations(obs, state) for state in (first.preliminary, first.state))
+        start, noise = Estimate(whole), first.noise
+    layout = parameters.build(obs, options)
+    lineariser = Lineariser(obs, layout, options)
+    at = system(lineariser, start, noise, weights)
+    layout, found = hold_undetermined(layout, at.normal.information, obs, start.state)
+    refuse_undetermined(found, obs, options)
+    if found:
+        lineariser = Lineariser(obs, layout, options)
+    solution, weights = robust_solve(lineariser, start if found else at, noise, weights, options, COARSE)
+    # Scoring converges quadratically: from the noise of a part of the poses, one step is enough.
+    solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
+    # Noise larger than expected may leave more undetermined than the first look showed.
+    layout, more = hold_undetermined(layout, solution.normal.information, obs, solution.estimate.state)
+    if more:
+        refuse_undetermined(more, obs, options)
+        found = [*found, *more]
+        lineariser = Lineariser(obs, layout, options)
+        solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
+        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
+    solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
+    return Adjustment(lineariser, solution, noise, weights, preliminary, found)
+
+
+def thin(obs: Observations, size: int) -> Observations:
+    """About ``size`` poses: whole stations where there are many, evenly chosen poses of each where there are few."""
+    rng = np.random.default_rng(1)
+    stations = np.unique(obs.station)
+    per_station = max(12, size // len(stations))
+    chosen = stations if per_station * len(stations) <= size else rng.choice(stations, max(size // per_station, 1), replace=False)
+    keep = np.zeros(obs.n_poses, bool)
+    for s in chosen:
+        there = np.flatnonzero(obs.station == s)
+        keep[there[np.unique(np.linspace(0, len(there) - 1, min(per_station, len(there))).astype(int))]] = True
+    return obs.select(keep)
+
+
+def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
+    """Hand-eye and stations with the arm as it is nominally, robustly; also the start of everything else."""
+    if options.start is not None:
+        return options.start
+    first = Estimate(starting.start(obs))
+    held = replace(options, kinematics=False, balls=False, hold=(), release=(), terms=())
+    # Kinematic errors are the noise here; their size matters little.
+    noise = Noise(np.full(3, 0.02), np.full(obs.cell.robot.n, 4e-4), 5e-4)
+    layout = parameters.build(obs, held)
+    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    lineariser = Lineariser(obs, layout, held)
+    at = system(lineariser, first, noise, weights)
+    layout, found = hold_undetermined(layout, at.normal.information, obs, first.state)
+    refuse_undetermined(found, obs, options)
+    if found:
+        lineariser = Lineariser(obs, layout, held)
+    solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0)
+    apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
+    if apart > CONTRADICTION_MM:
+        raise CalibrationError(
+            f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
+            "check the robot model (signs, units), the certificate, and that joint angles and scans belong together"
+        )
+    return solution.estimate.state
+
+
+def robust_solve(
+    lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions, tolerance: float
+) -> tuple[Solution, Weights]:
+    """Solve and reject outliers by turns until no weight changes. Raises CalibrationError where more than REJECTED_SHARE would go."""
+    solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
+    for _ in range(OUTLIER_ROUNDS if options.robust else 0):
+        d = outlier_distances(lineariser.rows, solution.linear.J, solution.linear.residual, noise, weights)
+        fresh = reject_outliers(d, weights, lineariser.obs.pose)
+        if np.array_equal(fresh.centre, weights.centre) and np.array_equal(fresh.pose, weights.pose):
+            break
+        weights = fresh
+        if np.mean(weights.pose == 0) > REJECTED_SHARE or np.mean(weights.centre == 0) > REJECTED_SHARE:
+            if not options.refuse:
+                # So many are structure, not outliers.
+                everything = Weights(np.ones_like(weights.centre), np.ones_like(weights.pose))
+                return solve(lineariser, solution, noise, everything, tolerance=tolerance), everything
+            raise CalibrationError(
+                f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
+                "artefact, the stations, and that joint angles and scans belong together"
+            )
+        solution = solve(lineariser, solution, noise, weights, tolerance=tolerance)
+    return solution, weights
+
+
+def settle_noise(
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions, rounds: int = NOISE_ROUNDS
+) -> tuple[Solution, Noise, Weights]:
+    """Estimate the noise by REML, refit, reject outliers again, by turns."""
+    prior = variance_components.noise_prior(lineariser.obs.cell, options.noise)
+    for _ in range(rounds):
+        noise, change = variance_components.reml_step(solution.system, noise, prior)
+        solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
+        if change < 0.1:
+            break
+    return solution, noise, weights
+
+
+def _back_to_nominal(estimate: Estimate, layout: ParameterLayout, obs: Observations) -> Estimate:
+    """Held kinematic parameters return to their nominal values."""
+    nominal = obs.cell.robot.chain
+    errors = estimate.state.chain.rows - nominal.rows
+    errors[~layout.blocks[0].free.reshape(errors.shape)] = 0.0
+    return replace(estimate, state=replace(estimate.state, chain=nominal.with_errors(errors)))

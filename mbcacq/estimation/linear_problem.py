@@ -1,0 +1,229 @@
+"""A recording linearised at an adjusted cell: residual, the columns of everything that geometry can absorb, and of any effect.
+
+It is the same linearisation as the adjustment's, laid out centre by centre. What is known beforehand (certificates, given station poses,
+the plausible size of an arm's errors) is a sigma of the nuisance parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mbcacq.estimation import forward_model, parameters, terms
+from mbcacq.estimation.forward_model import CellState, Prediction
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.normal_equations import Normal, Prior, WhitenedSystem
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.solver import Weights, known_placement, solve
+from mbcacq.estimation.terms import PER_POSE, Part, Term
+from mbcacq.estimation.whitening import CentreWhitening, PoseRows, Whitening
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+
+Computed = TypeVar("Computed")
+STATION_SIGMA = np.array([1e4, 1e4, 1e4, 3.0, 3.0, 3.0])  # mm, rad: of a station whose place nobody stated; wider than any cell
+
+
+@dataclass(frozen=True, eq=False)
+class LinearProblem:
+    """The recording linearised at a state of the cell.
+
+    keep: (M,) bool of the centres that take part. residual: (M, R), R = 3, or 6 with a measured orientation: of the arm and the
+    artefacts as stated, since priors are about these. geometry: (M, R, g) columns of the free parameters of ``layout``; sigma: (g,) of
+    them. station: (M, R, 6) columns of the pose's own station. joint: (P, B R, n) columns of the joints, by pose. shared: what depends on
+    the linearisation alone, computed once for all its restrictions.
+    """
+
+    obs: Observations
+    state: CellState
+    keep: np.ndarray
+    layout: ParameterLayout
+    rows: PoseRows
+    prediction: Prediction
+    residual: np.ndarray
+    geometry: np.ndarray
+    station: np.ndarray
+    joint: np.ndarray
+    shared: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        obs: Observations,
+        state: CellState,
+        keep: np.ndarray | None = None,
+        effects: Sequence[Term] = (),
+        coefficients: Sequence[np.ndarray] = (),
+        layout: ParameterLayout | None = None,
+    ) -> LinearProblem:
+        """Linearised at the state, displaced by effects with these coefficients; without keep all centres take part.
+
+        layout: which parameters are free (default: all of the arm, the hand-eye and the certified balls, without those that act alike).
+        """
+        options = CalibrationOptions()
+        layout = parameters.build(obs, options) if layout is None else layout
+        displaced = terms.accumulate(obs, effects, coefficients) if effects else None
+        prediction = forward_model.predict(obs, state, displaced)
+        lineariser = Lineariser(obs, layout, options)
+        residual = forward_model.residual(obs, prediction)
+        linear, g = lineariser.at(state.chain, prediction, residual), layout.size
+        rows = lineariser.rows
+        geometry, station = rows.unpad(linear.X[..., :g]), rows.unpad(linear.X[..., g : g + 6])
+        # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
+        # holds of it already is added back.
+        residual = residual + geometry @ _deviation(obs, state, layout)
+        for one, values in zip(effects, coefficients, strict=True):
+            residual = residual + terms.columns(obs, prediction, one) @ values
+        whole = cls(obs, state, np.ones(obs.n_centres, bool), layout, rows, prediction, residual, geometry, station, linear.J)
+        for s in whole.given_stations:
+            here = obs.station[obs.pose] == s
+            residual[here] += station[here] @ _given(obs, state, s)[1]
+        return whole if keep is None else whole.restricted(keep)
+
+    @property
+    def width(self) -> int:
+        """Rows R of one centre."""
+        return self.residual.shape[1]
+
+    def __reduce__(self) -> tuple:
+        fixed = self.obs, self.state, self.keep, self.layout, self.rows, self.prediction
+        return LinearProblem, (*fixed, self.residual, self.geometry, self.station, self.joint)
+
+    def restricted(self, keep: np.ndarray) -> LinearProblem:
+        """The same linearisation with only the centres in keep (M,) bool."""
+        return replace(self, keep=keep)
+
+    def with_residual(self, residual: np.ndarray) -> LinearProblem:
+        """The same linearisation of another residual (M, R)."""
+        return replace(self, residual=residual)
+
+    def computed_once(self, key: Hashable, compute: Callable[[], Computed]) -> Computed:
+        """What ``compute`` returns at its first call for this key. It must depend on the linearisation alone, not on keep or residual."""
+        if key not in self.shared:
+            self.shared[key] = compute()
+        return self.shared[key]
+
+    # Columns ------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_columns(self) -> np.ndarray:
+        """(M, R, n): change of the prediction by each joint's angle."""
+        return self.computed_once("joints", lambda: self.rows.unpad(self.joint))
+
+    def unit(self, location: str, index: int, component: int) -> np.ndarray:
+        """(M, R): change of the prediction by a unit of one component of one location."""
+        key = (location, index, component)
+        return self.computed_once(key, lambda: self._unit(*key))
+
+    def _unit(self, location: str, index: int, component: int) -> np.ndarray:
+        obs, prediction = self.obs, self.prediction
+        if location == "joint":
+            return self.joint_columns[:, :, index]
+        if location == "station":
+            return self.station[:, :, component]
+        if location == "frame":
+            twist = se3.adjoint(prediction.frames[:, index])[:, :, component]
+            return np.einsum("mrc,mc->mr", prediction.gradient, twist[obs.pose])
+        out = np.zeros((obs.n_centres, self.width))
+        if location == "ball":
+            out[:, :3] = forward_model.ball_jacobian(obs, prediction)[:, :, component]
+        elif location == "point":
+            out[:, component] = 1.0
+        else:
+            raise ValueError(f"no such location: {location}")
+        return out
+
+    def columns(self, parts: Sequence[Part]) -> np.ndarray:
+        """(M, R, k): columns of an effect."""
+        total = np.zeros(())
+        for part in parts:
+            basis = part.basis[self.obs.pose] if part.place in PER_POSE else part.basis
+            total = total + self.unit(part.place, part.index, part.component)[:, :, None] * basis[:, None, :]
+        return total
+
+    # What geometry absorbs ----------------------------------------------------------------------------------------
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(g,) prior sigma of the free parameters: of a certificate, else the size that such an error may plausibly have."""
+        sigma, scale = self.layout.gather("sigma"), self.layout.gather("scale")
+        return np.where(np.isfinite(sigma), sigma, scale)
+
+    @property
+    def given_stations(self) -> list[int]:
+        """Stations in use whose place in the base was given."""
+        return [int(s) for s in self.rows.stations if self.obs.cell.stations[s].T_base_station is not None]
+
+    def station_columns(self, stations: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (M, R, 6 S') of the poses of some stations, and their prior sigma (6 S',)."""
+        obs, given = self.obs, set(self.given_stations)
+        out, sigma = np.zeros((obs.n_centres, self.width, 6 * len(stations))), np.ones((len(stations), 6))
+        for j, s in enumerate(stations):
+            here = obs.station[obs.pose] == s
+            local = self.station[here]
+            if s in given:
+                # In units of the uncertainty of the given place.
+                local = local @ np.linalg.inv(np.linalg.cholesky(_given(obs, self.state, int(s))[0])).T
+            else:
+                sigma[j] = STATION_SIGMA
+            out[here, :, 6 * j : 6 * j + 6] = local
+        return out, sigma.reshape(-1)
+
+    def nuisance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (M, R, z) of the free geometry and of the stations in use, and their prior sigma (z,)."""
+        stations, sigma = self.station_columns(self.rows.stations)
+        return np.concatenate([self.geometry, stations], axis=2), np.concatenate([self.sigma, sigma])
+
+    def whitener(self, noise: Noise) -> CentreWhitening:
+        return CentreWhitening(self.rows, self.joint, noise, self.keep)
+
+    def system(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> WhitenedSystem:
+        """The whitened normal equations of geometry together with columns (M, R, k) of prior sigma (k,), stations eliminated; the residual
+        is what the best fit of all of them leaves.
+        """
+        whitening = Whitening(self.rows, self.joint, noise, self.keep.astype(float), np.ones(self.rows.n_poses))
+        blocks = [self.geometry, columns, self.station, self.residual[:, :, None]]
+        X = whitening(self.rows.pad(np.concatenate(blocks, axis=2)))
+        widths = np.concatenate([self.sigma, sigma])
+        information = np.zeros((len(self.rows.stations), 6, 6))
+        for j, s in enumerate(self.rows.stations):
+            if s in self.given_stations:
+                information[j] = _given(self.obs, self.state, int(s))[0]
+        prior = Prior(widths, np.zeros(len(widths)), information, np.zeros((len(information), 6)))
+        normal = Normal(self.rows, X, prior)
+        X[..., -1] -= normal.fitted(X)
+        return WhitenedSystem(whitening, X, normal)
+
+    # Adjustment with effects --------------------------------------------------------------------------------------
+
+    def adjusted(self, effects: Sequence[Term], noise: Noise) -> LinearProblem:
+        """The cell adjusted anew with effects in place (the engine's own damped solution), and linearised there."""
+        layout = self._with_priors(effects)
+        options = CalibrationOptions(terms=tuple(effects))
+        weights = Weights(self.keep.astype(float), np.ones(self.obs.n_poses))
+        start = Estimate(self.state, tuple(np.zeros(e.size) for e in effects))
+        found = solve(Lineariser(self.obs, layout, options), start, noise, weights, tolerance=0.1, limit=10).estimate
+        return LinearProblem.of(self.obs, found.state, self.keep, effects, found.coefficients, self.layout)
+
+    def _with_priors(self, effects: Sequence[Term]) -> ParameterLayout:
+        blocks = [replace(b, sigma=np.where(np.isfinite(b.sigma), b.sigma, b.scale)) for b in self.layout.blocks[:3]]
+        return ParameterLayout((*blocks, *(parameters.term_block(e) for e in effects)))
+
+
+def _deviation(obs: Observations, state: CellState, layout: ParameterLayout) -> np.ndarray:
+    """(g,) of the free parameters: arm from nominal, balls from their certificates, hand-eye none."""
+    arm = (state.chain.rows - obs.cell.robot.chain.rows).reshape(-1)
+    full = [arm, np.zeros(6), (state.balls - obs.cell.ball_centres).reshape(-1)]
+    return np.concatenate([values[b.free] for values, b in zip(full, layout.blocks[:3], strict=True)])
+
+
+def _given(obs: Observations, state: CellState, s: int) -> tuple[np.ndarray, np.ndarray]:
+    """Information (6, 6) and offset (6,) of a station whose place was given."""
+    given = obs.cell.stations[s].T_base_station
+    assert given is not None, "asked of stations with a given place only"
+    information, offset = known_placement(obs.cell, s, given, state.T_base_station[s])
+    return information + np.diag(STATION_SIGMA**-2), offset  # one or two balls leave a direction of the place open
