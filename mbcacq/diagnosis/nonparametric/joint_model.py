@@ -56,10 +56,12 @@ def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
     Z = projected.whiten(columns) * sigma
     normal = Z.T @ Z
     residual = linear.residual - columns @ (sigma * np.linalg.solve(normal + np.eye(len(sigma)), Z.T @ projected.r0))
-    weights = Weights(linear.keep.astype(float), np.ones(linear.obs.n_poses))
+    pose = linear.obs.pose
+    whole = np.bincount(pose, linear.keep, linear.obs.n_poses) > 0  # of the others the pose was rejected, not its centres
+    weights = Weights((linear.keep | ~whole[pose]).astype(float), whole.astype(float))
     judged = outlier_distances(linear.rows, linear.joint, residual, projected.noise, weights)
-    found = reject_outliers(judged, weights, linear.obs.pose)
-    return (found.centre > 0) & (found.pose[linear.obs.pose] > 0)
+    found = reject_outliers(judged, weights, pose)
+    return (found.centre > 0) & (found.pose[pose] > 0)
 
 
 def relinearized(linear: LinearProblem, model: EffectSet, noise: Noise) -> LinearProblem:
