@@ -45,6 +45,13 @@ class Context:
             return np.asarray(self.obs.payload_kg, dtype=float)
         return np.full(self.obs.n_poses, self.obs.cell.robot.payload_mass)
 
+    @property
+    def payload_com(self) -> np.ndarray:
+        """(P, 3) mm in the flange frame."""
+        if self.obs.payload_com is not None:
+            return self.obs.payload_com
+        return np.broadcast_to(self.obs.cell.robot.payload_com, (self.obs.n_poses, 3))
+
     @cached_property
     def links(self) -> tuple[np.ndarray, np.ndarray]:
         """Masses (n,) and centres of mass (n, 3); where none are given, one kg halfway along each link.
@@ -63,7 +70,7 @@ class Context:
         robot = self.obs.cell.robot
         mass, com = self.links
         payload = self.payload_mass if self.masses_known else 1.0
-        return gravity.gravity_torque(robot.chain, robot.chain.frames(self.obs.q), mass, com, payload, robot.payload_com, robot.gravity)
+        return gravity.gravity_torque(robot.chain, robot.chain.frames(self.obs.q), mass, com, payload, self.payload_com, robot.gravity)
 
     def gravity_moment(self, frame: int) -> np.ndarray:
         """(P, 3) N m: moment of all weight behind ``frame`` (0 base .. n flange) about its origin, in its own axes."""
@@ -72,7 +79,7 @@ class Context:
         frames = robot.chain.frames(self.obs.q)
         weight = gravity.STANDARD_GRAVITY * robot.gravity
         load = self.payload_mass if self.masses_known else np.ones(len(frames))
-        tool = np.einsum("pij,j->pi", frames[:, -1, :3, :3], robot.payload_com) + frames[:, -1, :3, 3]
+        tool = np.einsum("pij,pj->pi", frames[:, -1, :3, :3], self.payload_com) + frames[:, -1, :3, 3]
         origin = frames[:, frame, :3, 3]
         moment = load[:, None] * (tool - origin)
         for i in range(frame, robot.n):
@@ -92,10 +99,14 @@ class Context:
 
     @property
     def time(self) -> np.ndarray:
-        """(P,) s since the first pose; raises Missing where the recording has no times."""
+        """(P,) s since the first pose of the recording; raises Missing where the recording has no times."""
         if self.obs.time_s is None or np.ptp(self.obs.time_s) == 0:
             raise Missing("no times recorded")
-        return self.obs.time_s - self.obs.time_s.min()
+        if self.obs.recording is None:
+            return self.obs.time_s - self.obs.time_s.min()
+        first = np.full(self.obs.n_recordings, np.inf)
+        np.minimum.at(first, self.obs.recording, self.obs.time_s)
+        return self.obs.time_s - first[self.obs.recording]
 
 
 def rank_in_time(obs: Observations) -> np.ndarray:

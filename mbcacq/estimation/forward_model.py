@@ -26,7 +26,8 @@ class CellState:
     """A value for everything the forward model depends on.
 
     chain: MD-H rows with their errors included. T_flange_scanner: (4, 4), or the target's frame on the flange for an
-    external instrument. T_base_station: (S, 4, 4). balls: (K, 3) mm, each in its artefact's frame.
+    external instrument; of several recordings (R, 4, 4), the tool of each.
+    T_base_station: (S, 4, 4). balls: (K, 3) mm, each in its artefact's frame.
     """
 
     chain: Chain
@@ -70,12 +71,18 @@ class Prediction:
     rotation: np.ndarray | None = None
 
 
+def hand_eye_of_poses(observations: Observations, state: CellState) -> np.ndarray:
+    """T_flange_scanner (4, 4), or that of each pose (P, 4, 4) where there are several recordings."""
+    T = state.T_flange_scanner
+    return T if T.ndim == 2 else T[observations.recording]
+
+
 def predict(observations: Observations, state: CellState, displacements: Displacements | None = None) -> Prediction:
     """Evaluate the forward model at every measured centre."""
     obs, moved = observations, displacements or Displacements()
     q = obs.q if moved.joint is None else obs.q + moved.joint
     frames = state.chain.frames(q, moved.frame)
-    T_base_scanner = frames[:, -1] @ state.T_flange_scanner
+    T_base_scanner = frames[:, -1] @ hand_eye_of_poses(obs, state)
     T_base_station = state.T_base_station[obs.station]
     if moved.station is not None:
         T_base_station = T_base_station @ se3.exp(moved.station)

@@ -114,12 +114,13 @@ def base_columns(layout: ParameterLayout, state: CellState, q: np.ndarray, xyz: 
     """Derivative (P K, 3, g) of points in the base by the free parameters, and the points (P K, 3): the K scanner points xyz (K, 3) at each
     of P postures q (P, n), or points of its own for each posture, xyz (P, K, 3)."""
     frames = state.chain.frames(q)
-    T = frames[:, -1] @ state.T_flange_scanner
+    several = state.T_flange_scanner.ndim == 3  # of several tools, the first stands for all
+    T = frames[:, -1] @ (state.T_flange_scanner[0] if several else state.T_flange_scanner)
     points = se3.apply(T[:, None], xyz if xyz.ndim == 3 else xyz[None])
     twists = np.concatenate(
         [
             state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free],
-            np.swapaxes(se3.adjoint(T), 1, 2)[:, layout.blocks[1].free],
+            np.swapaxes(se3.adjoint(T), 1, 2)[:, layout.blocks[1].free[:6]],
         ],
         axis=1,
     )

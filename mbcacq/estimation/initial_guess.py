@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.forward_model import CellState, hand_eye_of_poses
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import TARGET_IN_BASE
@@ -183,5 +183,5 @@ def _centred(values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: i
 
 def with_all_stations(obs: Observations, state: CellState) -> CellState:
     """The state with every station placed by the points measured there."""
-    placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
+    placed = place_stations(obs, state.chain.flange(obs.q), hand_eye_of_poses(obs, state))
     return replace(state, T_base_station=placed)

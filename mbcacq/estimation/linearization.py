@@ -58,7 +58,7 @@ class Lineariser:
         station = np.swapaxes(-se3.adjoint(prediction.T_base_station), 1, 2)
         chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
         # One product for everything that moves the arm or the artefact as a whole.
-        arm = np.concatenate([twists[:, chain_free], mount[:, mount_free], station, joints], axis=1)[order]
+        arm = np.concatenate([twists[:, chain_free], self._of_recordings(mount)[:, mount_free], station, joints], axis=1)[order]
         columns = G @ np.swapaxes(arm, 1, 2)
         n, g, free = joints.shape[1], self.layout.size, int(chain_free.sum() + mount_free.sum())
         X = np.empty((*columns.shape[:2], g + 7))
@@ -73,6 +73,15 @@ class Lineariser:
             X[..., free : free + one.size] = rows.pad(terms.columns(obs, prediction, one))
             free += one.size
         return Linearization(prediction, residual, X, columns[..., -n:])
+
+    def _of_recordings(self, mount: np.ndarray) -> np.ndarray:
+        """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of the pose's own."""
+        which, count = self.obs.recording, self.obs.n_recordings
+        if which is None or count == 1:
+            return mount
+        out = np.zeros((len(mount), count, 6, 6))
+        out[np.arange(len(mount)), which] = mount
+        return out.reshape(len(mount), 6 * count, 6)
 
     def _ball_columns(self) -> np.ndarray | None:
         """(M, 3) column of each centre's ball coordinates among the free ball parameters (-1 where held), or None if all are held."""

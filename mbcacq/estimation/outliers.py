@@ -37,14 +37,14 @@ class OutlierDistances:
 def outlier_distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
     """joint: (P, B R, n) columns of the joints; residual: (M, R). Every centre and pose is judged, rejected or not."""
     whiten = Whitening(rows, joint, noise, weights.centre, np.ones(rows.n_poses))
-    sigma = noise.row_sigma(rows.width)
+    sigma = rows.row_sigma(noise)
     scaled = residual / sigma
     r = rows.pad(scaled * np.sqrt(weights.centre)[:, None])[..., None]
     gram = np.swapaxes(whiten.J, 1, 2) @ whiten.J
     n = gram.shape[1]
     gram[:, np.arange(n), np.arange(n)] += 1.0
     u = np.linalg.solve(gram, np.swapaxes(whiten.J, 1, 2) @ r)
-    full = joint * rows.pad(np.broadcast_to(1 / sigma, residual.shape).copy())[..., None] * noise.joint
+    full = joint * rows.pad(np.broadcast_to(1 / sigma, residual.shape).copy())[..., None] * rows.joint_sigma(noise)
     remaining = scaled - rows.unpad(full @ u)[..., 0]
     by_pose = np.zeros(rows.n_poses)
     # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.

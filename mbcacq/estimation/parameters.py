@@ -127,16 +127,19 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
 
 
 def _hand_eye(obs: Observations) -> ParameterBlock:
-    names = tuple(f"hand_eye.{c}" for c in HAND_EYE)
-    block = ParameterBlock("hand_eye", names, ("mm",) * 3 + ("rad",) * 3, np.ones(6, bool), np.full(6, np.inf), PLAUSIBLE_HAND_EYE)
+    count = obs.n_recordings
+    of = [""] if count == 1 else [f"[{r + 1}]" for r in range(count)]
+    names = tuple(f"hand_eye{which}.{c}" for which in of for c in HAND_EYE)
+    units, scale = (("mm",) * 3 + ("rad",) * 3) * count, np.tile(PLAUSIBLE_HAND_EYE, count)
+    block = ParameterBlock("hand_eye", names, units, np.ones(6 * count, bool), np.full(6 * count, np.inf), scale)
     if obs.cell.measurement == TARGET_IN_BASE:
         unobservable = not obs.shows_target_orientation
         reason = "only the target's position is measured"
     else:
         unobservable = bool(np.abs(obs.xyz).max(initial=0.0) < 1e-9)
         reason = "only points at the scanner's origin are measured"
-    for i in range(3, 6) if unobservable else ():
-        block = block.hold(i, reason)
+    for i in np.flatnonzero(np.arange(6 * count) % 6 >= 3) if unobservable else ():
+        block = block.hold(int(i), reason)
     return block
 
 
@@ -172,7 +175,7 @@ class Estimate:
         state = self.state
         moved = CellState(
             state.chain.with_errors(chain_step.reshape(-1, 5)),
-            state.T_flange_scanner @ se3.exp(mount_step),
+            state.T_flange_scanner @ se3.exp(mount_step.reshape(*state.T_flange_scanner.shape[:-2], 6)),
             state.T_base_station @ se3.exp(station_step),
             state.balls + ball_step.reshape(-1, 3),
         )

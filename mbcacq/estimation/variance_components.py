@@ -7,6 +7,8 @@ accounted for through the traces.
 
 from __future__ import annotations
 
+# Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is unknown.
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,8 +19,6 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.whitening import Whitening
 from mbcacq.model.cell import Cell
 
-# Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is unknown.
-import os
 STATED, GUESSED, AXIS, COMMON, JOINT, EXACT = eval(os.environ.get("NPV", "(1.0, 2.0, 0.35, 1.5, 0.1, 1e-3)"))
 # No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
 LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
@@ -105,6 +105,8 @@ def reml_score_and_information(system: WhitenedSystem, noise: Noise) -> tuple[np
     back = W.transpose(np.concatenate([X, r], axis=2))  # inverse covariance times columns and residual
     n, width = len(noise.joint), rows.width
     sigma = np.resize(noise.row_sigma(width), rows.depth * width)
+    if len(rows.sigma_scale) > 1:
+        sigma = rows.pad(rows.row_sigma(noise))
     # Scanner: the rows of one axis each.
     lever = _leverage(normal, root, back[..., : g + 6])  # (P, B R)
     own = _own_trace(W)

@@ -24,10 +24,19 @@ class PoseRows:
         self.n_poses, self.depth, self.width = obs.n_poses, int(count.max(initial=1)), width
         self.slot = place[obs.pose] * self.depth + rank
         self.full = bool(len(self.slot) == obs.n_poses * self.depth and np.array_equal(self.slot, np.arange(len(self.slot))))
+        self.sigma_scale, self.joint_scale = _noise_scales(obs, width)
         station = obs.station[self.order]
         self.first = np.flatnonzero(np.r_[True, np.diff(station) > 0])
         self.stations = station[self.first]
         self.run = np.cumsum(np.r_[0, np.diff(station) > 0])
+
+    def row_sigma(self, noise: Noise) -> np.ndarray:
+        """(M, R) or (1, R) sigma of the rows of each centre."""
+        return noise.row_sigma(self.width) * self.sigma_scale
+
+    def joint_sigma(self, noise: Noise) -> np.ndarray:
+        """(P, 1, n) or (1, 1, n) rad repeatability of the joints, in the order of the blocks."""
+        return noise.joint * (self.joint_scale[self.order] if len(self.joint_scale) > 1 else self.joint_scale)
 
     def pad(self, rows: np.ndarray) -> np.ndarray:
         """(M, R, ...) -> (P, B R, ...)."""
@@ -53,6 +62,15 @@ class PoseRows:
         return np.add.reduceat(per_pose, self.first, axis=0)
 
 
+def _noise_scales(obs: Observations, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Relative sigma of the rows (M, R) and of the joints (P, 1, n); (1, R) and (1, 1, n) of ones where there is one recording."""
+    n = obs.cell.robot.n
+    if obs.noise_scale is None:
+        return np.ones((1, width)), np.ones((1, 1, n))
+    point = obs.noise_scale[obs.pose, :3]
+    return np.concatenate([point, np.ones((len(point), width - 3))], axis=1), obs.noise_scale[:, None, 3:]
+
+
 class Whitening:
     """W with W' W = inverse covariance of every pose, as one small matrix per pose.
 
@@ -63,10 +81,10 @@ class Whitening:
     def __init__(self, rows: PoseRows, joint: np.ndarray, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray):
         """joint: (P, B R, n) derivative by the joints; weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of
         the observations, 0 = rejected, 1 = full (a share w counts as a variance 1 / w times as large)."""
-        scale = np.sqrt(weight)[:, None] / noise.row_sigma(rows.width)
+        scale = np.sqrt(weight)[:, None] / rows.row_sigma(noise)
         self.scale = rows.pad(scale)[..., None]
         self.pose_scale = np.sqrt(pose_weight[rows.order])[:, None, None]
-        self.J = joint * self.scale * noise.joint
+        self.J = joint * self.scale * rows.joint_sigma(noise)
         self.scale = self.scale * self.pose_scale
         gram = np.swapaxes(self.J, 1, 2) @ self.J
         gram[:, np.arange(gram.shape[1]), np.arange(gram.shape[1])] += 1.0
@@ -97,7 +115,7 @@ class CentreWhitening:
         """joint: (P, B R, n) derivative by the joints; keep: (M,) bool."""
         self.rows = rows
         self.blocks = Whitening(rows, joint, noise, keep.astype(float), np.ones(rows.n_poses))
-        self.log_det = float(self.blocks.log_det + 2 * keep.sum() * np.log(noise.row_sigma(rows.width)).sum())
+        self.log_det = float(self.blocks.log_det + 2 * np.sum(keep[:, None] * np.log(rows.row_sigma(noise))))
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         flat = columns if columns.ndim == 3 else columns[..., None]

@@ -19,6 +19,8 @@ class Observations:
     velocity (P, n) rad/s at the exposure; temperatures: column name (ends in _C) -> (P,) deg C.
     Centres: pose (M,) index into the poses, non-decreasing; ball (M,) index into ``cell.ball_ids``; xyz (M, 3) mm in the
     scanner frame (or the instrument's); n_points (M,); rms_mm (M,); rotation (M, 3, 3) orientation of a 6-dof target.
+    Of several recordings of one arm taken as one: recording (P,) int, the recording of each pose; noise_scale (P, 3 + n), sigma of a
+    centre's coordinates and of each joint in that recording, relative to the first one's; payload_com (P, 3) mm in the flange frame.
     extra: columns this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
     cell_yaml: the text the cell was read from, with its comments; '' if it was not read from a file.
     """
@@ -41,6 +43,9 @@ class Observations:
     n_points: np.ndarray | None = None
     rms_mm: np.ndarray | None = None
     rotation: np.ndarray | None = None
+    recording: np.ndarray | None = None
+    noise_scale: np.ndarray | None = None
+    payload_com: np.ndarray | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_yaml: str = ""
 
@@ -51,6 +56,10 @@ class Observations:
     @property
     def n_centres(self) -> int:
         return len(self.xyz)
+
+    @property
+    def n_recordings(self) -> int:
+        return 1 if self.recording is None else int(self.recording.max(initial=0)) + 1
 
     @property
     def shows_target_orientation(self) -> bool:
@@ -70,7 +79,10 @@ class Observations:
         return replace(self, **by_pose, **by_centre, extra=extra, temperatures=temperatures)
 
 
-POSE_COLUMNS = ("pose_id", "station", "q", "phase", "time_s", "direction", "torque", "current", "payload_kg", "velocity")
+POSE_COLUMNS = (
+    "pose_id", "station", "q", "phase", "time_s", "direction", "torque", "current", "payload_kg", "velocity",
+    "recording", "noise_scale", "payload_com",
+)  # fmt: skip
 CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation")
 
 

@@ -148,17 +148,19 @@ def nominal_state(obs: Observations) -> CellState:
     return CellState(robot.chain, T_flange_scanner, stations, obs.cell.ball_centres.copy())
 
 
-def observe(template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE) -> Observations:
+def observe(
+    template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE, arm: int | None = None
+) -> Observations:
     """The poses of a recording measured again in another cell.
 
     effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the context that
-    return displacements. outliers: share of centres that are off by millimetres.
+    return displacements. outliers: share of centres that are off by millimetres. arm: seed of the arm's errors, of one arm on several days.
     """
     rng = np.random.default_rng(seed)
     obs = template
     start = nominal_state(obs)
     state = CellState(
-        obs.cell.robot.chain.with_errors(geometry(rng, obs.cell)),
+        obs.cell.robot.chain.with_errors(geometry(rng if arm is None else np.random.default_rng(arm), obs.cell)),
         obs.cell.T_flange_scanner @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01])),
         start.T_base_station,
         obs.cell.ball_centres + rng.normal(0, 0.001, (len(obs.cell.ball_ids), 3)),

@@ -11,7 +11,6 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.estimation.variance_components import first_noise
 
-
 STATED = first_noise(simulated.plan().cell)
 
 

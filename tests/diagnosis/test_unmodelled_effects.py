@@ -4,8 +4,8 @@ import numpy as np
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
+from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, verdict_of
 from mbcacq.estimation.forward_model import Displacements

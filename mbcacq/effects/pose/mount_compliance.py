@@ -14,7 +14,7 @@ def candidates(context: Context) -> list[Candidate]:
     mass = context.payload_mass if np.all(context.payload_mass > 0) else np.ones(context.obs.n_poses)
     com = context.obs.cell.robot.payload_com
     if not np.any(com):
-        com = context.state.T_flange_scanner[:3, 3] * 0.5
+        com = context.state.T_flange_scanner.reshape(-1, 4, 4)[0, :3, 3] * 0.5
     force = mass[:, None] * STANDARD_GRAVITY * context.flange_gravity
     moment = np.cross(com[None], force) * 1e-3
     none = np.zeros(len(force))

@@ -1,0 +1,136 @@
+"""Several recordings of one arm as one problem: arm and effects are shared; base, tool, stations, artefacts and noise are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.adjustment import Adjustment, adjust, adjust_recording
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.phases import select_phases
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import Artefact, Cell, Station
+from mbcacq.model.observations import Observations
+
+OPTIONAL = ("phase", "time_s", "direction", "torque", "current", "velocity", "n_points", "rms_mm", "rotation")
+BALL_STEP = 1000  # certificate numbers of the second recording begin here, those of the third at twice this
+
+
+@dataclass(frozen=True)
+class JointAdjustment:
+    """observations: all recordings as one. adjusted: their common adjustment. parts: each recording by itself, as it was fitted alone."""
+
+    observations: Observations
+    adjusted: Adjustment
+    parts: tuple[Adjustment, ...]
+
+
+def adjust_together(recordings: Sequence[Observations], options: CalibrationOptions) -> JointAdjustment:
+    """One adjustment of several recordings; each is adjusted alone first, for its tool, stations, outliers and noise.
+
+    Raises ConfigError where they are not of one arm, CalibrationError where one contradicts its cell.
+    """
+    alone = replace(options, refuse=False, terms=())
+    parts = tuple(adjust_recording(select_phases(one, options), alone) for one in recordings)
+    together = combined([part.lineariser.obs for part in parts], parts)
+    start = combined_state(parts)
+    fitted = adjust(together, replace(options, start=start))
+    return JointAdjustment(together, fitted, parts)
+
+
+def combined(recordings: Sequence[Observations], parts: Sequence[Adjustment]) -> Observations:
+    """The recordings as one set of observations. Raises ConfigError where they are not of one arm and one kind of measurement."""
+    _refuse_different_arms(recordings)
+    first = recordings[0]
+    poses, stations = _offsets([r.n_poses for r in recordings]), _offsets([len(r.cell.stations) for r in recordings])
+    balls = _offsets([len(r.cell.ball_ids) for r in recordings])
+
+    def joined(values: Callable[[int, Observations], np.ndarray | None]) -> np.ndarray | None:
+        each = [values(i, r) for i, r in enumerate(recordings)]
+        return None if any(one is None for one in each) else np.concatenate([one for one in each if one is not None])
+
+    def column(name: str) -> np.ndarray | None:
+        return joined(lambda _, r: getattr(r, name))
+
+    columns: dict[str, Any] = {name: column(name) for name in OPTIONAL}
+    common = [name for name in first.temperatures if all(name in r.temperatures for r in recordings)]
+    return Observations(
+        cell=_cell(recordings),
+        pose_id=np.arange(poses[-1]),
+        station=_all([r.station + s for r, s in zip(recordings, stations, strict=False)]),
+        q=_all([r.q for r in recordings]),
+        pose=_all([r.pose + p for r, p in zip(recordings, poses, strict=False)]),
+        ball=_all([r.ball + b for r, b in zip(recordings, balls, strict=False)]),
+        xyz=_all([r.xyz for r in recordings]),
+        payload_kg=_all([_payload_kg(r) for r in recordings]),
+        payload_com=_all([np.tile(r.cell.robot.payload_com, (r.n_poses, 1)) for r in recordings]),
+        temperatures={name: _all([r.temperatures[name] for r in recordings]) for name in common},
+        recording=_all([np.full(r.n_poses, i) for i, r in enumerate(recordings)]),
+        noise_scale=_all([_noise_scale(part, parts[0], r) for part, r in zip(parts, recordings, strict=True)]),
+        **columns,
+    )
+
+
+def combined_state(parts: Sequence[Adjustment]) -> CellState:
+    """The state from which all are adjusted together: the mean arm, every tool and station as fitted alone."""
+    states = [part.state for part in parts]
+    first = states[0].chain
+    mean = np.mean([s.chain.rows - first.rows for s in states], axis=0)
+    chain: Chain = first.with_errors(mean)
+    return CellState(
+        chain,
+        np.stack([s.T_flange_scanner for s in states]),
+        np.concatenate([s.T_base_station for s in states]),
+        np.concatenate([s.balls for s in states]),
+    )
+
+
+def _cell(recordings: Sequence[Observations]) -> Cell:
+    """One cell with the artefacts and stations of all; names of the second recording end with '@2'."""
+    artefacts: list[Artefact] = []
+    stations: list[Station] = []
+    for number, one in enumerate(recordings):
+        suffix = "" if number == 0 else f"@{number + 1}"
+        for a in one.cell.artefacts:
+            ids = tuple(b + BALL_STEP * number for b in a.ball_ids)
+            artefacts.append(replace(a, id=a.id + suffix, ball_ids=ids))
+        stations += [replace(s, id=s.id + suffix, artefact=s.artefact + suffix) for s in one.cell.stations]
+    first = recordings[0].cell
+    return replace(first, artefacts=tuple(artefacts), stations=tuple(stations), simulated=all(r.cell.simulated for r in recordings))
+
+
+def _noise_scale(part: Adjustment, first: Adjustment, obs: Observations) -> np.ndarray:
+    """(P, 3 + n): noise of a recording over that of the first."""
+    own, reference = (np.concatenate([p.noise.point, p.noise.joint]) for p in (part, first))
+    return np.tile(own / reference, (obs.n_poses, 1))
+
+
+def _payload_kg(obs: Observations) -> np.ndarray:
+    return np.full(obs.n_poses, obs.cell.robot.payload_mass) if obs.payload_kg is None else np.asarray(obs.payload_kg, dtype=float)
+
+
+def _refuse_different_arms(recordings: Sequence[Observations]) -> None:
+    first = recordings[0].cell
+    for number, one in enumerate(recordings[1:], 2):
+        arm = one.cell.robot
+        if not _same_links(arm.chain, first.robot.chain):
+            raise ConfigError(f"recording 1 is of '{first.robot.name}', recording {number} of '{arm.name}': other links; give one arm's")
+        if one.cell.measurement != first.measurement or (one.rotation is None) != (recordings[0].rotation is None):
+            raise ConfigError(f"recording {number} was measured in another way than recording 1; give recordings of one kind together")
+
+
+def _same_links(a: Chain, b: Chain) -> bool:
+    return a.n == b.n and np.allclose(a.rows, b.rows) and bool(np.all(a.sign == b.sign))
+
+
+def _offsets(counts: Sequence[int]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)])
+
+
+def _all(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate(list(arrays))
