@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis import noise_consistent_ranking
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.reported_model import model_of
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric import model_comparison, random_effects, residual_tests
-from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, kept_centres, noise_with, relinearized
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
@@ -22,24 +25,6 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.pruning import pruned
 
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "prepare", "search_parametric_effects"]
-
-
-@dataclass(frozen=True)
-class ModelFit:
-    """What one pass has found.
-
-    model: parametric effects. smooth: random effects, or None. cells: where the evidence map put them; empty where they stand at all
-    locations. noise: estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with geometry alone
-    and conditioned on the parametric effects. residual_tests: of what parametric effects leave.
-    """
-
-    model: EffectSet
-    smooth: RandomEffectsModel | None
-    cells: tuple[MapCell, ...]
-    noise: NoiseEstimate
-    geometry_only: CandidateScoring
-    conditioned: CandidateScoring
-    residual_tests: ResidualTests | None
 
 
 @dataclass(frozen=True)
@@ -109,41 +94,16 @@ def elastic_joints(problem: DiagnosisProblem, projected: CandidateScoring) -> Ef
 
 
 def fit_model(
-    problem: DiagnosisProblem,
-    keep: np.ndarray | None = None,
-    reconsider: bool = True,
-    structure_expected: bool = False,
-    effect_expected: bool = False,
+    problem: DiagnosisProblem, keep: np.ndarray | None = None, reconsider: bool = True, structure_expected: bool = False
 ) -> ModelFit:
-    """The model of the centres in keep (M,); without keep, outliers are reconsidered once with the model in place.
+    """The model of the centres in keep (M,); without keep, outliers are judged with the model in place.
 
-    structure_expected: structure is known to be there, so less evidence suffices; effect_expected: a parametric effect is, and the most
-    probable is taken.
+    structure_expected: of a long recording, in which structure is known to be there.
     """
+    if problem.linear.obs.n_poses <= OPTIONS.many_poses:
+        return model_of(problem, fit_evidence(problem, keep))
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
-    if linear.obs.n_poses > OPTIONS.many_poses:
-        return fit_long_recording(problem, linear, keep, reconsider, structure_expected)
-    plain = noise_with(linear, NO_EFFECTS, None, problem.prior_noise, problem.prior_noise)
-    reduction = OPTIONS.known_effect_reduction if effect_expected else 0.0
-    found = search_parametric_effects(problem, linear, plain, keep is None, reduction)
-    search, noise = found.search, found.noise
-    projected = CandidateScoring.of(found.linear, noise)
-    model = pruned(search, projected, search.solved(projected, found.model.effects))
-    if keep is None and reconsider:
-        better = reconsidered_outliers(projected, model)
-        if better is not None:
-            return fit_model(problem.with_linearization(better), None, reconsider=False)
-    evidence_map, conditioned = EvidenceMap(projected, problem.design_blocks), conditioned_on_effects(projected, model)
-    tests = residual_tests.examine_residual(conditioned, problem.context, evidence_map)
-    least = 0.0 if structure_expected else residual_tests.STRUCTURE
-    doubtful = model.effects and 2 * evidence_map.evaluate(projected).best().log_posterior > model.log_posterior_odds
-    if tests.evidence.total < least and not tests.structure and not doubtful:
-        return ModelFit(model, None, (), noise, projected, conditioned, tests)
-    comparison = model_comparison.ComparisonProblem(found.linear, problem.design_blocks, problem.prior_noise, search, least)
-    best = model_comparison.most_probable_hypothesis(comparison, model, noise, plain)
-    projected = CandidateScoring.of(found.linear, best.noise)
-    model = reported_effects(search, projected, best.model, best.smooth)
-    return ModelFit(model, best.smooth, best.cells, best.noise, projected, conditioned_on_effects(projected, model), tests)
+    return fit_long_recording(problem, linear, keep, reconsider, structure_expected)
 
 
 def reconsidered_outliers(projected: CandidateScoring, model: EffectSet) -> LinearProblem | None:
@@ -152,14 +112,6 @@ def reconsidered_outliers(projected: CandidateScoring, model: EffectSet) -> Line
     if np.array_equal(keep, projected.linear.keep) or np.mean(~keep) >= OPTIONS.most_outliers:
         return None
     return projected.linear.restricted(keep)
-
-
-def reported_effects(search: BeamSearch, projected: CandidateScoring, model: EffectSet, smooth: RandomEffectsModel | None) -> EffectSet:
-    """Those parametric effects that are still significant with random effects projected out, with their coefficients without these."""
-    if not model.effects or smooth is None:
-        return pruned(search, projected, model)
-    kept = pruned(search, CandidateScoring.of(projected.linear, projected.noise, (smooth.columns, smooth.sigma)), model)
-    return search.solved(projected, kept.effects)
 
 
 def fit_long_recording(

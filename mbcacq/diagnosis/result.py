@@ -30,11 +30,14 @@ class MismatchEntry:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1."""
+    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
+    its posterior probability relative to the found effect's; None where that was not computed.
+    """
 
     name: str
     where: tuple[str, ...]
     held_out_gain: float
+    odds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -197,7 +200,9 @@ def _read_effect(e: Mapping[str, Any]) -> EffectFound:
         parameters={k: ParameterEstimate(_numbers(p["value"]), _numbers(p["std"])) for k, p in e["parameters"].items()},
         p_value=_number(e["p_value"]),
         held_out_gain=_number(e["held_out_gain"]),
-        alternatives=tuple(Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"])) for a in e["alternatives"]),
+        alternatives=tuple(
+            Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"]), a.get("odds")) for a in e["alternatives"]
+        ),
         depends_on=e.get("depends_on", ""),
     )
 

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.evidence.conclude import pairs_not_separable, verdict_by_evidence, with_rivals
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import next_measurements
-from mbcacq.diagnosis.output.alternatives import Alternatives, Unobservable, alternatives, unobservable
+from mbcacq.diagnosis.output.alternatives import SizedEffect, Unobservable, unobservable
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.plot_data import plot_data
@@ -33,14 +35,11 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         full = replace(full, model=BeamSearch(setup.candidates).solved(full.geometry_only, kept.effects))
     before, residual_before = training_score(full.geometry_only, NO_EFFECTS, None)
     after, residual_after = training_score(full.geometry_only, full.model, full.smooth)
-    judged = _judged(full, proof, before)
+    judged = _judged(full, proof, before) if full.evidence is None else _judged_by_evidence(full, full.evidence, proof, before)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
-    found = alternatives(setup, full) if judged.effects else Alternatives()
-    advice = next_measurements.separating(setup.context, found.pairs)
-    verdict, not_separable = judged.verdict, found.not_separable
-    if verdict == "explained" and not_separable:
-        verdict = "cannot_tell"
+    advice = next_measurements.separating(setup.context, judged.pairs)
+    verdict, not_separable = judged.verdict, judged.not_separable
     if verdict == "none":
         missed = unobservable(setup, full)
         advice += [next_measurements.revealing(setup.context, m.candidate) for m in missed]
@@ -50,7 +49,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(judged.mismatch),
-        effects=tuple(replace(e, alternatives=found.by_name.get(e.name, ())) for e in judged.effects),
+        effects=tuple(judged.effects),
         fit=FitSummary(
             train=FitFigures(*_figures(before, after)),
             held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),
@@ -64,6 +63,14 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     )
 
 
+def _judged_by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
+    contributions = Contributions(full)
+    effects = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
+    not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
+    mismatch = mismatch_table(full, contributions, before)
+    return _Judged(verdict_by_evidence(full, fit), mismatch, list(with_rivals(fit, effects)), True, not_separable, pairs)
+
+
 @dataclass(frozen=True)
 class _Judged:
     """What is reported of a fit. predictive: whether the model predicts data that took no part better than the geometry alone does."""
@@ -72,6 +79,8 @@ class _Judged:
     mismatch: list[MismatchEntry]
     effects: list[EffectFound]
     predictive: bool
+    not_separable: tuple[NotSeparable, ...] = ()
+    pairs: tuple[tuple[SizedEffect, SizedEffect], ...] = ()
 
 
 def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
@@ -118,6 +127,11 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 
 
 def verdict_of(full: ModelFit) -> str:
+    """The verdict on the data of the fit."""
+    return verdict_of_long_recording(full) if full.evidence is None else verdict_by_evidence(full, full.evidence)
+
+
+def verdict_of_long_recording(full: ModelFit) -> str:
     """The verdict on the data of the fit: parametric effects that are selected although unmodelled ones are there explain partly, if they
     explain more than the unmodelled ones do.
     """

@@ -7,12 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates
+from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one
+from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import EffectPrior, Hypothesis, Member, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
+from mbcacq.effects.pose import payload
 
 MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 
@@ -24,6 +27,9 @@ class BeamSearch:
     candidates: list[Candidate]
     unmodelled: UnmodelledEffects | None
     prior: EffectPrior
+    context: Context | None = None
+    beam: int = OPTIONS.beam
+    estimated: int = OPTIONS.estimated
     known: dict[tuple, Hypothesis] = field(default_factory=dict)
 
     def run(self, start: NoisePoint, begin: Hypothesis | None = None) -> list[Hypothesis]:
@@ -42,7 +48,8 @@ class BeamSearch:
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
             best = beam[0]
-        self.exchange(best)
+        if self.beam > 1:
+            self.exchange(best)
         return self.ranked()
 
     def ranked(self) -> list[Hypothesis]:
@@ -58,30 +65,46 @@ class BeamSearch:
         for child in sorted(children, key=lambda h: -h.log_posterior):
             new.setdefault(child.key, child)
         out = []
-        for child in list(new.values())[: OPTIONS.estimated]:
+        for child in list(new.values())[: self.estimated]:
             if child.key not in self.known:
                 self.known[child.key] = estimated(child.members, child.point, child.log_prior)
             out.append(self.known[child.key])
-        return sorted(out, key=lambda h: -h.log_posterior)[: OPTIONS.beam]
+        return sorted(out, key=lambda h: -h.log_posterior)[: self.beam]
 
-    def extensions(self, node: Hypothesis) -> list[Hypothesis]:
-        """A set with each of the candidates that are most probable beyond it."""
+    def extensions(self, node: Hypothesis, catalogued: int = OPTIONS.compared, unmodelled: int = OPTIONS.compared) -> list[Hypothesis]:
+        """A set with each of the candidates that are most probable beyond it: at most so many of the catalogue, and unmodelled ones."""
         present = [m.candidate for m in node.members]
-        possible: list[tuple[float, Member]] = []
-        for scored in evidence_of_candidates(node.conditioned, self.candidates):
-            if self.allowed(scored.candidate, present):
-                possible.append(self.weighted(scored, present))
+        possible = [
+            self.weighted(scored, present)
+            for scored in evidence_of_candidates(node.conditioned, self.candidates)
+            if self.allowed(scored.candidate, present)
+        ]
+        for candidate in self.dependent(node):
+            if not any(c.name == candidate.name for c in present):
+                possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
+        others: list[tuple[float, Member]] = []
         if self.unmodelled is not None:
-            possible += [
-                (log + self.prior.log_probability(m.candidate, present), m) for log, m in self.unmodelled.evidence(node.conditioned)
-            ]
-        possible.sort(key=lambda one: -one[0])
+            found = self.unmodelled.evidence(node.conditioned)
+            others = [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
+        chosen = sorted(possible, key=lambda one: -one[0])[:catalogued] + others[:unmodelled]
         out = []
-        for _, member in possible[: OPTIONS.compared]:
+        for _, member in sorted(chosen, key=lambda one: -one[0])[: OPTIONS.compared]:
             members = (*node.members, member)
             log_prior = self.prior.log_probability_of_set([m.candidate for m in members])
             out.append(first_order(members, node.point, log_prior))
         return out
+
+    def dependent(self, node: Hypothesis) -> list[Candidate]:
+        """Candidates that depend on the coefficients of a set: a wrong payload shows through elastic joints."""
+        if self.context is None or not any(m.candidate.name == "joint_compliance" for m in node.members):
+            return []
+        found = coefficients(node)
+        elastic = {
+            int(m.candidate.where[0][1:]) - 1: float(f"{found.mean[p.start]:.2g}")
+            for m, p in zip(node.members, found.slices, strict=True)
+            if m.candidate.name == "joint_compliance"
+        }
+        return payload.correction_for(self.context, elastic)
 
     def weighted(self, scored: ScoredEffect, present: Sequence[Candidate]) -> tuple[float, Member]:
         return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member.of(scored)
@@ -94,7 +117,12 @@ class BeamSearch:
         for j in range(len(best.members)):
             rest = best.members[:j] + best.members[j + 1 :]
             log_prior = self.prior.log_probability_of_set([m.candidate for m in rest])
-            self.compared(self.extensions(first_order(rest, best.point, log_prior)))
+            node = first_order(rest, best.point, log_prior)
+            self.known.setdefault(node.key, node)
+            for other in self.extensions(node, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
+                if other.key not in self.known:
+                    near = other.log_posterior > best.log_posterior - OPTIONS.reach
+                    self.known[other.key] = estimated(other.members, other.point, other.log_prior) if near else other
 
 
 def log_e_value(ranked: Sequence[Hypothesis]) -> float:

@@ -71,6 +71,14 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
     return out
 
 
+def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+    """A candidate without hyper-parameter."""
+    X, S, b = projected.candidate_products(candidate, None)
+    absorbed, t = projected.conditioned.T @ X, candidate.typical
+    A, a = (S - absorbed.T @ absorbed) * np.outer(t, t), (b - absorbed.T @ projected.along) * t
+    return ScoredEffect(candidate, None, float(log_bayes_factors(A[None], a[None], SIZES, candidate.positive)[0]), 0.0)
+
+
 def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> ScoredEffect:
     """Over the values (H,) of a hyper-parameter, with log Bayes factors (H,)."""
     weighted = logs + log_weights(candidate, values)

@@ -38,9 +38,7 @@ def coefficients(hypothesis: Hypothesis) -> Coefficients:
     absorbed, sigma = p.Q.T @ X, prior_sigma(members)
     normal = sigma[:, None] * (X.T @ X - absorbed.T @ absorbed) * sigma + np.eye(len(sigma))
     inverse = np.linalg.inv(normal)
-    return Coefficients(
-        sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry()))), sigma[:, None] * inverse * sigma, slices_of(members)
-    )
+    return Coefficients(sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry()))), sigma[:, None] * inverse * sigma, slices_of(members))
 
 
 def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
@@ -77,9 +75,7 @@ def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem
 def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
     """(M, R) of each effect, by the mean of its coefficients."""
     linear, found = hypothesis.point.linear, coefficients(hypothesis)
-    return [
-        linear.columns(m.candidate.build(m.hyper)) @ found.mean[p] for m, p in zip(hypothesis.members, found.slices, strict=True)
-    ]
+    return [linear.columns(m.candidate.build(m.hyper)) @ found.mean[p] for m, p in zip(hypothesis.members, found.slices, strict=True)]
 
 
 def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: float) -> LinearProblem:

@@ -45,13 +45,15 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
     blocks = UnmodelledEffects(problem.design_blocks) if unmodelled else None
     effects = EffectPrior.of(problem.candidates, blocks.locations if blocks else 1)
 
+    effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
+
     def searched(linear: LinearProblem, start: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
-        search = BeamSearch(problem.candidates, blocks, effects)
+        search = BeamSearch(problem.candidates, blocks, effects, problem.context, *effort)
         ranked = search.run(NoisePoint(linear, prior, start), from_set)
         return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
 
     fit = searched(linear, prior.centre)
-    for _ in range(OPTIONS.relinearizations):
+    for _ in range(OPTIONS.relinearizations if keep is None else 0):
         before = fit.best.key
         kept = linear.keep if keep is not None else judged_centres(fit)
         if not fit.best.members and np.array_equal(kept, linear.keep):

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
-from mbcacq.diagnosis.evidence.candidate_evidence import SIZES, ScoredEffect
+from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
 from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbcacq.diagnosis import noise_consistent_ranking
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Alternative, NotSeparable
 from mbcacq.diagnosis.search.beam_search import BeamSearch
