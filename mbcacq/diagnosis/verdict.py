@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +11,12 @@ from mbcacq.diagnosis.evidence.conclude import pairs_not_separable, verdict_by_e
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output import next_measurements
+from mbcacq.diagnosis.output import interruptions, next_measurements
 from mbcacq.diagnosis.output.alternatives import SizedEffect, Unobservable, unobservable
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
 from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
@@ -59,7 +61,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=tuple(advice),
         dropped=setup.dropped,
-        notes=tuple(notes(setup, full)),
+        notes=(*notes(setup, full), *confounded_pauses(setup, judged.effects)),
         exclusion_limits=exclusion_limits(setup, full),
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )
@@ -157,9 +159,19 @@ def _mostly_parametric(full: ModelFit) -> bool:
     return contributions.of(list(range(count))) > contributions.of(list(range(count, len(contributions.parts))))
 
 
+def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on pauses of the recording that may explain a change that was found."""
+    found = [p for e in effects for name, p in e.parameters.items() if name.rpartition(".")[2] == "at_pose"]
+    moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]
+    return interruptions.confounded(setup.linear.obs, {e.name for e in effects}, moments)
+
+
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     """Sentences on what was left out of the diagnosis."""
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
+    wrong = stated_noise_is_wrong(full, setup.prior_noise)
+    if wrong is not None:
+        out.append(wrong)
     keep = full.geometry_only.linear.keep
     dropped = int(np.sum(~keep))
     if dropped:

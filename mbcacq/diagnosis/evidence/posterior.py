@@ -13,6 +13,9 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.options import OPTIONS
 
 
+PAYLOAD, COMPLIANCE = "payload:", "joint_compliance:"
+
+
 @dataclass(frozen=True)
 class Rival:
     """Another effect, as ``name:where``, in the place of a reported one. odds: posterior probability relative to the reported set's.
@@ -69,6 +72,13 @@ def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
     least = reported.log_posterior + np.log(OPTIONS.undecided)
     out: dict[frozenset[str], Hypothesis] = {}
     for h in fit.hypotheses:
-        if h.members and h.log_posterior > least and not (h.labels <= reported.labels or h.labels >= reported.labels):
+        if h.members and h.log_posterior > least and not nested(h.labels, reported.labels):
             out.setdefault(h.labels, h)
     return list(out.values())
+
+
+def nested(one: frozenset[str], other: frozenset[str]) -> bool:
+    """Whether one set is part of the other. A wrong payload contains the compliance of every loaded joint."""
+    if any(label.startswith(PAYLOAD) for label in one | other):
+        one, other = (frozenset(label for label in labels if not label.startswith(COMPLIANCE)) for labels in (one, other))
+    return one <= other or one >= other

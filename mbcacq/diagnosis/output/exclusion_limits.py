@@ -23,6 +23,7 @@ from mbcacq.effects.effect import Candidate
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
 MOST_VALUES = 12  # of a hyper-parameter that are tried
 ABSORBED = 1e-10  # share of an effect's information below which the geometry absorbs it: it has no limit
+HARMLESS_MM = 1e-6  # error of a length by an effect of typical size
 LENGTH_PAIRS = 400  # pairs of postures between which a length is measured
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm")
 
@@ -48,6 +49,8 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
         if (candidate.name, candidate.where) in found or candidate.k > fewest[candidate.name, candidate.where]:
             continue
         limit = coefficient_limit(full.conditioned, candidate)
+        if not np.all(np.isfinite(limit.coefficients)) and harmless(there, linear, candidate, limit.hyper):
+            continue
         name, value = parameter_of(candidate, limit)
         workspace, length = errors_elsewhere(there, linear, candidate, limit)
         out.append(ExclusionLimit(candidate.name, candidate.where, name, value, workspace, length))
@@ -96,6 +99,12 @@ def parameter_of(candidate: Candidate, limit: CoefficientLimit) -> tuple[str, fl
     reported = candidate.report(limit.coefficients, np.zeros((candidate.k, candidate.k)), limit.hyper)
     sizes = {name: float(np.abs(p.value).max()) for name, p in reported.items() if name.rpartition(".")[2] not in NOT_SIZES}
     return max(sizes.items(), key=lambda item: item[1] > 0)
+
+
+def harmless(there: Context, linear: LinearProblem, candidate: Candidate, hyper: float | None) -> bool:
+    """Whether an effect displaces everything alike, as a constant sag does: no length shows it, nor suffers from it."""
+    _, length = errors_elsewhere(there, linear, candidate, CoefficientLimit(hyper, candidate.typical))
+    return length is not None and length < HARMLESS_MM
 
 
 def errors_elsewhere(
