@@ -1,4 +1,4 @@
-"""One pass from observations to a model: parametric effects are searched, the residual is tested, what they leave is modelled."""
+"""One pass from observations to a model: by evidence, or, of a long recording, search, residual tests, random effects at all locations."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis import noise_consistent_ranking
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.reported_model import model_of
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
-from mbcacq.diagnosis.nonparametric import model_comparison, random_effects, residual_tests
+from mbcacq.diagnosis.nonparametric import random_effects, residual_tests
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, kept_centres, noise_with, relinearized
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
@@ -38,26 +37,17 @@ class SearchResult:
 
 
 def search_parametric_effects(
-    problem: DiagnosisProblem, linear: LinearProblem, plain: NoiseEstimate, relinearize: bool = True, threshold_reduction: float = 0.0
+    problem: DiagnosisProblem, linear: LinearProblem, plain: NoiseEstimate, relinearize: bool = True
 ) -> SearchResult:
-    """Parametric effects, noise and linearisation in turns, until the set of effects stands still. plain: noise with geometry alone."""
-    large = linear.obs.n_poses > OPTIONS.many_poses
-    search, noise, model = beam_search_for(problem, large, threshold_reduction), plain, NO_EFFECTS
-    for number in range(2 if large or not relinearize else OPTIONS.most_passes):
+    """Parametric effects of a long recording, noise and linearisation in two turns. plain: noise with geometry alone."""
+    search, noise, model = beam_search_for(problem), plain, NO_EFFECTS
+    for number in range(2 if relinearize else 1):
         projected = CandidateScoring.of(linear, noise)
-        start = NO_EFFECTS
-        if large and number == 0:
+        start = model
+        if number == 0:
             start = elastic_joints(problem, projected)
             search = replace(search, protected=frozenset(c.key for c, _ in start.effects))
-        elif large:
-            start = model
-        new = search.beam_search(projected, start)
-        first = number == 0 and not large
-        if first and len(new.effects) > 1 and model_comparison.single_block_more_probable(projected, problem.design_blocks, new):
-            return SearchResult(NO_EFFECTS, noise, search, linear)
-        new = search.polished(projected, new)
-        if first and not new.effects:
-            new = noise_consistent_ranking.reconsider_near_misses(search, linear, noise, problem.prior_noise)
+        new = search.polished(projected, search.beam_search(projected, start))
         same = {c.key for c, _ in new.effects} == {c.key for c, _ in model.effects}
         model = new
         if not model.effects:
@@ -67,24 +57,12 @@ def search_parametric_effects(
             linear = relinearized(linear, model, noise)
         if same:
             break
-    if model.effects and not large:
-        model, noise = noise_consistent_ranking.compare_single_exchanges(search, linear, model, noise, problem.prior_noise)
     return SearchResult(model, noise, search, linear)
 
 
-def beam_search_for(problem: DiagnosisProblem, large: bool, threshold_reduction: float) -> BeamSearch:
-    """The search for a recording; a long one is searched with a narrow beam."""
-    if large:
-        return BeamSearch(
-            problem.candidates,
-            beam_width=1,
-            branches=3,
-            rounds=5,
-            thorough=False,
-            least_share=0.003,
-            threshold_reduction=threshold_reduction,
-        )
-    return BeamSearch(problem.candidates, rounds=10, context=problem.context, threshold_reduction=threshold_reduction)
+def beam_search_for(problem: DiagnosisProblem) -> BeamSearch:
+    """The search of a long recording, with a narrow beam."""
+    return BeamSearch(problem.candidates, beam_width=1, branches=3, rounds=5, thorough=False, least_share=0.003)
 
 
 def elastic_joints(problem: DiagnosisProblem, projected: CandidateScoring) -> EffectSet:

@@ -12,11 +12,12 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import interruptions, next_measurements
-from mbcacq.diagnosis.output.alternatives import SizedEffect, Unobservable, unobservable
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
+from mbcacq.diagnosis.output.observability import Unobservable, unobservable
 from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
@@ -28,6 +29,7 @@ from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predic
 # Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
 # unmodelled one is the larger of the two, and where it is the smaller.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
+MOST_POSES = 1000  # a plan of more poses is no advice: another one is needed
 WEAK = 20.0  # score up to which a name may be a false alarm, and is validated with more folds: it might not be found in three quarters
 
 
@@ -42,13 +44,15 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
     advice = next_measurements.separating(setup.context, judged.pairs)
-    verdict, not_separable = judged.verdict, judged.not_separable
+    verdict, not_separable, enough = judged.verdict, judged.not_separable, tuple[str, ...]()
     if verdict == "none":
         missed = unobservable(setup, full)
         advice += [next_measurements.revealing(setup.context, m.candidate) for m in missed]
         not_separable += tuple(_absorbed(m) for m in missed if m.even_strong)
         if any(m.even_strong for m in missed):
             verdict = "cannot_tell"
+            more = tuple(f"{max(m.poses, setup.linear.obs.n_poses + 1)} poses like these" for m in missed if m.poses < MOST_POSES)
+            enough = tuple(f"about {poses} would show an elastic joint, were it soft" for poses in more)
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(judged.mismatch),
@@ -61,7 +65,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=tuple(advice),
         dropped=setup.dropped,
-        notes=(*notes(setup, full), *confounded_pauses(setup, judged.effects)),
+        notes=(*notes(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
         exclusion_limits=exclusion_limits(setup, full),
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )

@@ -12,8 +12,8 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, rivals, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.output.alternatives import SizedEffect
 from mbcacq.diagnosis.output.contributions import Contributions
+from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
 
 MOST_RIVALS = 3  # reported of each effect

@@ -12,7 +12,6 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.options import OPTIONS
 
-
 PAYLOAD, COMPLIANCE = "payload:", "joint_compliance:"
 
 

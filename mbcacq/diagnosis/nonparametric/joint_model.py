@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.linearized.linear_problem import LinearProblem
-from mbcacq.diagnosis.linearized.variance_components import restricted_maximum_likelihood
+from mbcacq.diagnosis.linearized.variance_components import log_prior, restricted_maximum_likelihood
 from mbcacq.diagnosis.linearized.whitening import NoiseEstimate
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.options import OPTIONS
@@ -41,9 +41,13 @@ def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> Can
     return projected.conditioned_on([(projected.block(c, h), prior_weight(c)) for c, h in model.effects])
 
 
-def conditioned_on_random_effects(projected: CandidateScoring, smooth: RandomEffectsModel | None) -> CandidateScoring:
-    """The problem with random effects projected out, as far as their sizes allow."""
-    return projected if smooth is None else projected.conditioned_on([(projected.whiten(smooth.columns), smooth.sigma**-2)])
+def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoiseEstimate) -> float:
+    """Twice the log of the restricted likelihood of a noise with its prior, up to a constant.
+
+    conditioned: the problem conditioned on the effects of the model, of whose coefficients no determinant is counted.
+    """
+    prior = log_prior(projected.noise, prior_noise, projected.linear)
+    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * prior
 
 
 def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
