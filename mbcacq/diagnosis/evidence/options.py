@@ -24,7 +24,7 @@ class EvidenceOptions:
     axis: float = 0.25  # deviation of an axis of the instrument from that level
     joint_common: float = 1.0  # the level that all joints of an arm share
     joint: float = 0.35  # deviation of a joint from that level
-    discrepancy: float = 0.05  # of its own displacement that a catalogued effect is wrong by, at each pose
+    discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
 
     # Outliers
     outlier_prior: float = 0.01  # share of grossly wrong centres
