@@ -17,8 +17,7 @@ from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
-from mbcacq.diagnosis.nonparametric.model_comparison import log_restricted_likelihood
+from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, log_restricted_likelihood, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.result import plain
 from mbcacq.diagnosis.search import hyperparameters

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.model_fit import ModelFit, fit_model
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.problem import prepare, thinned

@@ -1,4 +1,4 @@
-"""One pass from observations to a model: parametric effects are searched, the residual is tested, what they leave is modelled."""
+"""One pass from observations to a model: by evidence, or, of a long recording, search, residual tests, random effects at all locations."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis import noise_consistent_ranking
-from mbcacq.diagnosis.nonparametric import model_comparison, random_effects, residual_tests
-from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.reported_model import model_of
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.nonparametric import random_effects, residual_tests
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, kept_centres, noise_with, relinearized
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
@@ -26,24 +28,6 @@ __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "prepare", "search_param
 
 
 @dataclass(frozen=True)
-class ModelFit:
-    """What one pass has found.
-
-    model: parametric effects. smooth: random effects, or None. cells: where the evidence map put them; empty where they stand at all
-    locations. noise: estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with geometry alone
-    and conditioned on the parametric effects. residual_tests: of what parametric effects leave.
-    """
-
-    model: EffectSet
-    smooth: RandomEffectsModel | None
-    cells: tuple[MapCell, ...]
-    noise: Noise
-    geometry_only: CandidateScoring
-    conditioned: CandidateScoring
-    residual_tests: ResidualTests | None
-
-
-@dataclass(frozen=True)
 class SearchResult:
     """Parametric effects, the noise with them in place, the search that found them, the linearisation with them in place."""
 
@@ -53,27 +37,16 @@ class SearchResult:
     linear: LinearProblem
 
 
-def search_parametric_effects(
-    problem: DiagnosisProblem, linear: LinearProblem, plain: Noise, relinearize: bool = True, threshold_reduction: float = 0.0
-) -> SearchResult:
-    """Parametric effects, noise and linearisation in turns, until the set of effects stands still. plain: noise with geometry alone."""
-    large = linear.obs.n_poses > OPTIONS.many_poses
-    search, noise, model = beam_search_for(problem, large, threshold_reduction), plain, NO_EFFECTS
-    for number in range(2 if large or not relinearize else OPTIONS.most_passes):
+def search_parametric_effects(problem: DiagnosisProblem, linear: LinearProblem, plain: Noise, relinearize: bool = True) -> SearchResult:
+    """Parametric effects of a long recording, noise and linearisation in two turns. plain: noise with geometry alone."""
+    search, noise, model = beam_search_for(problem), plain, NO_EFFECTS
+    for number in range(2 if relinearize else 1):
         projected = CandidateScoring.of(linear, noise)
-        start = NO_EFFECTS
-        if large and number == 0:
+        start = model
+        if number == 0:
             start = elastic_joints(problem, projected)
             search = replace(search, protected=frozenset(c.key for c, _ in start.effects))
-        elif large:
-            start = model
-        new = search.beam_search(projected, start)
-        first = number == 0 and not large
-        if first and len(new.effects) > 1 and model_comparison.single_block_more_probable(projected, problem.design_blocks, new):
-            return SearchResult(NO_EFFECTS, noise, search, linear)
-        new = search.polished(projected, new)
-        if first and not new.effects:
-            new = noise_consistent_ranking.reconsider_near_misses(search, linear, noise, problem.prior_noise)
+        new = search.polished(projected, search.beam_search(projected, start))
         same = {c.key for c, _ in new.effects} == {c.key for c, _ in model.effects}
         model = new
         if not model.effects:
@@ -83,24 +56,12 @@ def search_parametric_effects(
             linear = relinearized(linear, model, noise)
         if same:
             break
-    if model.effects and not large:
-        model, noise = noise_consistent_ranking.compare_single_exchanges(search, linear, model, noise, problem.prior_noise)
     return SearchResult(model, noise, search, linear)
 
 
-def beam_search_for(problem: DiagnosisProblem, large: bool, threshold_reduction: float) -> BeamSearch:
-    """The search for a recording; a long one is searched with a narrow beam."""
-    if large:
-        return BeamSearch(
-            problem.candidates,
-            beam_width=1,
-            branches=3,
-            rounds=5,
-            thorough=False,
-            least_share=0.003,
-            threshold_reduction=threshold_reduction,
-        )
-    return BeamSearch(problem.candidates, rounds=10, context=problem.context, threshold_reduction=threshold_reduction)
+def beam_search_for(problem: DiagnosisProblem) -> BeamSearch:
+    """The search of a long recording, with a narrow beam."""
+    return BeamSearch(problem.candidates, beam_width=1, branches=3, rounds=5, thorough=False, least_share=0.003)
 
 
 def elastic_joints(problem: DiagnosisProblem, projected: CandidateScoring) -> EffectSet:
@@ -110,42 +71,16 @@ def elastic_joints(problem: DiagnosisProblem, projected: CandidateScoring) -> Ef
 
 
 def fit_model(
-    problem: DiagnosisProblem,
-    keep: np.ndarray | None = None,
-    reconsider: bool = True,
-    structure_expected: bool = False,
-    effect_expected: bool = False,
+    problem: DiagnosisProblem, keep: np.ndarray | None = None, reconsider: bool = True, structure_expected: bool = False
 ) -> ModelFit:
-    """The model of the centres in keep (M,); without keep, outliers are reconsidered once with the model in place.
+    """The model of the centres in keep (M,); without keep, outliers are judged with the model in place.
 
-    structure_expected: structure is known to be there, so less evidence suffices; effect_expected: a parametric effect is, and the most
-    probable is taken.
+    structure_expected: of a long recording, in which structure is known to be there.
     """
+    if problem.linear.obs.n_poses <= OPTIONS.many_poses:
+        return model_of(problem, fit_evidence(problem, keep))
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
-    if linear.obs.n_poses > OPTIONS.many_poses:
-        return fit_long_recording(problem, linear, keep, reconsider, structure_expected)
-    settled = linear is problem.linear and reconsider  # the adjustment's own noise is of these centres
-    plain = problem.noise if settled else noise_with(linear, NO_EFFECTS, None, problem.noise, problem.prior_noise)
-    reduction = OPTIONS.known_effect_reduction if effect_expected else 0.0
-    found = search_parametric_effects(problem, linear, plain, keep is None, reduction)
-    search, noise = found.search, found.noise
-    projected = CandidateScoring.of(found.linear, noise)
-    model = pruned(search, projected, search.solved(projected, found.model.effects))
-    if keep is None and reconsider:
-        better = reconsidered_outliers(projected, model)
-        if better is not None:
-            return fit_model(problem.with_linearization(better), None, reconsider=False)
-    evidence_map, conditioned = EvidenceMap(projected, problem.design_blocks), conditioned_on_effects(projected, model)
-    tests = residual_tests.examine_residual(conditioned, problem.context, evidence_map)
-    least = 0.0 if structure_expected else residual_tests.STRUCTURE
-    doubtful = model.effects and 2 * evidence_map.evaluate(projected).best().log_posterior > model.log_posterior_odds
-    if tests.evidence.total < least and not tests.structure and not doubtful:
-        return ModelFit(model, None, (), noise, projected, conditioned, tests)
-    comparison = model_comparison.ComparisonProblem(found.linear, problem.design_blocks, problem.prior_noise, search, least)
-    best = model_comparison.most_probable_hypothesis(comparison, model, noise, plain)
-    projected = CandidateScoring.of(found.linear, best.noise)
-    model = reported_effects(search, projected, best.model, best.smooth)
-    return ModelFit(model, best.smooth, best.cells, best.noise, projected, conditioned_on_effects(projected, model), tests)
+    return fit_long_recording(problem, linear, keep, reconsider, structure_expected)
 
 
 def reconsidered_outliers(projected: CandidateScoring, model: EffectSet) -> LinearProblem | None:
@@ -154,14 +89,6 @@ def reconsidered_outliers(projected: CandidateScoring, model: EffectSet) -> Line
     if np.array_equal(keep, projected.linear.keep) or np.mean(~keep) >= OPTIONS.most_outliers:
         return None
     return projected.linear.restricted(keep)
-
-
-def reported_effects(search: BeamSearch, projected: CandidateScoring, model: EffectSet, smooth: RandomEffectsModel | None) -> EffectSet:
-    """Those parametric effects that are still significant with random effects projected out, with their coefficients without these."""
-    if not model.effects or smooth is None:
-        return pruned(search, projected, model)
-    kept = pruned(search, CandidateScoring.of(projected.linear, projected.noise, (smooth.columns, smooth.sigma)), model)
-    return search.solved(projected, kept.effects)
 
 
 def fit_long_recording(

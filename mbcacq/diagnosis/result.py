@@ -30,11 +30,14 @@ class MismatchEntry:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1."""
+    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
+    its posterior probability relative to the found effect's; None where that was not computed.
+    """
 
     name: str
     where: tuple[str, ...]
     held_out_gain: float
+    odds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -99,11 +102,29 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class ExclusionLimit:
+    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence.
+
+    parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
+    it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for
+    what depends on time or on single balls.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    parameter: str
+    value: float | None
+    workspace_mm: float | None
+    length_mm: float | None
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of ``diagnose``.
 
     verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
-    effects that were not considered, with what the recording lacks for them. notes: further sentences for people. plot_data: an
+    effects that were not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of
+    all effects that were not found, those with the largest error first. plot_data: an
     ``output.plot_data.PlotData`` from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.
     """
 
@@ -115,6 +136,7 @@ class Diagnosis:
     advice: tuple[Advice, ...] = ()
     dropped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    exclusion_limits: tuple[ExclusionLimit, ...] = ()
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
@@ -187,7 +209,12 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
         advice=tuple(Advice(a["reason"], tuple(tuple(_number(v) for v in q) for q in a["poses_deg"])) for a in content["advice"]),
         dropped=dict(content.get("dropped", {})),
         notes=tuple(content.get("notes", ())),
+        exclusion_limits=tuple(_read_limit(e) for e in content.get("exclusion_limits", ())),
     )
+
+
+def _read_limit(e: Mapping[str, Any]) -> ExclusionLimit:
+    return ExclusionLimit(e["name"], tuple(e["where"]), e["parameter"], e["value"], e["workspace_mm"], e["length_mm"])
 
 
 def _read_effect(e: Mapping[str, Any]) -> EffectFound:
@@ -197,7 +224,9 @@ def _read_effect(e: Mapping[str, Any]) -> EffectFound:
         parameters={k: ParameterEstimate(_numbers(p["value"]), _numbers(p["std"])) for k, p in e["parameters"].items()},
         p_value=_number(e["p_value"]),
         held_out_gain=_number(e["held_out_gain"]),
-        alternatives=tuple(Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"])) for a in e["alternatives"]),
+        alternatives=tuple(
+            Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"]), a.get("odds")) for a in e["alternatives"]
+        ),
         depends_on=e.get("depends_on", ""),
     )
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_rivals
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output import next_measurements
-from mbcacq.diagnosis.output.alternatives import Alternatives, Unobservable, alternatives, unobservable
+from mbcacq.diagnosis.output import interruptions, next_measurements
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
+from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.next_measurements import SizedEffect
+from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
+from mbcacq.diagnosis.output.observability import Unobservable, unobservable
 from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
@@ -19,10 +25,12 @@ from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.estimation.variance_components import first_noise
 
 # Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
 # unmodelled one is the larger of the two, and where it is the smaller.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
+MOST_POSES = 1000  # a plan of more poses is no advice: another one is needed
 WEAK = 20.0  # score up to which a name may be a false alarm, and is validated with more folds: it might not be found in three quarters
 
 
@@ -33,24 +41,23 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         full = replace(full, model=BeamSearch(setup.candidates).solved(full.geometry_only, kept.effects))
     before, residual_before = training_score(full.geometry_only, NO_EFFECTS, None)
     after, residual_after = training_score(full.geometry_only, full.model, full.smooth)
-    judged = _judged(full, proof, before)
+    judged = _judged(full, proof, before) if full.evidence is None else _judged_by_evidence(full, full.evidence, proof, before)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
-    found = alternatives(setup, full) if judged.effects else Alternatives()
-    advice = next_measurements.separating(setup.context, found.pairs)
-    verdict, not_separable = judged.verdict, found.not_separable
-    if verdict == "explained" and not_separable:
-        verdict = "cannot_tell"
+    advice = next_measurements.separating(setup.context, judged.pairs)
+    verdict, not_separable, enough = judged.verdict, judged.not_separable, tuple[str, ...]()
     if verdict == "none":
         missed = unobservable(setup, full)
         advice += [next_measurements.revealing(setup.context, m.candidate) for m in missed]
         not_separable += tuple(_absorbed(m) for m in missed if m.even_strong)
         if any(m.even_strong for m in missed):
             verdict = "cannot_tell"
+            more = tuple(f"{max(m.poses, setup.linear.obs.n_poses + 1)} poses like these" for m in missed if m.poses < MOST_POSES)
+            enough = tuple(f"about {poses} would show an elastic joint, were it soft" for poses in more)
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(judged.mismatch),
-        effects=tuple(replace(e, alternatives=found.by_name.get(e.name, ())) for e in judged.effects),
+        effects=tuple(judged.effects),
         fit=FitSummary(
             train=FitFigures(*_figures(before, after)),
             held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),
@@ -59,9 +66,18 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=tuple(advice),
         dropped=setup.dropped,
-        notes=tuple(notes(setup, full)),
+        notes=(*notes(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
+        exclusion_limits=exclusion_limits(setup, full),
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )
+
+
+def _judged_by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
+    contributions = Contributions(full)
+    effects = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
+    not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
+    mismatch = mismatch_table(full, contributions, before)
+    return _Judged(verdict_by_evidence(full, fit), mismatch, list(with_rivals(fit, effects)), True, not_separable, pairs)
 
 
 @dataclass(frozen=True)
@@ -72,6 +88,8 @@ class _Judged:
     mismatch: list[MismatchEntry]
     effects: list[EffectFound]
     predictive: bool
+    not_separable: tuple[NotSeparable, ...] = ()
+    pairs: tuple[tuple[SizedEffect, SizedEffect], ...] = ()
 
 
 def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
@@ -118,6 +136,11 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 
 
 def verdict_of(full: ModelFit) -> str:
+    """The verdict on the data of the fit."""
+    return verdict_of_long_recording(full) if full.evidence is None else verdict_by_evidence(full, full.evidence)
+
+
+def verdict_of_long_recording(full: ModelFit) -> str:
     """The verdict on the data of the fit: parametric effects that are selected although unmodelled ones are there explain partly, if they
     explain more than the unmodelled ones do.
     """
@@ -141,9 +164,19 @@ def _mostly_parametric(full: ModelFit) -> bool:
     return contributions.of(list(range(count))) > contributions.of(list(range(count, len(contributions.parts))))
 
 
+def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on pauses of the recording that may explain a change that was found."""
+    found = [p for e in effects for name, p in e.parameters.items() if name.rpartition(".")[2] == "at_pose"]
+    moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]
+    return interruptions.confounded(setup.linear.obs, {e.name for e in effects}, moments)
+
+
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     """Sentences on what was left out of the diagnosis."""
     out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
+    wrong = stated_noise_is_wrong(full, first_noise(setup.linear.obs.cell))
+    if wrong is not None:
+        out.append(wrong)
     keep = full.geometry_only.linear.keep
     if open_ones := [u.name for u in setup.undetermined if not u.harmless]:
         out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")

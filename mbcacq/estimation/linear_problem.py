@@ -112,7 +112,7 @@ class LinearProblem:
     @property
     def joint_columns(self) -> np.ndarray:
         """(M, R, n): change of the prediction by each joint's angle."""
-        return self.computed_once("joints", lambda: self.rows.unpad(self.joint))
+        return self.computed_once("joints", lambda: self.rows.unpad(self.joint)[..., : self.obs.cell.robot.n])
 
     def unit(self, location: str, index: int, component: int) -> np.ndarray:
         """(M, R): change of the prediction by a unit of one component of one location."""

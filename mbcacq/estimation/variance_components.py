@@ -7,8 +7,6 @@ accounted for through the traces.
 
 from __future__ import annotations
 
-# Standard deviations of logarithms. Axes of one arm repeat about equally well; the level they share is unknown.
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,10 +14,15 @@ import numpy as np
 
 from mbcacq.estimation.normal_equations import Normal, WhitenedSystem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.whitening import Whitening
 from mbcacq.model.cell import Cell
 
-STATED, GUESSED, AXIS, COMMON, JOINT, EXACT = eval(os.environ.get("NPV", "(1.0, 2.0, 0.35, 1.5, 0.1, 1e-3)"))
+# Standard deviations of logarithms.
+STATED = 0.7  # a stated instrument noise is right within a factor of two
+GUESSED = 1.5  # of an instrument of which nothing is stated only the order of magnitude is known
+AXIS = 0.25  # deviation of an axis of the instrument from the level that all axes share
+COMMON = 1.0  # the level that all joints of an arm share
+JOINT = 0.35  # deviation of a joint from that level
+EXACT = 1e-3  # a figure that is taken as it is
 # No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
 LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
 
@@ -58,7 +61,8 @@ def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
     level = {"auto": STATED, "given": EXACT, "estimate": GUESSED}[option] if cell.noise_mm is not None else GUESSED
     common, single = (EXACT, EXACT) if option == "given" and cell.robot.repeatability_mm else (COMMON, JOINT)
     precision = np.zeros((n + 4, n + 4))
-    precision[:3, :3] = np.eye(3) / level**2 if level < GUESSED else np.linalg.inv(AXIS**2 * np.eye(3) + level**2)
+    axis = EXACT if level == EXACT else AXIS
+    precision[:3, :3] = np.linalg.inv(axis**2 * np.eye(3) + level**2)
     precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2)
     precision[-1, -1] = 1 / GUESSED**2
     return NoisePrior(pack(noise), precision)
@@ -109,7 +113,7 @@ def reml_score_and_information(system: WhitenedSystem, noise: Noise) -> tuple[np
         sigma = rows.pad(rows.row_sigma(noise))
     # Scanner: the rows of one axis each.
     lever = _leverage(normal, root, back[..., : g + 6])  # (P, B R)
-    own = _own_trace(W)
+    own = W.inverse_diagonal()
     quadratic = back[..., -1] ** 2
     per_row = [((quadratic - own + lever) * sigma**2).reshape(-1, rows.depth, width)]
     per_row = per_row[0].sum(axis=(0, 1))
@@ -145,13 +149,6 @@ def _leverage(normal: Normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Variance (P, m) of linear forms (P, m, g + 6), from parameters and stations."""
     a, y = normal.reduce(rows[..., : normal.size], rows[..., normal.size :])
     return np.sum((a @ root.T) ** 2, axis=2) + np.sum(y**2, axis=2)
-
-
-def _own_trace(W: Whitening) -> np.ndarray:
-    """(P, B R): diagonal of W'W, the inverse covariance."""
-    inverse = np.linalg.inv(np.swapaxes(W.J, 1, 2) @ W.J + np.eye(W.J.shape[2]))
-    share = np.einsum("pij,pjk,pik->pi", W.J, inverse, W.J, optimize=True)
-    return (1 - share) * W.scale[..., 0] ** 2
 
 
 def _regular(information: np.ndarray) -> np.ndarray:

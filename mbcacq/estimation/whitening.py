@@ -35,8 +35,12 @@ class PoseRows:
         return noise.row_sigma(self.width) * self.sigma_scale
 
     def joint_sigma(self, noise: Noise) -> np.ndarray:
-        """(P, 1, n) or (1, 1, n) rad repeatability of the joints, in the order of the blocks."""
-        return noise.joint * (self.joint_scale[self.order] if len(self.joint_scale) > 1 else self.joint_scale)
+        """(P, 1, k) or (1, 1, k) rad repeatability of the n joints and further columns of ``noise.joint``, ordered as the blocks."""
+        if len(self.joint_scale) == 1:
+            return noise.joint * self.joint_scale
+        scale = self.joint_scale[self.order]
+        further = np.ones((*scale.shape[:2], len(noise.joint) - scale.shape[2]))
+        return noise.joint * np.concatenate([scale, further], axis=2)
 
     def pad(self, rows: np.ndarray) -> np.ndarray:
         """(M, R, ...) -> (P, B R, ...)."""
@@ -64,9 +68,8 @@ class PoseRows:
 
 def _noise_scales(obs: Observations, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Relative sigma of the rows (M, R) and of the joints (P, 1, n); (1, R) and (1, 1, n) of ones where there is one recording."""
-    n = obs.cell.robot.n
     if obs.noise_scale is None:
-        return np.ones((1, width)), np.ones((1, 1, n))
+        return np.ones((1, width)), np.ones((1, 1, 1))
     point = obs.noise_scale[obs.pose, :3]
     return np.concatenate([point, np.ones((len(point), width - 3))], axis=1), obs.noise_scale[:, None, 3:]
 
@@ -98,6 +101,12 @@ class Whitening:
         X -= self.J @ (self.M @ (np.swapaxes(self.J, 1, 2) @ X))
         return X
 
+    def inverse_diagonal(self) -> np.ndarray:
+        """(P, B R): diagonal of W'W, the inverse covariance."""
+        inverse = np.linalg.inv(np.swapaxes(self.J, 1, 2) @ self.J + np.eye(self.J.shape[2]))
+        share = np.sum((self.J @ inverse) * self.J, axis=2)
+        return (1 - share) * self.scale[..., 0] ** 2
+
     def transpose(self, blocks: np.ndarray) -> np.ndarray:
         """W' X for blocks (P, B R, k)."""
         X = blocks - self.J @ (np.swapaxes(self.M, 1, 2) @ (np.swapaxes(self.J, 1, 2) @ blocks))
@@ -121,6 +130,16 @@ class CentreWhitening:
         flat = columns if columns.ndim == 3 else columns[..., None]
         out = self.rows.unpad(self.blocks(self.rows.pad(flat))).reshape(-1, flat.shape[2])
         return out if columns.ndim == 3 else out[:, 0]
+
+    def transpose(self, rows: np.ndarray) -> np.ndarray:
+        """W' applied to whitened rows (M R,) or (M R, k) -> (M, R) or (M, R, k)."""
+        flat = rows.reshape(-1, self.rows.width, 1 if rows.ndim == 1 else rows.shape[1])
+        out = self.rows.unpad(self.blocks.transpose(self.rows.pad(flat)))
+        return out[..., 0] if rows.ndim == 1 else out
+
+    def row_norms(self) -> np.ndarray:
+        """(M, R): diagonal of W'W, the inverse covariance's diagonal."""
+        return self.rows.unpad(self.blocks.inverse_diagonal())
 
     def pose_products(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """(P, c, z): left'right over the rows of each pose; left (M R, c), right (M R, z), whitened or not."""

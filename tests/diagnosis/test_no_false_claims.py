@@ -8,7 +8,6 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.output.alternatives import alternatives
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import Displacements
@@ -78,13 +77,3 @@ def test_too_few_poses_are_refused(plan):
 
     with pytest.raises(CalibrationError, match="too few"):
         diagnose(few)
-
-
-def test_the_same_effect_at_a_parallel_joint_is_an_alternative(plan):
-    """Axes 2 and 3 are parallel: which of them measures its turns wrong is a question like any other."""
-    setup = model_fit.prepare(simulated.observe(plan, 150, [("joint_scale", ("A2",), [6e-5], None)]))
-
-    found = alternatives(setup, model_fit.fit_model(setup))
-
-    assert [(a.name, a.where) for a in found.by_name["joint_scale"]][0] == ("joint_scale", ("A3",))
-    assert found.not_separable == ()

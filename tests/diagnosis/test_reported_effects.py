@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis.nonparametric import model_comparison
-from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
-from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.verdict import reportable
 
 
@@ -49,26 +46,6 @@ def test_a_long_recording_counts_all_directions_alike(setup):
     assert np.ptp(long.information) == 0 < np.ptp(short.information)
     assert long.detection_statistic[1] == pytest.approx(6)
     assert short.detection_statistic[1] < 4
-
-
-def leads(location, depends_on, share):
-    """Whether a single block of the map leads over an elastic joint 2 that removes this share of what the block removes."""
-    shape = BasisFunction(depends_on, np.array([0]), np.ones(1))
-    block = MapCell(location, depends_on, 1000.0, 1000.0, 1000.0, 1.0, 0, (0,), shape)
-    elastic = simulated.candidate("joint_compliance", "A2", [1e-6], "gravity_torque_2")
-    model = EffectSet(((elastic, None),), log_posterior_odds=share * block.gain)
-    there = (location, depends_on) == ("A2", "gravity_torque_2")
-    return model_comparison.leads_plainly(block, model, share * block.gain if there else -np.inf)
-
-
-def test_an_effect_gives_way_to_a_block_that_is_plainly_more_probable():
-    assert leads("A3", "q3", 0.8)
-    assert leads("A2", "gravity_torque_2", 0.3)
-
-
-def test_a_large_effect_is_not_replaced_by_a_block_at_its_own_location():
-    """It is distorted a little because it is large; the block at its joint, along its covariate, follows the distortion."""
-    assert not leads("A2", "gravity_torque_2", 0.8)
 
 
 def test_a_column_that_vanishes_in_these_data_makes_no_random_effect(plan):

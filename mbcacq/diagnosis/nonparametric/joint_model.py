@@ -44,9 +44,12 @@ def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> Can
     return projected.conditioned_on([(projected.block(c, h), prior_weight(c)) for c, h in model.effects])
 
 
-def conditioned_on_random_effects(projected: CandidateScoring, smooth: RandomEffectsModel | None) -> CandidateScoring:
-    """The problem with random effects projected out, as far as their sizes allow."""
-    return projected if smooth is None else projected.conditioned_on([(projected.whiten(smooth.columns), smooth.sigma**-2)])
+def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoisePrior) -> float:
+    """Twice the log of the restricted likelihood of a noise with its prior, up to a constant.
+
+    conditioned: the problem conditioned on the effects of the model, of whose coefficients no determinant is counted.
+    """
+    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * prior_noise.log_density(projected.noise)
 
 
 def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.output.alternatives import SizedEffect
 from mbcacq.diagnosis.result import Advice
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -19,6 +18,20 @@ from mbcacq.model.observations import Observations
 TRIED, GIVEN = 400, 6  # postures that are tried, and poses that one piece of advice gives
 # Effects that act by the order or time of the poses, which no posture makes visible.
 OVER_TIME = ("joint_step", "mount_shift", "station_drift", "scanner_warmup", "thermal_growth")
+
+
+@dataclass(frozen=True)
+class SizedEffect:
+    """An effect with the value of its hyper-parameter and its coefficients (k,)."""
+
+    candidate: Candidate
+    hyper: float | None
+    coefficients: np.ndarray
+
+    @property
+    def label(self) -> str:
+        """``name:where`` as in the JSON object."""
+        return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
 
 
 def elsewhere(context: Context, seed: int = 0) -> Context:

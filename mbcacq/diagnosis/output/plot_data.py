@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import MapEntry, map_entries

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit
 from mbcacq.effects.effect import in_digits
 
 VERDICTS = {
@@ -14,6 +14,7 @@ VERDICTS = {
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
 }
+MOST_LIMITS = 3  # effects that could still hide, in the text
 MOST_PARAMETERS = 24  # of one effect in the text
 STANDS_IN = "A smooth model stands in its place."
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
@@ -37,10 +38,22 @@ def words(d: Diagnosis) -> str:
         f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; "
         f"expected from noise alone: {d.fit.repeatability_floor_mm:.4f} mm."
     )
+    lines += [hidden(limit) for limit in d.exclusion_limits[:MOST_LIMITS]]
     lines += [f"Cannot be told apart: {' and '.join(pair.effects)} (correlation {pair.correlation:.2f})" for pair in d.not_separable]
     lines += [f"Measure next: {a.reason}" for a in d.advice]
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
+
+
+def hidden(limit: ExclusionLimit) -> str:
+    """What could still hide, in one line."""
+    at = f"{limit.name} at {'+'.join(limit.where)}"
+    if limit.value is None:
+        return f"Not excluded at any size: {at}, which the free geometry absorbs"
+    size = f"{limit.parameter.rpartition('.')[2]} = {limit.value:.2g}"
+    if limit.workspace_mm is None or limit.length_mm is None:
+        return f"Not excluded (95 %): {at} up to {size}"
+    return f"Not excluded (95 %): {at} up to {size}, {limit.workspace_mm:.2g} mm in the workspace, {limit.length_mm:.2g} mm in a length"
 
 
 def describe(effect: EffectFound) -> list[str]:
@@ -51,10 +64,15 @@ def describe(effect: EffectFound) -> list[str]:
     ]
     out += [f"  {name} = {estimate}" for name, estimate in list(effect.parameters.items())[:MOST_PARAMETERS]]
     if effect.alternatives:
-        out.append(
-            "  could also be: " + "; ".join(f"{a.name} at {', '.join(a.where)} ({a.held_out_gain:.0%})" for a in effect.alternatives)
-        )
+        out.append("  could also be: " + "; ".join(f"{a.name} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives))
     return [*out, ""]
+
+
+def likelihood(a: Alternative) -> str:
+    """How probable an alternative is."""
+    if a.odds is None:
+        return f"{a.held_out_gain:.0%}"
+    return f"odds 1 : {1 / a.odds:.3g}" if a.odds > 1e-9 else "excluded"
 
 
 def number(value: float | Sequence[float]) -> str:

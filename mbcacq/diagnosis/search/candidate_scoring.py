@@ -181,6 +181,24 @@ class CandidateScoring:
             out.append(self._gains(candidate, here, None if key is None else (key, start)))
         return np.concatenate(out)
 
+    def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrices (H, k, k) and right-hand sides (H, k) of a separable candidate beyond all that is projected out."""
+        assert candidate.hyper is not None, "a separable candidate has a hyper-parameter"
+        key = (candidate.key, 0) if values is candidate.hyper.values else None
+        flat, S, b, _ = self._normal_matrices(candidate, values, key)
+        if self.conditioned.shape[1]:
+            absorbed = self._absorbed(candidate, flat, len(S))
+            S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
+        return S, b
+
+    def _absorbed(self, candidate: Candidate, flat: np.ndarray, H: int) -> np.ndarray:
+        """(H, k, a): products of a candidate's columns with the basis of what the problem is conditioned on."""
+        components = candidate.separable
+        c, products = len(components), self.conditioned_pose_products(components)
+        f = len(flat) // H
+        absorbed = (flat @ products.reshape(len(products), -1)).reshape(H, f, c, -1)
+        return absorbed.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
+
     def _gains(self, candidate: Candidate, values: np.ndarray, key: tuple[str, int] | None) -> np.ndarray:
         """Gain (H,) of a candidate at these values. key: under which the products are kept."""
         components = candidate.separable

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, located_name
@@ -69,7 +69,7 @@ def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, wo
         before, after = summed(a.before for a in results), summed(a.after for a in results)
         without = {key: summed(a.without[key] for a in results) for key in keys}
         parametric = summed(a.parametric for a in results) if everywhere else None
-        dropped = not_predictive(full, without, parametric or after)
+        dropped = () if full.evidence is not None else not_predictive(full, without, parametric or after)
         if dropped:
             after = summed(pool.ask("without", dropped))
     there = summed(a.before_there for a in results), summed(a.after_there for a in results)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import ModelFit, fit_model
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
@@ -37,10 +38,7 @@ class Fold:
         linear = full.geometry_only.linear
         self.linear, self.noise = linear, full.noise
         self.train, self.test = linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose]
-        effect_expected = bool(full.model.effects) and full.smooth is None
-        self.found = fit_model(
-            problem.with_linearization(linear), self.train, structure_expected=structure_expected, effect_expected=effect_expected
-        )
+        self.found = fit_model(problem.with_linearization(linear), self.train, structure_expected=structure_expected)
 
     def score(self, model: EffectSet, smooth: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
         return held_out_score(self.linear, self.train, self.test if test is None else test, model, smooth, self.noise)

@@ -52,7 +52,14 @@ class Posterior:
         """Minus twice the log of the density of other centres given these, up to a constant: by the chain rule, the density of all of them
         over that of these alone.
         """
+        chi2, log_det = self.predicted(whiten, columns, residual)
+        return chi2 + log_det
+
+    def predicted(self, whiten: CentreWhitening, columns: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
+        """chi2 of other centres about their prediction, under the covariance of noise and prediction together, and its log determinant
+        relative to that of the noise.
+        """
         Z, r = whiten(columns) * self.sigma, whiten(residual)
         normal, right = self.normal + Z.T @ Z, self.sigma * self.right + Z.T @ r
         chi2 = r @ r - right @ np.linalg.solve(normal, right) + self.right @ self.solution
-        return float(chi2 + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])
+        return float(chi2), float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])

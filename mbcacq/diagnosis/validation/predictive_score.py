@@ -1,6 +1,6 @@
 """Predictive score of a model: fitted on some centres, evaluated on others, where only the poses of new stations are free.
 
-Squares and chi2 are of what the fit predicts. ``negative_log_predictive_density`` also knows how certain that prediction is. Geometry is
+Squares are of what the fit predicts; chi2 and ``negative_log_predictive_density`` also know how certain that prediction is. Geometry is
 never known exactly, and its error is common to many centres, so a weak effect shows there first.
 """
 
@@ -71,8 +71,8 @@ def held_out_score(
 
     def score(columns: np.ndarray) -> PredictiveScore:
         with_stations = score_with_new_stations(linear, train, test, linear.residual - columns @ posterior.solution, noise)
-        density = posterior.negative_log_predictive_density(whiten, columns, linear.residual)
-        return replace(with_stations, negative_log_predictive_density=density)
+        chi2, log_det = posterior.predicted(whiten, columns, linear.residual)
+        return replace(with_stations, chi2=chi2, negative_log_predictive_density=chi2 + log_det)
 
     best = score(columns)
     for (candidate, hyper), own in zip(model.effects, slices, strict=True):

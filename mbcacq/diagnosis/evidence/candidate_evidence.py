@@ -1,0 +1,131 @@
+"""Evidence of every candidate as a further effect: averaged over sizes and over the values of its hyper-parameter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors
+from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.effect import Candidate
+
+SIZES = np.array(OPTIONS.sizes)
+WORTH_REFINING = 1.0  # log Bayes factor from which a value between two of the grid is looked for
+FINE = 17  # values of a finer grid
+ROUNDS = 4  # of finer grids at most
+RESOLVED = 1.0  # log Bayes factor by which the neighbours of a resolved peak may be lower
+
+
+@dataclass(frozen=True)
+class ScoredEffect:
+    """A candidate at its most probable hyper-parameter.
+
+    log_evidence: log Bayes factor averaged over sizes and hyper-parameter. log_mass: by how much that is less than the one at ``hyper``.
+    """
+
+    candidate: Candidate
+    hyper: float | None
+    log_evidence: float
+    log_mass: float
+
+
+def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
+    """All candidates beyond geometry and what the problem is conditioned on."""
+    out = fixed_candidates(projected, candidates)
+    return out + [scanned_candidate(projected, c) for c in candidates if c.separable]
+
+
+def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
+    """Those whose hyper-parameter has few values, all in one product."""
+    key, kept = candidate_keys(candidates), projected.store.batches
+    if key not in kept:
+        kept[key] = BatchScoring.of(candidates, projected.linear, projected.whiten, projected.Q, projected.beyond_geometry())
+    batch = kept[key]
+    logs = np.zeros(len(batch.fixed.entries))
+    absorbed = (projected.conditioned.T @ batch.X).T
+    for (entries, columns, _), (S, b, _) in zip(batch.fixed.sizes, batch.blocks, strict=True):
+        gone = absorbed[columns]
+        typical = np.array([batch.fixed.entries[e][0].typical for e in entries])
+        A = (S - gone @ np.swapaxes(gone, 1, 2)) * (typical[:, :, None] * typical[:, None])
+        a = (b - gone @ projected.along) * typical
+        positive = np.array([batch.fixed.entries[e][0].positive for e in entries])
+        for sign in (False, True):
+            mine = positive == sign
+            if mine.any():
+                logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], SIZES, sign)
+    values: dict[str, list[tuple[Candidate, float | None, float]]] = {}
+    for (candidate, hyper), log in zip(batch.fixed.entries, logs, strict=True):
+        values.setdefault(candidate.key, []).append((candidate, hyper, float(log)))
+    out = []
+    for each in values.values():
+        candidate, hyper, _ = each[0]
+        if hyper is None:
+            out.append(ScoredEffect(candidate, None, each[0][2], 0.0))
+        else:
+            log = np.array([one[2] for one in each])
+            out.append(averaged(candidate, np.array([one[1] for one in each], dtype=float), log))
+    return out
+
+
+def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+    """A candidate without hyper-parameter."""
+    X, S, b = projected.candidate_products(candidate, None)
+    absorbed, t = projected.conditioned.T @ X, candidate.typical
+    A, a = (S - absorbed.T @ absorbed) * np.outer(t, t), (b - absorbed.T @ projected.along) * t
+    return ScoredEffect(candidate, None, float(log_bayes_factors(A[None], a[None], SIZES, candidate.positive)[0]), 0.0)
+
+
+def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> ScoredEffect:
+    """Over the values (H,) of a hyper-parameter, with log Bayes factors (H,)."""
+    weighted = logs + log_weights(candidate, values)
+    total, best = float(logsumexp(weighted)), int(weighted.argmax())
+    return ScoredEffect(candidate, float(values[best]), total, total - float(logs[best]))
+
+
+def log_weights(candidate: Candidate, values: np.ndarray) -> np.ndarray:
+    """(H,) log prior probability of each value of a grid."""
+    assert candidate.hyper is not None, "only asked for candidates with a hyper-parameter"
+    preferred = np.isin(values, candidate.hyper.preferred)
+    if not preferred.any():
+        return np.full(len(values), -np.log(len(values)))
+    weight = np.where(preferred, OPTIONS.preferred / preferred.sum(), 0.0) + (1 - OPTIONS.preferred) / len(values)
+    return np.log(weight)
+
+
+def log_factors(projected: CandidateScoring, candidate: Candidate, values: np.ndarray) -> np.ndarray:
+    """(H,) log Bayes factors of a separable candidate at values of its hyper-parameter."""
+    S, b = projected.normal_matrices(candidate, values)
+    t = candidate.typical
+    return log_bayes_factors(S * np.outer(t, t), b * t, SIZES, candidate.positive)
+
+
+def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+    """A candidate whose hyper-parameter is scanned over its grid, and between the values of the grid about the best one."""
+    hyper = candidate.hyper
+    assert hyper is not None, "a separable candidate has a hyper-parameter"
+    logs = log_factors(projected, candidate, hyper.values)
+    coarse = averaged(candidate, hyper.values, logs)
+    if not hyper.refine or logs.max() < WORTH_REFINING:
+        return coarse
+    grid = np.sort(hyper.values)
+    j = int(np.searchsorted(grid, hyper.values[int(logs.argmax())]))
+    low, high = float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)])
+    step = (high - low) / 2
+    for _ in range(ROUNDS):
+        fine = np.linspace(low, high, FINE)
+        peak = log_factors(projected, candidate, fine)
+        best = int(peak.argmax())
+        near = peak[[max(best - 1, 0), min(best + 1, FINE - 1)]]
+        mass = float(logsumexp(peak)) + float(np.log((high - low) / (FINE - 1) / step))
+        if peak[best] - near.min() < RESOLVED:
+            break
+        low, high = float(fine[max(best - 1, 0)]), float(fine[min(best + 1, FINE - 1)])
+    continuous = mass + float(np.log(((1 - OPTIONS.preferred) if hyper.preferred else 1.0) / len(grid)))
+    total = max(coarse.log_evidence, continuous)
+    if hyper.preferred and coarse.hyper in hyper.preferred and coarse.log_evidence > continuous:
+        return coarse
+    return ScoredEffect(candidate, float(fine[best]), total, total - float(peak[best]))

@@ -1,0 +1,80 @@
+"""Coefficients of a hypothesis: their posterior beyond the geometry, and what they displace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.terms import term
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Mean (k,) and covariance (k, k) of all coefficients of a set; slices: of each effect."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    slices: tuple[slice, ...]
+
+
+def slices_of(members: tuple[Member, ...]) -> tuple[slice, ...]:
+    ends = np.cumsum([0] + [m.candidate.k for m in members])
+    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+
+
+def prior_sigma(members: tuple[Member, ...]) -> np.ndarray:
+    """(k,) prior standard deviation of each coefficient, at the most probable size of its effect."""
+    return np.concatenate([np.zeros(0), *(m.size * m.candidate.typical for m in members)])
+
+
+def coefficients(hypothesis: Hypothesis) -> Coefficients:
+    """Posterior of the coefficients, geometry integrated out."""
+    members, p = hypothesis.members, hypothesis.point.projected
+    X = np.concatenate([np.zeros((len(p.r0), 0)), *(p.block(m.candidate, m.hyper) for m in members)], axis=1)
+    absorbed, sigma = p.Q.T @ X, prior_sigma(members)
+    normal = sigma[:, None] * (X.T @ X - absorbed.T @ absorbed) * sigma + np.eye(len(sigma))
+    inverse = np.linalg.inv(normal)
+    return Coefficients(sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry()))), sigma[:, None] * inverse * sigma, slices_of(members))
+
+
+def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Nuisance parameters and coefficients together (z + k,), and the residual (M, R) that they leave."""
+    point, members = hypothesis.point, hypothesis.members
+    linear = point.linear
+    columns, sigma = linear.nuisance()
+    columns = np.concatenate([columns, *(linear.columns(m.candidate.build(m.hyper)) for m in members)], axis=2)
+    sigma = np.r_[sigma, prior_sigma(members)]
+    Z = point.projected.whiten(columns) * sigma
+    values = sigma * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T @ point.projected.r0)
+    return values, linear.residual - columns @ values
+
+
+def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem:
+    """Linearised anew with the effects in place: a fit without them had distorted the derivatives.
+
+    linear: the problem of the hypothesis without the columns of its discrepancy.
+    """
+    members = hypothesis.members
+    effects = [term(m.candidate.name, m.candidate.build(m.hyper), sigma=m.size * m.candidate.typical) for m in members]
+    return linear.adjusted(effects, hypothesis.point.noise)
+
+
+def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
+    """(M, R) of each effect, by the mean of its coefficients."""
+    linear, found = hypothesis.point.linear, coefficients(hypothesis)
+    return [linear.columns(m.candidate.build(m.hyper)) @ found.mean[p] for m, p in zip(hypothesis.members, found.slices, strict=True)]
+
+
+def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: float) -> LinearProblem:
+    """Each effect is wrong, at each pose, by a share of what it displaces there: columns (M, R) as those of a joint's repeatability."""
+    extra = [linear.rows.pad(share * d[:, :, None]) for d in displaced]
+    return replace(linear, joint=np.concatenate([linear.joint, *extra], axis=2))
+
+
+def start_of(point: NoisePoint, linear: LinearProblem) -> NoisePoint:
+    """The same noise as a start for another linearisation."""
+    return NoisePoint(linear, point.prior, point.theta)

@@ -1,0 +1,89 @@
+"""The diagnosis of one recording by evidence: search, outliers with the best set in place, linearisation anew, search again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.beam_search import BeamSearch, log_e_value
+from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
+from mbcacq.diagnosis.evidence.hypothesis import EffectPrior, Hypothesis, estimated
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
+from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.variance_components import pack
+
+
+@dataclass(frozen=True)
+class EvidenceFit:
+    """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
+    one, without discrepancy. log_e_value: of all effects together against none; above log(1/alpha) there is an effect.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    none: Hypothesis
+    linear: LinearProblem
+    log_e_value: float
+
+    @property
+    def significant(self) -> bool:
+        return self.log_e_value > -np.log(OPTIONS.alpha)
+
+    @property
+    def best(self) -> Hypothesis:
+        """The most probable set where there is an effect at all, else the empty one."""
+        return next(h for h in self.hypotheses if h.members) if self.significant else self.none
+
+
+def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmodelled: bool = True) -> EvidenceFit:
+    """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged."""
+    linear = problem.linear if keep is None else problem.linear.restricted(keep)
+    prior = problem.prior_noise
+    blocks = UnmodelledEffects(problem.design_blocks) if unmodelled else None
+    effects = EffectPrior.of(problem.candidates, blocks.locations if blocks else 1)
+
+    effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
+
+    def searched(linear: LinearProblem, start: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
+        search = BeamSearch(problem.candidates, blocks, effects, problem.context, *effort)
+        ranked = search.run(NoisePoint(linear, prior, start), from_set)
+        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
+
+    fit = searched(linear, pack(problem.noise))
+    for _ in range(OPTIONS.relinearizations if keep is None else 0):
+        before = fit.best.key
+        kept = linear.keep if keep is not None else judged_centres(fit)
+        if not fit.best.members and np.array_equal(kept, linear.keep):
+            break
+        displaced = displacements(fit.best)
+        linear = relinearized(linear, fit.best).restricted(kept) if fit.best.members else linear.restricted(kept)
+        wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
+        fit = searched(wide, fit.best.point.theta, fit.best)
+        fit = replace(fit, linear=linear)
+        if fit.best.key == before:
+            break
+    return fit
+
+
+def judged_centres(fit: EvidenceFit) -> np.ndarray:
+    """(M,) bool of the centres that are no outliers: with the best set in place where it is significant with its own outliers against no
+    effect with its own, else with none.
+    """
+    linear = fit.none.point.linear
+    own, plain = kept_centres(fit.best), kept_centres(fit.none)
+    if np.mean(~plain) > OPTIONS.most_outliers:
+        plain = linear.keep
+    if not fit.best.members:
+        return plain
+    if np.mean(~own) > OPTIONS.most_outliers:
+        own = linear.keep
+    cost = log_density_of_outlier(linear)
+    logs = []
+    for hypothesis, keep in ((fit.best, own), (fit.none, plain)):
+        there = estimated(hypothesis.members, hypothesis.point.restricted(keep), hypothesis.log_prior)
+        logs.append(there.log_posterior + cost * float(np.sum(~keep)))
+    return own if logs[0] - logs[1] > -np.log(OPTIONS.alpha) else plain

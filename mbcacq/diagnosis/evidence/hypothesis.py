@@ -1,0 +1,167 @@
+"""A hypothesis: a set of effects, the noise that is most probable with it, and its evidence."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
+from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
+from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
+from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.effect import Candidate
+
+UNMODELLED = "unknown"
+STEADY = 0.05  # change of a logarithm of the noise below which its estimation ends
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect of a set at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical ones; size: the most
+    probable; log_mass: log of the average over the hyper-parameter, relative to this value.
+    """
+
+    candidate: Candidate
+    hyper: float | None
+    log_mass: float = 0.0
+    sizes: tuple[float, ...] = OPTIONS.sizes
+    size: float = 1.0
+
+    @classmethod
+    def of(cls, scored: ScoredEffect) -> Member:
+        return cls(scored.candidate, scored.hyper, scored.log_mass)
+
+    @property
+    def label(self) -> str:
+        """``name:where``; several harmonics of a joint are one effect."""
+        return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
+
+    @property
+    def key(self) -> tuple[str, float]:
+        return self.candidate.key, round(self.hyper or 0.0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """point: of its noise. log_evidence: integrated over geometry, coefficients, hyper-parameters and noise, up to a constant of the
+    recording; log_prior: of the set, against none.
+    """
+
+    members: tuple[Member, ...]
+    point: NoisePoint
+    log_evidence: float
+    log_prior: float = 0.0
+
+    @property
+    def log_posterior(self) -> float:
+        return self.log_evidence + self.log_prior
+
+    @property
+    def labels(self) -> frozenset[str]:
+        return frozenset(m.label for m in self.members)
+
+    @property
+    def key(self) -> tuple[tuple[str, float], ...]:
+        return tuple(sorted(m.key for m in self.members))
+
+    @property
+    def unmodelled(self) -> tuple[Member, ...]:
+        return tuple(m for m in self.members if m.candidate.name == UNMODELLED)
+
+    @property
+    def catalogued(self) -> tuple[Member, ...]:
+        return tuple(m for m in self.members if m.candidate.name != UNMODELLED)
+
+    @cached_property
+    def conditioned(self) -> CandidateScoring:
+        """The projected problem with the effects of the set in place."""
+        return conditioned(self.point, self.members)
+
+
+def conditioned(point: NoisePoint, members: Sequence[Member]) -> CandidateScoring:
+    """The projected problem with these effects, each at its most probable size, in place."""
+    blocks = [(point.projected.block(m.candidate, m.hyper), 1.0 / (m.size * m.candidate.typical) ** 2) for m in members]
+    return point.projected.conditioned_on(blocks)
+
+
+def with_sizes(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Member, ...], float]:
+    """The effects at their most probable sizes, and the log Bayes factor of the set, averaged over sizes and hyper-parameters."""
+    if not members:
+        return (), 0.0
+    p = point.projected
+    X = np.concatenate([p.block(m.candidate, m.hyper) for m in members], axis=1)
+    typical = np.concatenate([m.candidate.typical for m in members])
+    absorbed = p.Q.T @ X
+    A = (X.T @ X - absorbed.T @ absorbed) * np.outer(typical, typical)
+    a = (X.T @ p.beyond_geometry()) * typical
+    ends = np.cumsum([0] + [m.candidate.k for m in members])
+    slices = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
+    positive = [m.candidate.positive and m.candidate.k == 1 for m in members]
+    total, sizes = log_set_bayes_factor(A, a, slices, [np.array(m.sizes) for m in members], positive)
+    return tuple(replace(m, size=s) for m, s in zip(members, sizes, strict=True)), total + sum(m.log_mass for m in members)
+
+
+def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis:
+    """The hypothesis with its noise estimated anew, from a start."""
+    point, done = start, False
+    for _ in range(rounds):
+        sized, log_factor = with_sizes(point, members)
+        gradient, information = point.score(conditioned(point, sized))
+        new, change = point.moved(gradient, information)
+        done = change < STEADY
+        if done:
+            break
+        point = new
+    if not done:
+        sized, log_factor = with_sizes(point, members)
+        gradient, information = point.score(conditioned(point, sized))
+    return Hypothesis(sized, point, integrated(point.log_likelihood + log_factor, gradient, information), log_prior)
+
+
+def first_order(members: Sequence[Member], start: NoisePoint, log_prior: float) -> Hypothesis:
+    """The same under the noise of the start, with the evidence that the next step of the noise is expected to reach."""
+    return estimated(members, start, log_prior, 0)
+
+
+def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray) -> float:
+    """Laplace's integral over the noise about the maximum that one more step is expected to reach, up to powers of 2 pi that the
+    normalised prior has as well.
+    """
+    step = np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
+    expected = float(gradient @ step - 0.5 * step @ information @ step)
+    return log_density + expected - 0.5 * float(np.linalg.slogdet(information)[1])
+
+
+@dataclass(frozen=True)
+class EffectPrior:
+    """Prior probabilities of sets: every kind alike, every location of a kind alike. locations: number of candidates of each kind."""
+
+    locations: Counter[str]
+    unmodelled_locations: int
+
+    @classmethod
+    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int) -> EffectPrior:
+        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
+
+    def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
+        """Of one more effect next to those present; of the first, given that there is one."""
+        unmodelled = candidate.name == UNMODELLED
+        locations = self.unmodelled_locations if unmodelled else max(self.locations[candidate.name], 1)
+        kind = OPTIONS.unmodelled if unmodelled else 1.0 / max(len(self.locations), 1)
+        if not present:
+            return float(np.log(kind / locations))
+        same = [c for c in present if c.name == candidate.name]
+        if not same:
+            return float(np.log(OPTIONS.further * (1 - OPTIONS.same_kind) * kind / locations))
+        kinds = len({c.name for c in present})
+        here = any(c.where == candidate.where for c in same)
+        share = 1.0 / len({c.where for c in same}) if here else 1.0 / locations
+        return float(np.log(OPTIONS.further * OPTIONS.same_kind / kinds * share))
+
+    def log_probability_of_set(self, candidates: Sequence[Candidate]) -> float:
+        return sum(self.log_probability(c, candidates[:j]) for j, c in enumerate(candidates))

@@ -1,0 +1,41 @@
+"""The numbers of the evidence criterion, each with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EvidenceOptions:
+    """Prior weights, discrepancy of a model and effort of the search."""
+
+    # Prior of effects
+    sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
+    further: float = 0.1  # prior probability of one more effect
+    same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
+    unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
+    preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
+    alpha: float = 0.02  # false-alarm rate: an e-value exceeds 1/alpha with no more than this probability
+    undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
+
+    discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
+
+    # Outliers
+    outlier_prior: float = 0.01  # share of grossly wrong centres
+    outlier_mm: float = 1.0  # standard deviation of a grossly wrong centre
+    outlier_rad: float = 0.01  # and of a grossly wrong orientation
+    most_outliers: float = 0.05  # share of outliers beyond which they are structure, and stay
+
+    # Search
+    beam: int = 3  # sets kept
+    compared: int = 8  # extensions of a set whose noise is estimated to first order
+    estimated: int = 5  # sets of a round whose noise is estimated anew
+    rivals: int = 4  # of the catalogue in the place of an effect of the best set
+    unmodelled_rivals: int = 2  # and unmodelled ones
+    reach: float = 15.0  # log posterior odds to first order up to which the noise of a rival is estimated anew
+    most_effects: int = 16  # of a set
+    rounds: int = 8  # of the estimation of the noise of a set
+    relinearizations: int = 2
+
+
+OPTIONS = EvidenceOptions()

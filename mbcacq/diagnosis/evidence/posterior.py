@@ -1,0 +1,83 @@
+"""Posterior probabilities of sets of effects: which is reported, which others it could be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.options import OPTIONS
+
+PAYLOAD, COMPLIANCE = "payload:", "joint_compliance:"
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect, as ``name:where``, in the place of a reported one. odds: posterior probability relative to the reported set's.
+
+    hypothesis: the set with it.
+    """
+
+    label: str
+    odds: float
+    hypothesis: Hypothesis
+
+
+def reported_hypothesis(fit: EvidenceFit) -> Hypothesis:
+    """The smallest part of the most probable set that is not excluded: a further effect needs odds of twenty to one."""
+    best = fit.best
+    least = best.log_posterior + np.log(OPTIONS.undecided)
+    parts = [h for h in fit.hypotheses if h.members and set(h.key) <= set(best.key) and h.log_posterior > least]
+    return min(parts, key=lambda h: (len(h.members), -h.log_posterior), default=best)
+
+
+def by_labels(hypotheses: Sequence[Hypothesis]) -> dict[frozenset[str], float]:
+    """Log posterior of the sets of the same effects at the same locations, whatever their harmonics or shapes."""
+    each: dict[frozenset[str], list[float]] = {}
+    for h in hypotheses:
+        each.setdefault(h.labels, []).append(h.log_posterior)
+    return {labels: float(logsumexp(values)) for labels, values in each.items()}
+
+
+def probability(fit: EvidenceFit, labels: frozenset[str]) -> float:
+    """Posterior probability that a set of hypotheses with all of these effects is true, among those that were compared."""
+    logs = by_labels(fit.hypotheses)
+    total = float(logsumexp(list(logs.values())))
+    mine = [log for own, log in logs.items() if labels <= own]
+    return float(np.exp(logsumexp(mine) - total)) if mine else 0.0
+
+
+def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:
+    """What else could stand in the place of a reported effect, most probable first."""
+    rest = reported.labels - {label}
+    best: dict[str, Rival] = {}
+    for h in fit.hypotheses:
+        others = h.labels - rest
+        if label in h.labels or not others or not rest <= h.labels:
+            continue
+        name = " and ".join(sorted(others))
+        odds = float(np.exp(min(h.log_posterior - reported.log_posterior, 0.0)))
+        if name not in best:
+            best[name] = Rival(name, odds, h)
+    return sorted(best.values(), key=lambda r: -r.odds)
+
+
+def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
+    """Sets that are neither part nor extension of the reported one, and have more than a twentieth of its probability."""
+    least = reported.log_posterior + np.log(OPTIONS.undecided)
+    out: dict[frozenset[str], Hypothesis] = {}
+    for h in fit.hypotheses:
+        if h.members and h.log_posterior > least and not nested(h.labels, reported.labels):
+            out.setdefault(h.labels, h)
+    return list(out.values())
+
+
+def nested(one: frozenset[str], other: frozenset[str]) -> bool:
+    """Whether one set is part of the other. A wrong payload contains the compliance of every loaded joint."""
+    if any(label.startswith(PAYLOAD) for label in one | other):
+        one, other = (frozenset(label for label in labels if not label.startswith(COMPLIANCE)) for labels in (one, other))
+    return one <= other or one >= other

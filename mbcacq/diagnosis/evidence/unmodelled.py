@@ -1,0 +1,78 @@
+"""Effects outside the catalogue as candidates like any other: design blocks at every location, averaged over their shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Member
+from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
+from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.effect import Candidate, Part
+
+MOST_LOCATIONS = 5  # the best of which are candidates
+
+
+@dataclass
+class UnmodelledEffects:
+    """The design blocks of a recording, and the evidence map of the noise that was asked for last."""
+
+    design_blocks: DesignBlocks
+    _map: EvidenceMap | None = None
+
+    @property
+    def locations(self) -> int:
+        return len(self.design_blocks.log_prior_shares)
+
+    def map(self, projected: CandidateScoring) -> EvidenceMap:
+        if self._map is None or self._map.projected.Q is not projected.Q:
+            self._map = EvidenceMap(projected, self.design_blocks)
+        return self._map
+
+    def evidence(self, projected: CandidateScoring) -> list[tuple[float, Member]]:
+        """Log Bayes factor at each of the best locations, averaged over shapes, and the best block there."""
+        evidence_map = self.map(projected)
+        found = evidence_map.evaluate(projected)
+        out = []
+        for location, log in list(found.locations.items())[:MOST_LOCATIONS]:
+            cell = found.best_at(location)
+            out.append((log, self.member(evidence_map, cell, log - cell.log_bayes_factor)))
+        return out
+
+    def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
+        """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""
+        group = self.design_blocks.groups[cell.group]
+        f, rows = group.functions.shape[1], np.array(cell.rows)
+        raw = evidence_map.normal[cell.group][2][(rows[:, None] * f + cell.shape.index).reshape(-1)]
+        typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(raw, 1e-300))
+        parts = parts_of(group, rows, cell.shape.index)
+        label = f"{cell.group} {cell.rows} {tuple(cell.shape.index)}"
+        candidate = Candidate(
+            UNMODELLED, (cell.location,), cell.depends_on, lambda _: parts, lambda c, v, h: {}, typical, several=True, variant=label
+        )
+        _, S, _ = evidence_map.projected.candidate_products(candidate, None)
+        top = max(float(np.linalg.eigvalsh(S * np.outer(typical, typical))[-1]), 1e-6)
+        return Member(candidate, None, log_mass, tuple(float(v) for v in np.sqrt(SIZES / top)))
+
+
+def parts_of(group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> list[Part]:
+    """The columns of some rows of a group's mix by some of its functions, component by component."""
+    F = group.functions[:, index]
+    parts = []
+    for c, (place, number, component) in enumerate(group.keys):
+        mix = group.mix[rows, c]
+        if np.any(mix):
+            parts.append(Part(place, number, component, (mix[:, None] * F[:, None, :]).reshape(len(F), -1)))
+    return parts
+
+
+def cell_of(member: Member, log_bayes_factor: float) -> MapCell:
+    """An unmodelled effect of a set as a cell of the evidence map."""
+    candidate, nothing = member.candidate, BasisFunction(member.candidate.depends_on, np.zeros(0, int), np.zeros(0))
+    return MapCell(
+        candidate.where[0], candidate.depends_on, log_bayes_factor, log_bayes_factor + member.log_mass, 0.0, candidate.k, 0, (), nothing
+    )

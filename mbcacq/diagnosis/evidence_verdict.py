@@ -1,0 +1,85 @@
+"""The verdict of the evidence: one bound on false alarms at every size of recording, posterior odds for names and what they rival."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, rivals, undecided
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.output.contributions import Contributions
+from mbcacq.diagnosis.output.next_measurements import SizedEffect
+from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
+
+MOST_RIVALS = 3  # reported of each effect
+
+
+def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
+    """``none`` where the evidence of all effects is below one over the false-alarm rate; ``cannot_tell`` where another set is not excluded;
+    otherwise by what explains more of the mismatch: effects of the catalogue, or unmodelled ones.
+    """
+    if not fit.significant:
+        return "none"
+    reported = reported_hypothesis(fit)
+    if undecided(fit, reported):
+        return "cannot_tell"
+    if full.smooth is None:
+        return "explained"
+    contributions = Contributions(full)
+    count = contributions.effects
+    if not count:
+        return "unexplained"
+    named, rest = list(range(count)), list(range(count, len(contributions.parts)))
+    return "partly_explained" if contributions.of(named) > contributions.of(rest) else "unexplained"
+
+
+def with_rivals(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
+    """The effects, each with the strongest others that could stand in its place."""
+    reported = reported_hypothesis(fit)
+    out = []
+    for effect in effects:
+        others: dict[str, Alternative] = {}
+        for where in effect.where if effect.name != UNMODELLED else effect.where[:1]:
+            for label in labels_of(reported, effect.name, where):
+                for rival in rivals(fit, reported, label):
+                    name, _, place = rival.label.partition(":")
+                    known = others.get(rival.label)
+                    if known is None or known.odds < rival.odds:
+                        others[rival.label] = Alternative(name, tuple(place.split("+")), 0.0, rival.odds)
+        ranked = sorted(others.values(), key=lambda a: -a.odds)[:MOST_RIVALS]
+        out.append(replace(effect, alternatives=tuple(ranked)))
+    return tuple(out)
+
+
+def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:
+    """``name:where`` of the effects of this name of which ``where`` is a location."""
+    mine = (m for m in reported.members if m.candidate.name == name and where in m.candidate.where)
+    return list(dict.fromkeys(m.label for m in mine))
+
+
+def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tuple[tuple[SizedEffect, SizedEffect], ...]]:
+    """What the reported set cannot be told from, effect by effect, and the same pairs with their coefficients."""
+    reported = reported_hypothesis(fit)
+    entries, pairs = [], []
+    for other in undecided(fit, reported):
+        ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+        a, b = sized(reported, ours), sized(other, theirs)
+        odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
+        entries.append(NotSeparable((" and ".join(sorted(ours)), " and ".join(sorted(theirs))), odds))
+        if a is not None and b is not None:
+            pairs.append((a, b))
+    return tuple(entries), tuple(pairs)
+
+
+def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffect | None:
+    """The first catalogued effect of these labels with its coefficients."""
+    found = coefficients(hypothesis)
+    for m, p in zip(hypothesis.members, found.slices, strict=True):
+        if m.label in labels and m.candidate.name != UNMODELLED:
+            return SizedEffect(m.candidate, m.hyper, found.mean[p])
+    return None

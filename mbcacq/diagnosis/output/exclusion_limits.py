@@ -1,0 +1,129 @@
+"""Exclusion limits: the largest size of every effect at every location that a recording does not exclude, with 95 % confidence.
+
+A coefficient c is estimated as c^ with standard deviation s, the found effects and the geometry fitted with it. |c| is below |c^| + 1.645 s
+in 95 % of recordings, whatever it is; an effect of known sign is at least zero. Where an effect has a hyper-parameter, its
+limit is the median over the preferred values, or over those of the search: a change just where the station changes can always hide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.output.next_measurements import displacement, elsewhere
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.result import ExclusionLimit
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
+
+QUANTILE = 1.645  # of a standard normal variable: 95 % below
+MOST_VALUES = 12  # of a hyper-parameter that are tried
+ABSORBED = 1e-10  # share of an effect's information below which the geometry absorbs it: it has no limit
+HARMLESS_MM = 1e-6  # error of a length by an effect of typical size
+LENGTH_PAIRS = 400  # pairs of postures between which a length is measured
+NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm")
+
+
+@dataclass(frozen=True)
+class CoefficientLimit:
+    """hyper: value at which the limit is the median. coefficients (k,): of the effect at its limit; inf where the geometry absorbs it."""
+
+    hyper: float | None
+    coefficients: np.ndarray
+
+
+def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[ExclusionLimit, ...]:
+    """Of every candidate that was not found, those with the largest error in the workspace first."""
+    found = {(c.name, c.where) for c, _ in full.model.effects}
+    there = elsewhere(setup.context)
+    linear = LinearProblem.of(there.obs, there.state)
+    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
+    for c in setup.candidates:  # of several variants, those of fewest coefficients
+        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
+    out = []
+    for candidate in setup.candidates:
+        if (candidate.name, candidate.where) in found or candidate.k > fewest[candidate.name, candidate.where]:
+            continue
+        limit = coefficient_limit(full.conditioned, candidate)
+        if not np.all(np.isfinite(limit.coefficients)) and harmless(there, linear, candidate, limit.hyper):
+            continue
+        name, value = parameter_of(candidate, limit)
+        workspace, length = errors_elsewhere(there, linear, candidate, limit)
+        out.append(ExclusionLimit(candidate.name, candidate.where, name, value, workspace, length))
+    return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
+
+
+def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate) -> CoefficientLimit:
+    """The largest coefficient, relative to its typical size, that is not excluded, at the median over the hyper-parameter."""
+    limits = [limit_at(conditioned, candidate, hyper) for hyper in tried_values(candidate)]
+    limits.sort(key=lambda one: float((one.coefficients / candidate.typical).max()))
+    return limits[len(limits) // 2]
+
+
+def limit_at(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> CoefficientLimit:
+    """The same at one value of the hyper-parameter."""
+    X, S, b = conditioned.candidate_products(candidate, hyper)
+    absorbed = conditioned.conditioned.T @ X
+    S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
+    size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
+    scaled = S / np.outer(size, size)
+    if np.linalg.eigvalsh(scaled)[0] < ABSORBED:
+        return CoefficientLimit(hyper, np.full(candidate.k, np.inf))
+    covariance = np.linalg.inv(scaled) / np.outer(size, size)
+    estimate = covariance @ b
+    middle = np.maximum(estimate, 0.0) if candidate.positive else np.abs(estimate)
+    limits = middle + QUANTILE * np.sqrt(np.diag(covariance))
+    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
+    return CoefficientLimit(hyper, np.where(worst, limits, 0.0))
+
+
+def tried_values(candidate: Candidate) -> list[float | None]:
+    """Values of the hyper-parameter at which an effect can show."""
+    hyper = candidate.hyper
+    if hyper is None:
+        return [None]
+    if hyper.preferred:
+        return [float(v) for v in hyper.preferred if v in hyper.values]
+    values = np.sort(hyper.values)
+    return [float(v) for v in values[:: int(np.ceil(len(values) / MOST_VALUES))]]
+
+
+def parameter_of(candidate: Candidate, limit: CoefficientLimit) -> tuple[str, float | None]:
+    """Name, with its unit, and value of the parameter that is limited; None where the geometry absorbs it."""
+    if not np.all(np.isfinite(limit.coefficients)):
+        return next(iter(candidate.report(candidate.typical, np.eye(candidate.k), limit.hyper))), None
+    reported = candidate.report(limit.coefficients, np.zeros((candidate.k, candidate.k)), limit.hyper)
+    sizes = {name: float(np.abs(p.value).max()) for name, p in reported.items() if name.rpartition(".")[2] not in NOT_SIZES}
+    return max(sizes.items(), key=lambda item: item[1] > 0)
+
+
+def harmless(there: Context, linear: LinearProblem, candidate: Candidate, hyper: float | None) -> bool:
+    """Whether an effect displaces everything alike, as a constant sag does: no length shows it, nor suffers from it."""
+    _, length = errors_elsewhere(there, linear, candidate, CoefficientLimit(hyper, candidate.typical))
+    return length is not None and length < HARMLESS_MM
+
+
+def errors_elsewhere(
+    there: Context, linear: LinearProblem, candidate: Candidate, limit: CoefficientLimit
+) -> tuple[float | None, float | None]:
+    """Largest displacement (mm) over postures in the workspace, and the error of lengths between pairs of them that 95 % do not exceed.
+
+    None for what the geometry absorbs, for effects over time, which no posture has, and for single balls or stations.
+    """
+    if not np.all(np.isfinite(limit.coefficients)):
+        return None, None
+    moved = displacement(there, linear, candidate.key, limit.hyper, limit.coefficients)
+    if moved is None or not np.any(moved):
+        return None, None
+    T = linear.prediction.T_base_scanner if there.scanner_on_flange else linear.prediction.T_base_station
+    in_base = np.einsum("pij,pj->pi", T[:, :3, :3], moved)
+    position = linear.prediction.T_base_scanner[:, :3, 3]
+    first, second = np.random.default_rng(0).integers(0, len(position), (2, LENGTH_PAIRS))
+    apart = position[first] - position[second]
+    along = apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+    length = np.abs(np.sum((in_base[first] - in_base[second]) * along, axis=1))
+    return float(np.linalg.norm(moved, axis=1).max()), float(np.quantile(length, 0.95))

@@ -1,0 +1,79 @@
+"""The most probable set of effects as the model that is validated, reported and drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
+from mbcacq.diagnosis.evidence.unmodelled import cell_of
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
+from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search import payload_coupling
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import EffectSet, SelectedEffects
+from mbcacq.diagnosis.search.projected_solve import prior_weight
+from mbcacq.effects.pose import payload
+
+
+def model_of(problem: DiagnosisProblem, fit: EvidenceFit) -> ModelFit:
+    """Parametric effects with their coefficients, unmodelled ones as random effects, and the noise with both in place."""
+    best = reported_hypothesis(fit)
+    projected = CandidateScoring.of(fit.linear, best.point.noise)
+    found = coefficients(best)
+    chosen = [j for j, m in enumerate(best.members) if m in best.catalogued]
+    index = np.concatenate([np.zeros(0, int), *(np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen)])
+    effects = tuple((best.members[j].candidate, best.members[j].hyper) for j in chosen)
+    model = EffectSet(effects, coefficients=found.mean[index], covariance=found.covariance[np.ix_(index, index)])
+    if payload.NAME in model.names:
+        model = payload_coupling.coupled(Solver(problem), projected, model)
+    conditioned = conditioned_on_effects(projected, model)
+    model = EffectSet(model.effects, projected.chi2 - conditioned.chi2, 0.0, 0.0, model.coefficients, model.covariance)
+    cells = tuple(cell_at(best, m) for m in best.unmodelled)
+    return ModelFit(model, random_effects(fit, best), cells, best.point.noise, projected, conditioned, None, fit)
+
+
+class Solver:
+    """Solution of a set of effects together with the geometry, for a payload and the elastic joints that show it."""
+
+    def __init__(self, problem: DiagnosisProblem):
+        self.candidates, self.context = problem.candidates, problem.context
+
+    def solved(self, projected: CandidateScoring, effects: SelectedEffects) -> EffectSet:
+        X = np.concatenate([np.zeros((len(projected.r0), 0)), *(projected.block(c, h) for c, h in effects)], axis=1)
+        absorbed = projected.Q.T @ X
+        S = X.T @ X - absorbed.T @ absorbed + np.diag(np.concatenate([np.zeros(0), *(prior_weight(c) for c, _ in effects)]))
+        size = np.sqrt(np.diag(S))
+        covariance = np.linalg.inv(S / np.outer(size, size) + 1e-12 * np.eye(len(S))) / np.outer(size, size)
+        values = covariance @ (X.T @ projected.r)
+        return EffectSet(effects, float(values @ (X.T @ projected.r)), coefficients=values, covariance=covariance)
+
+
+def random_effects(fit: EvidenceFit, best: Hypothesis) -> RandomEffectsModel | None:
+    """The unmodelled effects of a hypothesis."""
+    if not best.unmodelled:
+        return None
+    found = coefficients(best)
+    chosen = [j for j, m in enumerate(best.members) if m in best.unmodelled]
+    members = [best.members[j] for j in chosen]
+    groups = tuple(
+        RandomEffect(m.candidate.where[0], m.candidate.depends_on, fit.linear.columns(m.candidate.build(None)), m.candidate.typical)
+        for m in members
+    )
+    values = np.concatenate([found.mean[found.slices[j]] for j in chosen])
+    sigma = np.concatenate([m.size * m.candidate.typical for m in members])
+    variance = np.concatenate([np.diag(found.covariance)[found.slices[j]] for j in chosen])
+    used = float(np.sum(1.0 - variance / sigma**2))
+    return RandomEffectsModel(groups, values, sigma, np.array([m.size for m in members]), used)
+
+
+def cell_at(best: Hypothesis, member: Member) -> MapCell:
+    """The unmodelled effect as a cell of the evidence map, with the evidence that the hypothesis loses without it."""
+    rest = tuple(m for m in best.members if m is not member)
+    lost = best.log_evidence - first_order(rest, best.point, 0.0).log_evidence
+    return cell_of(member, lost)

@@ -1,0 +1,132 @@
+"""The evidence of effects: e-values, their gradients, what they decide on small and badly described recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from mbcacq.diagnosis import problem
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors, log_set_bayes_factor
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.hypothesis import Member, conditioned
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.evidence.posterior import rivals
+from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
+
+SIZES = np.array([0.3, 1.0, 3.0])
+
+
+@pytest.fixture(scope="module")
+def small():
+    """28 poses at four places of an artefact."""
+    return simulated.plan(4, 0, 7)
+
+
+def test_a_bayes_factor_is_one_on_average_where_there_is_nothing():
+    rng = np.random.default_rng(1)
+    A = np.array([[2.0, 0.5], [0.5, 1.0]])
+    a = rng.multivariate_normal(np.zeros(2), A, 200_000)
+    logs = log_bayes_factors(np.broadcast_to(A, (len(a), 2, 2)), a, np.array([0.3, 0.6]))
+    assert np.mean(np.exp(logs)) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("positive", [False, True])
+def test_a_bayes_factor_is_the_integral_over_the_coefficient(positive):
+    A, a, s = 2.0, 3.0, 0.7
+    low, factor = (0.0, 2.0) if positive else (-20.0, 1.0)
+    value, _ = quad(lambda x: factor * norm.pdf(x, 0, s) * np.exp(a * x - 0.5 * A * x * x), low, 20.0)
+    log = log_bayes_factors(np.array([[[A]]]), np.array([[a]]), np.array([s]), positive)
+    assert log[0] == pytest.approx(np.log(value), abs=1e-6)
+
+
+def test_a_set_of_one_effect_has_the_evidence_of_that_effect():
+    A, a = np.array([[4.0, 1.0], [1.0, 3.0]]), np.array([5.0, -2.0])
+    together, _ = log_set_bayes_factor(A, a, [slice(0, 2)], [SIZES], [False])
+    assert together == pytest.approx(log_bayes_factors(A[None], a[None], SIZES)[0])
+
+
+def test_independent_effects_multiply_their_evidence():
+    A, a = np.diag([4.0, 3.0]), np.array([5.0, -2.0])
+    together, _ = log_set_bayes_factor(A, a, [slice(0, 1), slice(1, 2)], [SIZES, SIZES], [False, False])
+    each = [log_bayes_factors(A[None, j : j + 1, j : j + 1], a[None, j : j + 1], SIZES)[0] for j in (0, 1)]
+    assert together == pytest.approx(sum(each))
+
+
+def test_the_gradient_by_the_noise_is_the_derivative_of_its_likelihood(small):
+    setup = problem.prepare(simulated.observe(small, 11))
+    prior = setup.prior_noise
+    point = NoisePoint(setup.linear, prior, prior.centre)
+    gradient, _ = point.score(conditioned(point, ()))
+    for c in (0, 2, 4):
+        step = 1e-4 * (np.arange(len(prior.centre)) == c)
+        above, below = (replace(point, theta=point.theta + sign * step).log_likelihood for sign in (1, -1))
+        assert gradient[c] == pytest.approx((above - below) / 2e-4, rel=1e-3, abs=1e-2)
+
+
+def test_the_gradient_with_an_effect_is_that_of_its_integrated_likelihood(small):
+    setup = problem.prepare(simulated.observe(small, 11, [("backlash", ("A2",), [6e-5], None)]))
+    prior = setup.prior_noise
+    point = NoisePoint(setup.linear, prior, prior.centre)
+    effect = next(c for c in setup.candidates if c.name == "backlash" and c.where == ("A2",))
+    member = Member(effect, None, sizes=(2.0,), size=2.0)
+
+    def log_likelihood(theta):
+        here = replace(point, theta=theta)
+        X, S, b = here.projected.candidate_products(effect, None)
+        t = effect.typical
+        return here.log_likelihood + log_bayes_factors((S * np.outer(t, t))[None], (b * t)[None], np.array([2.0]))[0]
+
+    gradient, _ = point.score(conditioned(point, (member,)))
+    for c in (0, 4):
+        step = 1e-4 * (np.arange(len(prior.centre)) == c)
+        numeric = (log_likelihood(point.theta + step) - log_likelihood(point.theta - step)) / 2e-4
+        assert gradient[c] == pytest.approx(numeric, rel=1e-3, abs=1e-2)
+
+
+@pytest.mark.parametrize("stated", [0.2, 1.0, 5.0])
+def test_a_small_clean_recording_is_clean_whatever_noise_is_stated(small, stated):
+    obs = simulated.observe(small, 31)
+    obs = replace(obs, cell=replace(obs.cell, noise_mm=obs.cell.noise_mm * stated))
+    found = diagnose(obs)
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert any("what is stated" in note for note in found.notes) == (stated != 1.0)
+    assert 0.8 < found.fit.held_out.before_chi2_dof < 1.25
+
+
+def test_every_effect_has_rivals_with_their_odds(small):
+    found = diagnose(simulated.observe(small, 32, [("backlash", ("A2",), [2e-4], None)]))
+    assert found.verdict == "explained"
+    (effect,) = found.effects
+    assert (effect.name, effect.where) == ("backlash", ("A2",))
+    assert effect.alternatives
+    assert all(a.odds is not None and a.odds < 0.05 for a in effect.alternatives)
+
+
+def test_rivals_of_parallel_joints_name_the_other_joint(small):
+    fit = fit_evidence(problem.prepare(simulated.observe(small, 33, [("joint_scale", ("A2",), [2e-4], None)])))
+    assert "joint_scale:A3" in [r.label for r in rivals(fit, fit.best, "joint_scale:A2")]
+
+
+def test_nineteen_of_twenty_true_sizes_are_below_their_limit(small):
+    """A joint scale of three standard deviations, under noise that is known: 95 %, within what 1000 trials allow."""
+    setup = problem.prepare(simulated.observe(small, 60))
+    scale = next(c for c in setup.candidates if c.name == "joint_scale" and c.where == ("A5",))
+    projected = CandidateScoring.of(setup.linear, setup.noise)
+    X, S, _ = projected.candidate_products(scale, None)
+    true = 3.0 / np.sqrt(S[0, 0])
+    rng, below = np.random.default_rng(3), 0
+    for _ in range(1000):
+        r0 = true * X[:, 0] + rng.normal(size=len(X))
+        drawn = replace(projected, r0=r0, store=ProductStore(candidates={(scale.key, None): (X, S, projected_onto(projected, X, r0))}))
+        below += coefficient_limit(drawn, scale).coefficients[0] >= true
+    assert 0.93 < below / 1000 < 0.97
+
+
+def projected_onto(projected, X, r0):
+    return X.T @ (r0 - projected.Q @ (projected.Q.T @ r0))

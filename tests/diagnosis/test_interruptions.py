@@ -1,0 +1,31 @@
+"""A pause of the recording is said, with what changed meanwhile."""
+
+from dataclasses import replace
+
+import numpy as np
+import simulated
+
+from mbcacq.diagnosis.output import interruptions
+
+
+def paused(at: int):
+    obs = simulated.plan(4, 0, 7)
+    later = np.arange(obs.n_poses) >= at
+    air = np.where(later, 21.4, 22.3)
+    return replace(obs, time_s=obs.time_s + 30240.0 * later, temperatures={"air_C": air})
+
+
+def test_a_pause_is_found_with_the_temperatures_on_either_side():
+    (pause,) = interruptions.pauses(paused(15))
+    assert (pause.after, pause.before) == (14, 15)
+    assert pause.temperatures == {"air_C": (22.3, 21.4)}
+    assert str(pause) == "a pause of 8.4 h after pose 14, air_C went from 22.3 to 21.4 deg C"
+
+
+def test_a_change_at_the_pause_is_said_to_be_confounded():
+    (sentence,) = interruptions.confounded(paused(15), {"mount_shift"}, [(17.0, 0.5)])
+    assert "the change at pose 17 may be a displacement, thermal growth or a new mastering" in sentence
+
+
+def test_a_recording_without_pause_has_none():
+    assert interruptions.pauses(simulated.plan(4, 0, 7)) == []
