@@ -70,10 +70,25 @@ def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tup
         ours, theirs = reported.labels - other.labels, other.labels - reported.labels
         a, b = sized(reported, ours), sized(other, theirs)
         odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
-        entries.append(NotSeparable((" and ".join(sorted(ours)), " and ".join(sorted(theirs))), odds))
+        alike = correlation(displaced(reported, reported, ours), displaced(reported, other, theirs))
+        entries.append(NotSeparable((" and ".join(sorted(ours)), " and ".join(sorted(theirs))), alike, odds))
         if a is not None and b is not None:
             pairs.append((a, b))
     return tuple(entries), tuple(pairs)
+
+
+def displaced(reported: Hypothesis, hypothesis: Hypothesis, labels: frozenset[str]) -> np.ndarray:
+    """(rows,) whitened displacement by some effects of a hypothesis, beyond the geometry, under the noise of the reported set."""
+    found, p = coefficients(hypothesis), reported.point.projected
+    chosen = [(m, own) for m, own in zip(hypothesis.members, found.slices, strict=True) if m.label in labels]
+    moved = sum((p.block(m.candidate, m.hyper) @ found.mean[own] for m, own in chosen), np.zeros(len(p.r0)))
+    return moved - p.Q @ (p.Q.T @ moved)
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Absolute correlation, 0 where one of them vanishes."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(min(abs(a @ b) / size, 1.0)) if size > 0 else 0.0
 
 
 def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffect | None:

@@ -7,6 +7,7 @@ import numpy as np
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
+from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import cell_of
 from mbcacq.diagnosis.fitted_model import ModelFit
@@ -28,7 +29,7 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit) -> ModelFit:
     found = coefficients(best)
     chosen = [j for j, m in enumerate(best.members) if m in best.catalogued]
     index = np.concatenate([np.zeros(0, int), *(np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen)])
-    effects = tuple((best.members[j].candidate, best.members[j].hyper) for j in chosen)
+    effects = tuple((with_moment_uncertainty(best, best.members[j]), best.members[j].hyper) for j in chosen)
     model = EffectSet(effects, coefficients=found.mean[index], covariance=found.covariance[np.ix_(index, index)])
     if payload.NAME in model.names:
         model = payload_coupling.coupled(Solver(problem), projected, model)

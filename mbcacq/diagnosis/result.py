@@ -87,10 +87,13 @@ class FitSummary:
 
 @dataclass(frozen=True)
 class NotSeparable:
-    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain."""
+    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain. odds: posterior
+    probability of the second relative to the first; None where that was not computed.
+    """
 
     effects: tuple[str, ...]
     correlation: float
+    odds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,7 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
             HeldOutFigures(*_figures(fit["held_out"]), fit["held_out"]["split"]),
             _number(fit["repeatability_floor_mm"]),
         ),
-        not_separable=tuple(NotSeparable(tuple(p["effects"]), _number(p["correlation"])) for p in content["not_separable"]),
+        not_separable=tuple(NotSeparable(tuple(p["effects"]), _number(p["correlation"]), p.get("odds")) for p in content["not_separable"]),
         advice=tuple(Advice(a["reason"], tuple(tuple(_number(v) for v in q) for q in a["poses_deg"])) for a in content["advice"]),
         dropped=dict(content.get("dropped", {})),
         notes=tuple(content.get("notes", ())),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit
+from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit, NotSeparable
 from mbcacq.effects.effect import in_digits
 
 VERDICTS = {
@@ -39,7 +39,7 @@ def words(d: Diagnosis) -> str:
         f"expected from noise alone: {d.fit.repeatability_floor_mm:.4f} mm."
     )
     lines += [hidden(limit) for limit in d.exclusion_limits[:MOST_LIMITS]]
-    lines += [f"Cannot be told apart: {' and '.join(pair.effects)} (correlation {pair.correlation:.2f})" for pair in d.not_separable]
+    lines += [f"Cannot be told apart: {' and '.join(pair.effects)} ({odds_of(pair)})" for pair in d.not_separable]
     lines += [f"Measure next: {a.reason}" for a in d.advice]
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
@@ -73,6 +73,12 @@ def likelihood(a: Alternative) -> str:
     if a.odds is None:
         return f"{a.held_out_gain:.0%}"
     return f"odds 1 : {1 / a.odds:.3g}" if a.odds > 1e-9 else "excluded"
+
+
+def odds_of(pair: NotSeparable) -> str:
+    """How alike two effects are, and how probable the second is."""
+    alike = f"correlation {pair.correlation:.2f}"
+    return alike if pair.odds is None else f"{alike}, odds 1 : {1 / max(pair.odds, 1e-9):.2g}"
 
 
 def number(value: float | Sequence[float]) -> str:

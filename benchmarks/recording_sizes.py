@@ -1,0 +1,173 @@
+"""False alarms and right names of the diagnosis over recording sizes, instruments and noise statements. Writes benchmarks/recording_sizes.md.
+
+    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py                 200 cells a row (hours)
+    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py --cells 12 --poses 20 28 --instruments tracker artefact
+
+Cells are simulated: an arm with the geometry errors of a new one, joint repeatability 5 urad, instrument noise 0.005 to 0.009 mm (scanner) or
+0.015 mm (tracker). Every outcome is added to recording_sizes.jsonl at once; what is there is not repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))
+
+import simulated  # noqa: E402
+
+from mbcacq.diagnosis.diagnose import diagnose  # noqa: E402
+from mbcacq.effects import catalogue  # noqa: E402
+from mbcacq.effects.context import Context  # noqa: E402
+from mbcacq.estimation import forward_model  # noqa: E402
+from mbcacq.estimation.forward_model import CellState, Displacements  # noqa: E402
+from mbcacq.estimation.terms import accumulate, term  # noqa: E402
+from mbcacq.geometry import se3  # noqa: E402
+from mbcacq.model.cell import TARGET_IN_BASE, Artefact, Cell, Station  # noqa: E402
+from mbcacq.model.observations import Observations  # noqa: E402
+
+POSES = (12, 20, 28, 50, 128, 200)
+INSTRUMENTS = ("artefact", "bar", "tracker", "tracker6")  # tracker6: with a measured orientation
+STATED = (1.0, 0.2, 5.0)  # times the true noise
+EFFECTS = (None, ("joint_compliance", ("A2",), (3e-6,)), ("backlash", ("A1",), (6e-5,)), ("joint_scale", ("A5",), (2e-4,)))
+TRACKER_MM, TRACKER_RAD = 0.015, 5e-5
+MOUNT = se3.transform(se3.rotation_exp(np.array([0.2, 0.1, 0.3])), np.array([30.0, 20.0, 180.0]))
+TRACKER = se3.transform(se3.rotation_exp(np.array([0.0, 0.0, 0.3])), np.array([2500.0, 300.0, 400.0]))
+
+
+@lru_cache(maxsize=4)
+def template(instrument: str, poses: int) -> Observations:
+    """Poses of a recording, measured without noise in the nominal cell."""
+    if instrument == "artefact":
+        stations = max(3, min(poses // 7, 12))
+        plan = simulated.plan(stations, 0, int(np.ceil(poses / stations)))
+        return plan.select(np.arange(plan.n_poses) < poses)
+    if instrument == "bar":
+        stations, bars = max(2, poses // 12), max(2, poses // 16)
+        return simulated.plan(stations, bars, max(2 * (poses // (stations + bars) // 2), 2))
+    return tracked(poses, instrument == "tracker6")
+
+
+def tracked(poses: int, oriented: bool) -> Observations:
+    """A tracker that stands next to the arm and measures a target on its flange."""
+    rng, arm = np.random.default_rng(3), simulated.robot()
+    target = Artefact("target", "target", (1,), np.zeros((1, 3)), np.zeros(1))
+    noise = np.full(3, TRACKER_MM)
+    cell = Cell(arm, MOUNT, (target,), (Station("1", "target"),), "tracker", noise, measurement=TARGET_IN_BASE)
+    q = np.clip(rng.uniform(0.5 * arm.limits[:, 0], 0.5 * arm.limits[:, 1], (poses, arm.n)), -2.2, 2.2)
+    time, pose = np.cumsum(rng.uniform(12, 28, poses)), np.arange(poses)
+    obs = Observations(
+        cell,
+        pose,
+        np.zeros(poses, int),
+        q,
+        pose,
+        np.zeros(poses, int),
+        np.zeros((poses, 3)),
+        time_s=time,
+        direction=np.sign(np.diff(q, axis=0, prepend=q[:1] - 1)),
+        temperatures={"robot_C": 24 + 6 * (1 - np.exp(-time / 1200)) + rng.normal(0, 0.02, poses)},
+        rotation=np.tile(np.eye(3), (poses, 1, 1)) if oriented else None,
+    )
+    seen = forward_model.predict(obs, CellState(arm.chain, MOUNT, TRACKER[None], np.zeros((1, 3))))
+    return replace(obs, xyz=seen.xyz, rotation=seen.rotation)
+
+
+def recorded(instrument: str, poses: int, seed: int, effect: tuple | None, stated: float) -> Observations:
+    """A recording of another cell at these poses, with noise, with an effect or none, and with that statement of the noise."""
+    plan = template(instrument, poses)
+    effects = [] if effect is None else [(effect[0], effect[1], list(effect[2]), None)]
+    obs = tracked_again(plan, seed, effects) if instrument.startswith("tracker") else simulated.observe(plan, seed, effects)
+    return replace(obs, cell=replace(obs.cell, noise_mm=obs.cell.noise_mm * stated))
+
+
+def tracked_again(plan: Observations, seed: int, effects: list) -> Observations:
+    rng = np.random.default_rng(seed)
+    chain = plan.cell.robot.chain.with_errors(simulated.geometry(rng, plan.cell))
+    mount = MOUNT @ se3.exp(rng.normal(0, [1, 1, 1, 0.01, 0.01, 0.01]))
+    state = CellState(chain, mount, TRACKER[None], np.zeros((1, 3)))
+    candidates = catalogue.candidates(Context(plan, state, forward_model.predict(plan, state)))[0]
+    chosen = [next(c for c in candidates if c.name == name and c.where == tuple(where)) for name, where, *_ in effects]
+    moved = accumulate(plan, [term(c.name, c.build(None)) for c in chosen], [np.array(e[2]) for e in effects])
+    moved = simulated.add(moved, Displacements(joint=rng.normal(0, simulated.JOINT_NOISE, plan.q.shape)))
+    seen = forward_model.predict(plan, state, moved)
+    rotation = None if seen.rotation is None else se3.rotation_exp(rng.normal(0, TRACKER_RAD, (plan.n_poses, 3))) @ seen.rotation
+    return replace(plan, xyz=seen.xyz + rng.normal(0, TRACKER_MM, seen.xyz.shape), rotation=rotation)
+
+
+def outcome(job: tuple[str, int, float, int, int]) -> dict:
+    """One cell: verdict, effects, seconds of processor time."""
+    instrument, poses, stated, which, number = job
+    start = process_time()
+    found = diagnose(recorded(instrument, poses, 10_000 * which + number, EFFECTS[which], stated))
+    return {
+        "job": list(job),
+        "verdict": found.verdict,
+        "effects": [f"{e.name}:{'+'.join(e.where)}" for e in found.effects],
+        "seconds": process_time() - start,
+    }
+
+
+def judged(record: dict) -> str:
+    """'right', 'undecided' (nothing said, or said that it cannot be told) or 'wrong'."""
+    effect = EFFECTS[record["job"][3]]
+    if effect is None:
+        return "right" if record["verdict"] in ("none", "cannot_tell") and not record["effects"] else "wrong"
+    if record["verdict"] in ("none", "cannot_tell"):
+        return "undecided"
+    return "right" if record["effects"] == [f"{effect[0]}:{'+'.join(effect[1])}"] else "wrong"
+
+
+def report(records: list[dict]) -> str:
+    lines = [
+        "# Recording sizes",
+        "",
+        "Made by `python benchmarks/recording_sizes.py`: simulated cells with nothing injected (false alarms) and with one plain effect.",
+        "",
+        "| instrument | poses | stated noise, times true | cells | false alarms | cells with an effect | right | undecided | wrong | s (median) |",
+        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for key in sorted({tuple(r["job"][:3]) for r in records}):
+        mine = [r for r in records if tuple(r["job"][:3]) == key]
+        clean, with_effect = [r for r in mine if r["job"][3] == 0], [judged(r) for r in mine if r["job"][3]]
+        alarms = sum(judged(r) == "wrong" for r in clean)
+        counts = " | ".join(str(with_effect.count(what)) for what in ("right", "undecided", "wrong"))
+        seconds = np.median([r["seconds"] for r in mine])
+        lines.append(f"| {key[0]} | {key[1]} | {key[2]:g} | {len(clean)} | {alarms} | {len(with_effect)} | {counts} | {seconds:.1f} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cells", type=int, default=200, help="with nothing injected, and as many with an effect")
+    parser.add_argument("--poses", type=int, nargs="*", default=POSES)
+    parser.add_argument("--instruments", nargs="*", choices=INSTRUMENTS, default=INSTRUMENTS)
+    parser.add_argument("--stated", type=float, nargs="*", default=STATED)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--keep", type=Path, default=Path("recording_sizes.jsonl"), help="outcomes so far; go on with them")
+    parser.add_argument("--out", type=Path, default=HERE / "recording_sizes.md")
+    options = parser.parse_args()
+    kept = [json.loads(line) for line in options.keep.read_text(encoding="utf-8").splitlines()] if options.keep.exists() else []
+    done = {tuple(r["job"]) for r in kept}
+    which = [(0, n) for n in range(options.cells)] + [(1 + n % (len(EFFECTS) - 1), n) for n in range(options.cells)]
+    todo = [(i, p, s, *w) for i, p, s, w in product(options.instruments, options.poses, options.stated, which)]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for record in pool.map(outcome, [job for job in todo if job not in done]):
+            kept.append(record)
+            with options.keep.open("a", encoding="utf-8") as out:
+                out.write(json.dumps(record) + "\n")
+            options.out.write_text(report(kept), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
