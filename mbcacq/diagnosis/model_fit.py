@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
-from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric import random_effects, residual_tests
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
@@ -16,6 +15,7 @@ from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned, transferred
+from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet

@@ -39,6 +39,8 @@ class DiagnosisOptions:
     initial_point_mm: float = 0.02  # instrument noise of a scanner of which nothing is stated
     initial_repeatability_mm: float = 0.06  # repeatability of an arm of which nothing is stated
     outlier_level: float = 1e-7  # false-alarm rate at which a centre is an outlier with the model in place
+    gross_medians: float = 8.0  # distance, in medians, up to which a centre takes part in a search although geometry alone rejects it
+    gross_quantiles: float = 1.5  # or in distances that 97 % are within: more than 3 % are structure
     most_outliers: float = 0.05  # share of outliers beyond which they are structure, and stay
 
     # Candidates

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue
@@ -55,12 +56,22 @@ def prepare(obs: Observations, options: CalibrationOptions | None = None) -> Dia
     options = replace(options or CalibrationOptions(), refuse=False)
     obs = select_phases(obs, options)
     adjusted = adjust_recording(obs, options)
-    linear = LinearProblem.of(obs, adjusted.state, adjusted.used, layout=parameters.build(obs, options))
+    keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
+    linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     candidates = with_detectability(linear, adjusted.noise, candidates)
     prior = noise_prior(obs.cell, options.noise)
     return DiagnosisProblem(linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), tuple(adjusted.found))
+
+
+def not_grossly_off(residual: np.ndarray) -> np.ndarray:
+    """(M,) bool of the centres with which a search begins although the geometry alone rejects them: an effect may be what puts them off.
+
+    residual (M, R): of the adjusted geometry. Those far beyond all others are outliers whatever the effect.
+    """
+    distance = np.linalg.norm(residual[:, :3], axis=1)
+    return distance < max(OPTIONS.gross_medians * np.median(distance), OPTIONS.gross_quantiles * np.quantile(distance, 0.97))
 
 
 def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> DiagnosisProblem:

@@ -21,7 +21,7 @@ STATED = 0.7  # a stated instrument noise is right within a factor of two
 GUESSED = 1.5  # of an instrument of which nothing is stated only the order of magnitude is known
 AXIS = 0.25  # deviation of an axis of the instrument from the level that all axes share
 COMMON = 1.0  # the level that all joints of an arm share
-JOINT = 0.2  # deviation of a joint from that level
+JOINT = 0.15  # deviation of a joint from that level
 EXACT = 1e-3  # a figure that is taken as it is
 # No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
 LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
