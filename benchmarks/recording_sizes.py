@@ -1,10 +1,10 @@
-"""False alarms and right names of the diagnosis over recording sizes, instruments and noise statements. Writes benchmarks/recording_sizes.md.
+"""False alarms and right names of the diagnosis by recording size, instrument and noise statement. Writes benchmarks/recording_sizes.md.
 
     OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py                 200 cells a row (hours)
     OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py --cells 12 --poses 20 28 --instruments tracker artefact
 
-Cells are simulated: an arm with the geometry errors of a new one, joint repeatability 5 urad, instrument noise 0.005 to 0.009 mm (scanner) or
-0.015 mm (tracker). Every outcome is added to recording_sizes.jsonl at once; what is there is not repeated.
+Cells are simulated: an arm with the geometry errors of a new one, joint repeatability 5 urad, instrument noise 0.005 to 0.009 mm (scanner)
+or 0.015 mm (tracker). Every outcome is added to recording_sizes.jsonl at once; what is there is not repeated.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def report(records: list[dict]) -> str:
         "",
         "Made by `python benchmarks/recording_sizes.py`: simulated cells with nothing injected (false alarms) and with one plain effect.",
         "",
-        "| instrument | poses | stated noise, times true | cells | false alarms | cells with an effect | right | undecided | wrong | s (median) |",
+        "| instrument | poses | stated noise / true | cells | false alarms | with an effect | right | undecided | wrong | s (median) |",
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for key in sorted({tuple(r["job"][:3]) for r in records}):

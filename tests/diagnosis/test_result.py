@@ -15,6 +15,7 @@ from mbcacq.diagnosis.result import (
     Alternative,
     Diagnosis,
     EffectFound,
+    ExclusionLimit,
     FitFigures,
     FitSummary,
     HeldOutFigures,
@@ -34,7 +35,7 @@ FOUND = Diagnosis(
             {"A2.order": ParameterEstimate((1.0, 100.0), (0.01, 0.02)), "A3.order": ParameterEstimate(2.0, 0.01)},
             1e-12,
             0.83,
-            (Alternative("joint_scale", ("A2",), 0.12),),
+            (Alternative("joint_scale", ("A2",), 0.12, 0.003),),
             "q2",
         ),
     ),
@@ -43,6 +44,10 @@ FOUND = Diagnosis(
     advice=(Advice("look elsewhere", ((0.0, -90.0, 90.0, 0.0, 10.0, 0.0),)),),
     dropped={"payload": "no masses"},
     notes=("a note",),
+    exclusion_limits=(
+        ExclusionLimit("joint_scale", ("A6",), "A6.ratio", 2e-4, 0.05, 0.03),
+        ExclusionLimit("station_drift", ("stationp1",), "shift_mm", None, None, None),
+    ),
 )
 
 
@@ -61,7 +66,18 @@ def test_a_diagnosis_goes_to_json_and_back():
 def test_the_keys_stand_in_the_order_of_the_format():
     content = FOUND.to_json()
 
-    assert list(content) == ["format", "verdict", "mismatch", "effects", "fit", "not_separable", "advice", "dropped", "notes"]
+    assert list(content) == [
+        "format",
+        "verdict",
+        "mismatch",
+        "effects",
+        "fit",
+        "not_separable",
+        "advice",
+        "dropped",
+        "notes",
+        "exclusion_limits",
+    ]
     assert list(content["effects"][0]) == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]
     assert list(content["fit"]["held_out"]) == ["before_rms_mm", "after_rms_mm", "before_chi2_dof", "after_chi2_dof", "split"]
     assert content["effects"][0]["parameters"]["A2.order"] == {"value": [1.0, 100.0], "std": [0.01, 0.02]}
