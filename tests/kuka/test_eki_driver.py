@@ -5,12 +5,12 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import arrive, motion_limits
 from eki_arm import FAR, HOME
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from kuka_bench import arrive, motion_limits
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.eki.framing import Cutter

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits, until_error, wait
+from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits, until_error, wait
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 

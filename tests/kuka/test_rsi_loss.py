@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, free_port
+from kuka_bench import HOME_DEG, LIMITS_DEG, free_port
 from lossy import Weather, namespaces, relay, why_no_netem
 from mbcacq_fakes.protocols.krc import FakeKrc
 

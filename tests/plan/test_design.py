@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from conftest import PLANS
+from plan_folder import PLANS
 
 from mbcacq.calibration import calibrate, verify
 from mbcacq.cli.plan import command

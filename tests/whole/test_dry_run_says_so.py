@@ -2,7 +2,7 @@
 
 import json
 
-from test_run import mbcacq
+from command_line import mbcacq
 
 from mbcacq.model.cell import SIMULATED
 

@@ -8,8 +8,8 @@ import time
 from contextlib import ExitStack
 
 import pytest
+from command_line import MBCACQ, ROOT, plan_file
 from listeners import bound
-from test_run import MBCACQ, ROOT, plan_file
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks Linux which sockets are bound")
 

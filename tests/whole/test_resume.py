@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
+from command_line import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 from mbcacq.recording import Recording, find_gaps, load_observations
 from mbcacq.recording.rrd import layout

@@ -5,8 +5,8 @@ import subprocess
 from contextlib import ExitStack
 
 import pytest
-from test_arming import Terminal
-from test_run import MBCACQ, plan_file
+from command_line import MBCACQ, plan_file
+from terminal_session import Terminal
 
 
 def free_ports(count):
