@@ -1,6 +1,5 @@
-"""What the tests of the KUKA drivers share: limits, a free port, and waiting for an arm."""
+"""What the tests of the KUKA drivers share: limits, and waiting for an arm."""
 
-import socket
 import time
 
 import numpy as np
@@ -9,12 +8,6 @@ from mbcacq.devices import MotionLimits
 
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
 HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
 
 
 def motion_limits(speed=90.0, acceleration=360.0, jerk=3600.0, settle_s=0.1):

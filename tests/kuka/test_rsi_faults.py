@@ -6,7 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits, until_error, wait
+from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits, until_error, wait
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 

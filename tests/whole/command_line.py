@@ -1,18 +1,31 @@
-"""The command as a user has it, a shipped plan with a change, and the one sentence in which a command fails."""
+"""The command as a user types it, a shipped plan with a change, and the one sentence in which a command fails."""
 
-import subprocess
+import signal
 import sys
 import time
+from contextlib import chdir
 from pathlib import Path
+from types import SimpleNamespace
 
 import yaml
+from click.testing import CliRunner
+
+from mbcacq.cli.app import app
 
 ROOT = Path(__file__).parents[2]
 MBCACQ = Path(sys.executable).parent / "mbcacq"
 
 
-def mbcacq(*args, timeout=280):
-    return subprocess.run([MBCACQ, *map(str, args)], cwd=ROOT, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL)
+def mbcacq(*args):
+    """The command without a terminal, in this process, which has its libraries loaded; what must be a process of its own starts MBCACQ."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))}
+    try:
+        with chdir(ROOT):
+            done = CliRunner().invoke(app, [str(arg) for arg in args])
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return SimpleNamespace(returncode=done.exit_code, stdout=done.stdout, stderr=done.stderr)
 
 
 def until(condition, within_s=240.0):

@@ -178,7 +178,7 @@ class KukaRsi:
             )
         self.port, self.real_time = process.port, process.real_time
         if self._options.eki:
-            self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms)
+            self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms, wait_s)
         deadline = time.monotonic() + wait_s
         while not process.connected:
             if (error := self._find_error(process, connecting=True)) is not None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.cell.ports import LOOPBACK, ipv4, udp_port
+from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
@@ -66,7 +66,7 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     if ports == "plan":
         client = (ipv4(str(options.get("bind", LOOPBACK))), int(options.get("port", 49152)))
     else:
-        client = (LOOPBACK, udp_port())
+        client = (LOOPBACK, free_port())
     same = {k: options[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms") if k in options}
     try:
         krc = FakeKrc(state, **{**settings, "client": client, "ipoc": CLOCK_START_MS, "seed": seed, **same, **given})
