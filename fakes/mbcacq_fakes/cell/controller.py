@@ -17,6 +17,7 @@ from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 
 CLOCK_START_MS = 1_000_000
+FASTEST_START_S = 0.05  # to full speed: no arm whose accelerations are not stated is faster
 RSI, EKI = "kuka_rsi", "kuka_eki"
 MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
 
@@ -68,6 +69,9 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     else:
         client = (LOOPBACK, free_port())
     same = {k: options[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms") if k in options}
+    speed, acceleration = loaded.cell.robot.speed, loaded.cell.robot.acceleration
+    if speed is not None:
+        settings["acceleration_deg_s2"] = tuple(np.degrees(speed / FASTEST_START_S if acceleration is None else acceleration).tolist())
     try:
         krc = FakeKrc(state, **{**settings, "client": client, "ipoc": CLOCK_START_MS, "seed": seed, **same, **given})
     except (TypeError, ValueError) as error:
