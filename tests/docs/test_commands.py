@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from doc_pages import ROOT, Page, pages
 from finished_runs import FinishedRun
+from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.recording.rrd import rerun_program
 
@@ -32,6 +33,10 @@ for what in "$@"; do test -e "$what" || {{ echo "$what does not exist" >&2; exit
 def desk(tmp_path: Path) -> Path:
     """A folder like a fresh checkout, with this Python as its environment."""
     shutil.copytree(ROOT / "plans", tmp_path / "plans")
+    quick = tmp_path / "plans" / "quick.yaml"  # a fake cell at the usual ports would meet those of other programs
+    text = quick.read_text(encoding="utf-8").replace("port: 49152", f"port: {free_port()}")
+    ports = ", ".join(f"{name}_port: {free_port()}" for name in ("control", "health", "data"))
+    quick.write_text(text.replace("options: {address: 127.0.0.1}", f"options: {{address: 127.0.0.1, {ports}}}"), encoding="utf-8")
     for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
         (tmp_path / entry).symlink_to(ROOT / entry)
     bin = tmp_path / ".venv" / "bin"
@@ -66,7 +71,9 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) ->
     """The script with the dry runs of shipped plans replaced by copies of them."""
     lines = []
     for line in script.splitlines():
-        if found := DRY_RUN.match(line.strip()):
+        if line.strip() == "sleep 2":  # stands for: until the fake cell says that it is up
+            lines.append("until grep -q 'in another terminal' printed; do sleep 0.2; done")
+        elif found := DRY_RUN.match(line.strip()):
             run = finished_run(found[1])
             lines.append(f"cp -a '{run.desk / 'runs'}' .")
             if found[2]:

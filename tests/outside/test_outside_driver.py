@@ -26,7 +26,7 @@ def mbcacq(site, *arguments):
         env=environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=280,
         stdin=subprocess.DEVNULL,
     )
 

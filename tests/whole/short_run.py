@@ -3,7 +3,7 @@
 import time
 
 import numpy as np
-from command_line import plan_file
+from typed_command import plan_file
 
 from mbcacq.acquisition import events
 from mbcacq.devices import load_driver

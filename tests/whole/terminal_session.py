@@ -6,7 +6,7 @@ import select
 import subprocess
 import time
 
-from command_line import MBCACQ, ROOT
+from typed_command import MBCACQ, ROOT
 
 
 class Terminal:

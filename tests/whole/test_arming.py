@@ -3,8 +3,8 @@
 import time
 
 import pytest
-from command_line import mbcacq, one_sentence, plan_file
 from terminal_session import Terminal
+from typed_command import mbcacq, one_sentence, plan_file
 
 from mbcacq.devices.addresses import on_loopback_only
 

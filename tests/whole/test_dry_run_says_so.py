@@ -2,7 +2,7 @@
 
 import json
 
-from command_line import mbcacq
+from typed_command import mbcacq
 
 from mbcacq.model.cell import SIMULATED
 

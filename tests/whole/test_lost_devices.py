@@ -30,7 +30,11 @@ def in_a_while(seconds, what):
     ids=["silent-controller", "does-not-follow", "stopped-at-the-pendant", "refused-exposure", "empty-place", "ctrl-c"],
 )
 def test_the_arm_stands_the_recording_is_closed_the_exit_code_says_which(tmp_path, hurt, code):
-    error, folder = run_with(tmp_path, hurt)
+    def impatient(plan):
+        if code == ExitCode.LOST:
+            plan["robot"]["options"]["silence_s"] = 1.5
+
+    error, folder = run_with(tmp_path, hurt, impatient)
     assert error is not None
     assert getattr(error, "exit_code", ExitCode.INTERRUPTED) == code, error
     readable(folder, [0, 1], "abort" if code == ExitCode.INTERRUPTED else "fail")

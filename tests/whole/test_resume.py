@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from command_line import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 from mbcacq.recording import Recording, find_gaps, load_observations, poses_done
 from mbcacq.recording.rrd import layout

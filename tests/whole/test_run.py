@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from command_line import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 
 @pytest.mark.parametrize("command", [["schema"], ["drivers", "--json"]])

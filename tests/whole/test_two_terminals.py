@@ -3,9 +3,9 @@
 import subprocess
 
 import pytest
-from command_line import MBCACQ, plan_file
 from mbcacq_fakes.cell.ports import free_port
 from terminal_session import Terminal
+from typed_command import MBCACQ, plan_file
 
 
 @pytest.fixture

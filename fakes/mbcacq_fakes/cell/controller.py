@@ -17,6 +17,7 @@ from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 
 CLOCK_START_MS = 1_000_000
+HANGING_S = 30.0
 FASTEST_START_S = 0.05  # to full speed: no arm whose accelerations are not stated is faster
 RSI, EKI = "kuka_rsi", "kuka_eki"
 MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
@@ -46,7 +47,10 @@ def start_controller(
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
     if robot.speed is not None:
         settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
-    return (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+    krc, address = (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+    if not realtime and ports == "free" and "silence_s" not in use.options:
+        address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent
+    return krc, address
 
 
 def check_options(driver: str, given: Mapping[str, Any]) -> None:
