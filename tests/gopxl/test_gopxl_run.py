@@ -33,18 +33,15 @@ def over_gopxl(folder, name):
 def test_poses_of_every_phase_of_the_published_plan_are_measured_over_gopxl(tmp_path):
     """The first of each; the whole plan: docs/gopxl.md."""
     loaded = load(over_gopxl(tmp_path, "kuka.yaml"))
-    poses = expand(loaded)
-    first = {
-        phase: next(p.number for p in poses if p.phase == phase) for phase in ("translation", "orientation", "position", "verification")
-    }
-    others = frozenset(p.number for p in poses) - set(first.values())
-    run = acquire.plan_acquisition(loaded, poses, others, 0, "the fake cell of seed 0")
+    phases = ("translation", "orientation", "position", "verification")
+    poses = [next(p for p in expand(loaded) if p.phase == phase) for phase in phases]
+    run = acquire.plan_acquisition(loaded, poses, frozenset(), 0, "the fake cell of seed 0")
     run.folder = acquire.new_run_folder(tmp_path / "run", "kuka")
     with load_driver("fakes", "cell")(loaded, poses, seed=0) as cell:
         run.execute(cell.overrides())
     observations = load_observations(run.folder)
-    assert set(observations.pose_id.tolist()) == set(first.values())
-    assert set(observations.cell.ball_ids[observations.ball].tolist()) > set(range(1, 9))  # and a ball of the bar
+    assert set(observations.pose_id.tolist()) == {p.number for p in poses}
+    assert {observations.cell.ball_ids[b] for b in observations.ball} > set(range(1, 9))  # and a ball of the bar
 
 
 def test_the_quick_plan_runs_dry_with_gopxl_by_one_word(tmp_path):
