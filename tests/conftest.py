@@ -1,13 +1,20 @@
 """Threads of numerical libraries do not help here: the suite runs one process a core. And no test is about how busy the machine is."""
 
 import os
+import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from finished_runs import FinishedRun, dry_run
+from finished_runs import made_once as make_once
 from hypothesis import HealthCheck, settings
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a suite started in the background: what it starts would ignore Ctrl-C, too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy")
@@ -26,6 +33,20 @@ def shared() -> Path:
 @pytest.fixture(scope="session")
 def shared_data(shared: Path) -> Path:
     return shared / "data"
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """made_once(name, make): the folder that ``make`` has filled, once for all processes of the suite; to be looked at only."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    return lambda name, make: make_once(shared, name, make)
+
+
+@pytest.fixture(scope="session")
+def finished_run(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Callable[[str], FinishedRun]:
+    """finished_run("quick.yaml"): the whole dry run of a shipped plan; to be looked at only."""
+    return lambda plan: FinishedRun(made_once(f"run-of-{plan}", lambda desk: dry_run(desk, plan)))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

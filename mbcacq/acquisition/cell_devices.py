@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, create, load_driver
 from mbcacq.plan import LoadedPlan
+from mbcacq.plan.motion_limits import axis_limits
 
 Overrides = Mapping[str, Mapping[str, Any]]
 
@@ -92,13 +93,18 @@ def robot_options(loaded: LoadedPlan) -> dict[str, Any]:
     """The options that the robot's driver gets: limits_deg (6, 2), speed_deg_s (6,) where known, and the plan's own, which win over them.
 
     What else of the model the driver needs it names in ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
-    beta_deg).
+    beta_deg); 'dynamics', acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not state them.
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
     facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}
     if robot.speed is not None:
         facts["speed_deg_s"] = np.degrees(robot.speed).tolist()
-    if "kinematics" in getattr(load_driver("robots", use.driver), "plan_facts", ()):
+    wanted = getattr(load_driver("robots", use.driver), "plan_facts", ())
+    if "dynamics" in wanted and robot.speed is not None:
+        limits = axis_limits(loaded)
+        facts["acceleration_deg_s2"] = np.degrees(limits.acceleration).tolist()
+        facts["jerk_deg_s3"] = np.degrees(limits.jerk).tolist()
+    if "kinematics" in wanted:
         rows = robot.chain.rows.copy()
         rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
         facts["kinematics"] = np.column_stack([robot.chain.sign, rows]).tolist()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import Noise
@@ -100,7 +100,7 @@ def _explaining_pose(lineariser: Lineariser, strict: Solution, deleted: Deletion
         return None
     rest = np.maximum(strict.cost - deleted.chi2, 1e-300) / np.maximum(rest_dof, 1.0)
     ratio = np.where(judged, deleted.chi2 / np.maximum(deleted.rank, 1.0) / rest, 0.0)
-    p_value = f_distribution.sf(ratio, np.maximum(deleted.rank, 1.0), np.maximum(rest_dof, 1.0))
+    p_value = fdtrc(np.maximum(deleted.rank, 1.0), np.maximum(rest_dof, 1.0), ratio)
     p_value = np.where(judged, p_value, 1.0)
     pose = int(np.argmin(p_value))
     left = strict.cost - deleted.chi2

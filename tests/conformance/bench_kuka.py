@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,6 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki.driver import KukaEki
@@ -51,9 +51,7 @@ def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], 
 def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Iterator[Stand]:
     note = trace.note if trace else (lambda *_: None)
     with ExitStack() as stack:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+        port = free_port()
         proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi", note), ("127.0.0.1", port)))}
         given: dict[str, Any] = {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 2.0}
         if eki:
@@ -126,5 +124,5 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
             lambda: make("KR 210 R2700-2"),
             begin,
             lambda: fake.state.read().standstill,
-            {"silence_s": 0.4, "connect_timeout_s": 2.0, "reconnect_s": 0.5},
+            {"silence_s": 0.4, "connect_timeout_s": 1.0, "reconnect_s": 0.5},
         )

@@ -11,6 +11,7 @@ from bench_bus import modbus_sensor
 from bench_gocator import gocator
 from bench_kuka import HOME_DEG, LIMITS_DEG, kuka_rsi
 from mbcacq_bus.modbus import ModbusSensor
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_gocator.driver import Gocator
 from mbcacq_kuka.rsi.driver import KukaRsi
 
@@ -68,9 +69,7 @@ def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(save
     lines = saved(trace).lines
     answered = IPOC.search(next(line.data for line in lines if line.sender == "driver"))[0]
     start = next(i for i, line in enumerate(lines) if answered in line.data)  # telegrams before that found nobody
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "stop_at_close": False})
     with Replay(Trace(lines[start : start + 40]), {"rsi": ("127.0.0.1", port)}) as replay:
         with robot:

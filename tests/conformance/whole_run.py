@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import tempfile
 import time
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.conformance import Case, Channel, InjectionVerdict, Proxy, TcpProxy, UdpProxy, bounded, counted
 from mbcacq.conformance.bounded import Hang, eventually, sentence
@@ -54,9 +54,7 @@ def cell(loaded: Any, poses: list[Any]) -> Iterator[tuple[Any, dict[str, dict[st
                 TcpProxy(Channel(link), (scanner["address"], scanner[f"{link}_port"]), cut=counted(), cut_driver=counted())
             )
             scanner[f"{link}_port"] = proxies[link].port
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            free = probe.getsockname()[1]
+        free = free_port()
         proxies["rsi"] = stack.enter_context(UdpProxy(Channel("rsi"), ("127.0.0.1", free), port=robot["port"]))
         overrides["robot"] = {**robot, "port": free}
         overrides["scanner"] = {**scanner, **HASTY}

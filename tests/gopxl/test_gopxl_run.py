@@ -11,18 +11,41 @@ from mbcacq_gocator import generation
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.cli.app import app
-from mbcacq.devices import ConnectError
+from mbcacq.devices import ConnectError, load_driver
+from mbcacq.plan import expand, load
+from mbcacq.recording import load_observations
+from mbcacq.workflow import acquire
 
 PLANS = Path(__file__).parents[2] / "plans"
 
 
-def test_the_quick_plan_runs_dry_with_gopxl_by_one_word(tmp_path):
-    text = (PLANS / "quick.yaml").read_text(encoding="utf-8")
+def over_gopxl(folder, name):
+    """A shipped plan with that one word changed."""
+    text = (PLANS / name).read_text(encoding="utf-8")
     assert text.count("driver: gocator") == 1
-    for name in ("robots", "artefacts"):
-        (tmp_path / name).symlink_to(PLANS / name)
-    plan = tmp_path / "quick.yaml"
+    for part in ("robots", "artefacts"):
+        (folder / part).symlink_to(PLANS / part)
+    plan = folder / name
     plan.write_text(text.replace("driver: gocator", "driver: gopxl"), encoding="utf-8")
+    return plan
+
+
+def test_poses_of_every_phase_of_the_published_plan_are_measured_over_gopxl(tmp_path):
+    """The first of each; the whole plan: docs/gopxl.md."""
+    loaded = load(over_gopxl(tmp_path, "kuka.yaml"))
+    phases = ("translation", "orientation", "position", "verification")
+    poses = [next(p for p in expand(loaded) if p.phase == phase) for phase in phases]
+    run = acquire.plan_acquisition(loaded, poses, frozenset(), 0, "the fake cell of seed 0")
+    run.folder = acquire.new_run_folder(tmp_path / "run", "kuka")
+    with load_driver("fakes", "cell")(loaded, poses, seed=0) as cell:
+        run.execute(cell.overrides())
+    observations = load_observations(run.folder)
+    assert set(observations.pose_id.tolist()) == {p.number for p in poses}
+    assert {observations.cell.ball_ids[b] for b in observations.ball} > set(range(1, 9))  # and a ball of the bar
+
+
+def test_the_quick_plan_runs_dry_with_gopxl_by_one_word(tmp_path):
+    plan = over_gopxl(tmp_path, "quick.yaml")
     done = CliRunner().invoke(app, ["run", str(plan), "--dry-run", "--out", str(tmp_path / "run"), "--json"])
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout.splitlines()[-1])

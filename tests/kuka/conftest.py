@@ -1,55 +1,12 @@
 """A fake controller and a driver in front of it, on a port of their own."""
 
-import socket
-import time
-
-import numpy as np
 import pytest
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S, START_DEG, settings
+from kuka_bench import HOME_DEG, LIMITS_DEG
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
-
-from mbcacq.devices import MotionLimits
-
-LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
-HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
-
-
-def motion_limits(speed=90.0, acceleration=360.0, jerk=3600.0, settle_s=0.1):
-    return MotionLimits(*(np.radians(np.full(6, v)) for v in (speed, acceleration, jerk)), tolerance=2e-4, settle_s=settle_s)
-
-
-def wait(condition, timeout_s=100.0):
-    """A generous bound against hanging, not a statement about time."""
-    deadline = time.monotonic() + timeout_s
-    while not (result := condition()):
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.002)
-    return result
-
-
-def arrive(robot):
-    return wait(lambda: (state := robot.state()).arrived and state)
-
-
-def until_error(robot):
-    """The error that stops the robot."""
-
-    def error():
-        try:
-            robot.state()
-        except Exception as found:
-            return found
-        return None
-
-    return wait(error)
 
 
 @pytest.fixture

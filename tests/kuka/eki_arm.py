@@ -3,8 +3,8 @@
 import time
 
 import numpy as np
-from conftest import motion_limits, wait
 from eki_bench import START_DEG
+from kuka_bench import motion_limits, wait
 
 HOME_DEG = np.array(START_DEG)
 HOME, FAR, SLOW = np.radians(HOME_DEG), np.radians(HOME_DEG + [4.9, 0, 0, 0, 0, 0]), motion_limits(speed=8.0)

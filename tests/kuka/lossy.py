@@ -12,6 +12,8 @@ import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
+from mbcacq_fakes.cell.ports import free_port
+
 LOSS = 0.01
 
 
@@ -92,9 +94,7 @@ class Relay(threading.Thread):
 @contextmanager
 def relay(weather=None):
     """(address to which the controller sends, address on which the client listens, port of both ends, command prefix of the client)."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        target = probe.getsockname()[1]
+    target = free_port()
     carrier = Relay(target, weather or Weather())
     carrier.start()
     try:

@@ -6,7 +6,7 @@ import sys
 import time
 
 import numpy as np
-from conftest import HOME_DEG, LIMITS_DEG, motion_limits
+from kuka_bench import HOME_DEG, LIMITS_DEG, motion_limits
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.devices import MbcacqError

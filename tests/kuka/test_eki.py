@@ -6,6 +6,7 @@ import threading
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki import EkiClient
 from mbcacq_kuka.eki.framing import MAX_TELEGRAM, Cutter, FramingError
@@ -160,8 +161,7 @@ def test_wrong_answers(reply, kind):
 
 
 def test_nobody_there():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
+    port = free_port()
     with pytest.raises(ConnectError, match="cannot be reached"):
         EkiClient("127.0.0.1", port, timeout_s=0.5).connect()
     with pytest.raises(ConnectError, match="call connect first"):

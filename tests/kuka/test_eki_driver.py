@@ -1,16 +1,16 @@
 """The driver in front of the programs of the controller: the wrong cell and wrong options are refused, spoilt telegrams too."""
 
-import socket
 import threading
 
 import numpy as np
 import pytest
-from conftest import arrive, motion_limits
 from eki_arm import FAR, HOME
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from kuka_bench import arrive, motion_limits
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.eki.framing import Cutter
@@ -65,8 +65,7 @@ def test_a_program_that_does_not_run_is_waited_for(eki_cell):
 
 
 def test_nobody_there():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
+    port = free_port()
     robot = KukaEki(
         "arm",
         "",

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import arrive, motion_limits, until_error, wait
 from eki_arm import FAR, HOME, on_the_way, stands
 from eki_bench import SYSTEMS
+from kuka_bench import arrive, motion_limits, until_error, wait
 
 from mbcacq.devices import DeviceFault, DeviceTimeout, IdentityError, ProtocolError, SafetyStop
 

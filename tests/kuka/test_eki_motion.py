@@ -5,9 +5,9 @@ import time
 
 import numpy as np
 import pytest
-from conftest import arrive, motion_limits, until_error, wait
 from eki_arm import FAR, HOME, HOME_DEG, on_the_way, stands
 from eki_bench import EKI_LIMITS_DEG, SYSTEMS
+from kuka_bench import arrive, motion_limits, until_error, wait
 
 from mbcacq.devices import ConfigError, ConnectError, Robot, SafetyStop
 

@@ -4,7 +4,8 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits
+from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki.start import same_model

@@ -5,7 +5,7 @@ import socket
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, wait
+from kuka_bench import HOME_DEG, LIMITS_DEG, wait
 from mbcacq_fakes.protocols.krc import FakeKrc
 
 IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")

@@ -10,7 +10,8 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from conftest import LIMITS_DEG, arrive, free_port, motion_limits, wait
+from kuka_bench import LIMITS_DEG, arrive, motion_limits, wait
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 

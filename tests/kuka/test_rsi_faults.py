@@ -6,7 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits, until_error, wait
+from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits, until_error, wait
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 
@@ -231,12 +232,3 @@ def test_not_connected():
 def test_wrong_options_are_refused_before_anything_is_opened(options, text):
     with pytest.raises(ConfigError, match=text):
         KukaRsi("arm", "", options)
-
-
-def test_a_full_shared_memory_is_said_in_one_sentence(monkeypatch):
-    def full():
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("mbcacq_kuka.rsi.cycle_process.Shared.create", full)
-    with pytest.raises(ConnectError, match=r"shared memory.*No space left"):
-        KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": free_port()}).connect()

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, free_port
+from kuka_bench import HOME_DEG, LIMITS_DEG
 from lossy import Weather, namespaces, relay, why_no_netem
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 
 FAR = 30.0

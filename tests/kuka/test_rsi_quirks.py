@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, arrive, motion_limits, until_error, wait
+from kuka_bench import HOME_DEG, arrive, motion_limits, until_error, wait
 
 from mbcacq.devices import DeviceFault, DeviceTimeout, ProtocolError
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import HOME_DEG, LIMITS_DEG, arrive, free_port, motion_limits, until_error, wait
+from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits, until_error, wait
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 from mbcacq_kuka.rsi.options import read_options
@@ -15,7 +16,7 @@ FAR = np.radians(HOME_DEG + [60.0, 20.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_a_motion_that_an_emergency_stop_interrupted_is_ended_after_the_restart(cell, caplog):
-    krc, robot = cell({"rearm_s": 3.0}, {"silence_s": 0.5, "recover_s": 100.0})
+    krc, robot = cell({"rearm_s": 1.5}, {"silence_s": 0.5, "recover_s": 100.0})
     robot.move_to(FAR, motion_limits(speed=20.0))
     wait(lambda: np.degrees(robot.state().q[0]) > 5.0)
     krc.inject(stop=1)
@@ -30,7 +31,7 @@ def test_a_motion_that_an_emergency_stop_interrupted_is_ended_after_the_restart(
 
 
 def test_an_arm_that_stood_goes_on_standing(cell):
-    krc, robot = cell({"rearm_s": 3.0}, {"silence_s": 0.5, "recover_s": 100.0})
+    krc, robot = cell({"rearm_s": 1.5}, {"silence_s": 0.5, "recover_s": 100.0})
     target = np.radians(HOME_DEG + [2.0, 0, 0, 0, 0, 0])
     robot.move_to(target, motion_limits())
     arrive(robot)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import PACKAGE, install
+from installed_package import PACKAGE, install
 
 from mbcacq.conformance import CHECKS, Channel, DriverBench, Stand, TcpProxy, check, ended
 from mbcacq.errors import ConfigError
@@ -26,7 +26,7 @@ def mbcacq(site, *arguments):
         env=environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=280,
         stdin=subprocess.DEVNULL,
     )
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import PLANS
+from plan_folder import PLANS
 
 from mbcacq.cli.plan import command
 from mbcacq.errors import ConfigError

@@ -1,12 +1,13 @@
 """Accuracy and detectability predicted for a plan and found true by simulation; poses chosen by a design."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from conftest import PLANS
+from plan_folder import PLANS
 
 from mbcacq.calibration import calibrate, verify
 from mbcacq.cli.plan import command
@@ -163,19 +164,16 @@ def test_exchange_finds_the_best_of_all_choices_of_a_small_problem():
     assert value(choose_by_exchange(base, blocks, groups, 3, criterion)) <= every[2]
 
 
-def test_candidates_can_be_taken(published):
+def test_candidates_can_be_taken(published, tmp_path):
     loaded, _ = published
     found = candidates(loaded, ["p2"], 40.0, 1, DesignOptions(views_per_station=60))
     assert len(found) > 20
     text = with_views(loaded, {("p2", None): [c.view for c in found]})
-    path_ = loaded.path.with_name("_candidates.yaml")
-    try:
-        path_.write_text(text)
-        taken = load(path_)
-        poses = [p for p in expand(taken) if p.phase == "position"]
-        findings = [f for f in check(taken, expand(taken)) if f.level == "error" and f.step.startswith("designed")]
-    finally:
-        path_.unlink()
+    shutil.copytree(PLANS, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "candidates.yaml").write_text(text)
+    taken = load(tmp_path / "candidates.yaml")
+    poses = [p for p in expand(taken) if p.phase == "position"]
+    findings = [f for f in check(taken, expand(taken)) if f.level == "error" and f.step.startswith("designed")]
     assert len(poses) == len(found)
     assert findings == []
     assert {np.sign(p.q[4]) for p in poses} == {1.0, -1.0}

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import PLANS
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plan_folder import PLANS
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3

@@ -4,9 +4,9 @@ import os
 
 import numpy as np
 import pytest
-from conftest import PLANS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from plan_folder import PLANS
 
 from mbcacq.errors import ConfigError
 from mbcacq.plan import load

@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 import yaml
-from conftest import PLANS, ROOT
 from hypothesis import given
 from hypothesis import strategies as st
+from plan_folder import PLANS, ROOT
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3

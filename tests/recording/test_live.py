@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
+from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.recording import Recorder, Recording, load_observations
 from mbcacq.recording.rrd import rerun_program
@@ -58,9 +59,7 @@ def test_a_live_viewer_that_dies_or_freezes_takes_nothing_from_the_recording(tmp
     stream = list(synthetic.run())
     with Recorder(tmp_path, live=True, port=0) as recorder:
         port = port_of(recorder.live_url)
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            own = probe.getsockname()[1]
+        own = free_port()
         viewer = subprocess.Popen(
             [rerun_program.program(), "--headless", "--bind", "127.0.0.1", "--port", str(own), "--hide-welcome-screen", recorder.live_url],
             stdout=subprocess.DEVNULL,

@@ -11,6 +11,7 @@ import numpy as np
 import psutil
 import pytest
 import synthetic
+from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.acquisition import events
 from mbcacq.errors import ConfigError, RecordingError
@@ -242,9 +243,7 @@ def test_a_fault_in_an_event_keeps_what_came_before(tmp_path):
 
 
 def test_live_serves_this_computer_only(tmp_path):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     with Recorder(tmp_path, live=True, port=port) as recorder:
         for event in synthetic.run():
             recorder(event)

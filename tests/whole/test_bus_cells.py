@@ -4,7 +4,7 @@ import csv
 import json
 
 import pytest
-from test_run import mbcacq, plan_file
+from typed_command import mbcacq, plan_file
 
 SERIAL = {
     "driver": "serial",

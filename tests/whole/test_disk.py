@@ -5,7 +5,7 @@ import sys
 import textwrap
 
 import pytest
-from test_run import MBCACQ, ROOT, mbcacq
+from typed_command import MBCACQ, ROOT, mbcacq
 
 CAN_MOUNT = (
     sys.platform == "linux"

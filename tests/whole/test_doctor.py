@@ -5,7 +5,7 @@ import os
 import socket
 
 import pytest
-from test_run import mbcacq, plan_file
+from typed_command import mbcacq, plan_file
 
 from mbcacq.doctor import from_error
 from mbcacq.errors import ConnectError

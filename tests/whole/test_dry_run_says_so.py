@@ -2,15 +2,14 @@
 
 import json
 
-from test_run import mbcacq
+from typed_command import mbcacq
 
 from mbcacq.model.cell import SIMULATED
 
 
-def test_a_dry_run_is_marked_as_simulated_everywhere(tmp_path):
-    run = tmp_path / "run"
-    done = mbcacq("run", "plans/quick.yaml", "--dry-run", "--out", run)
-    assert done.returncode == 0, done.stderr
+def test_a_dry_run_is_marked_as_simulated_everywhere(finished_run, tmp_path):
+    done = finished_run("quick.yaml")
+    run = done.folder
     assert SIMULATED in done.stderr
     assert SIMULATED in done.stdout
     assert json.loads((run / "result.json").read_text())["simulated"] is True

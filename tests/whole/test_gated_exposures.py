@@ -1,7 +1,7 @@
 """Whole dry runs in which one exposure is wrong: nothing is averaged over it, and the run folder names it."""
 
 import numpy as np
-from test_lost_devices import readable, run_with
+from short_run import readable, run_with
 
 from mbcacq.acquisition import events
 from mbcacq.recording import Recording, find_gaps

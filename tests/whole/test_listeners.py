@@ -5,11 +5,11 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 
 import pytest
 from listeners import bound
-from test_run import MBCACQ, ROOT, plan_file
+from mbcacq_fakes.cell.ports import free_port
+from typed_command import MBCACQ, ROOT, plan_file
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks Linux which sockets are bound")
 
@@ -52,9 +52,7 @@ def test_a_live_dry_run_with_every_kind_of_device(tmp_path):
 
 
 def test_a_fake_cell_in_the_foreground(tmp_path):
-    with ExitStack() as stack:
-        held = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(4)]
-        robot, control, health, data = (each.getsockname()[1] for each in held)
+    robot, control, health, data = (free_port() for _ in range(4))
 
     def change(plan):
         plan["robot"]["options"] = {"bind": "127.0.0.1", "port": robot}

@@ -5,6 +5,7 @@ benchmarks/kill_and_resume.md has fifty random moments; here are a few.
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -13,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
-from mbcacq.recording import Recording, find_gaps, load_observations
+from mbcacq.recording import Recording, find_gaps, load_observations, poses_done
 from mbcacq.recording.rrd import layout
 
 
@@ -27,16 +28,26 @@ def two_stations(plan):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole")
-    plan = plan_file(folder, two_stations)
-    done = mbcacq("run", plan, "--dry-run", "--out", folder / "run", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["gaps"] == []
-    return plan, folder / "run"
+def undisturbed(made_once):
+    """(plan, folder of its whole run); to be looked at only."""
+
+    def make(folder):
+        plan = plan_file(folder, two_stations)
+        done = mbcacq("run", plan, "--dry-run", "--out", folder / "run", "--json")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["gaps"] == []
+
+    folder = made_once("resume-undisturbed", make)
+    return folder / "plan.yaml", folder / "run"
+
+
+def shared_memory_of(pid):
+    """Names in /dev/shm that the process has mapped."""
+    return {line.split("/dev/shm/")[1].split()[0] for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/" in line}
 
 
 def killed_after(plan, run, poses, then_s=0.0):
+    """Start a run and kill it with all its children. Returns the names in shared memory that it used."""
     process = subprocess.Popen(
         [MBCACQ, "run", plan, "--dry-run", "--out", run],
         cwd=ROOT,
@@ -47,8 +58,10 @@ def killed_after(plan, run, poses, then_s=0.0):
     journal = run / "journal.jsonl"
     until(lambda: journal.exists() and journal.read_text().count("pose_done") >= poses)
     time.sleep(then_s)
+    used = shared_memory_of(process.pid) if Path("/dev/shm").is_dir() else set()
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    return used
 
 
 def equal(run, whole):
@@ -67,6 +80,11 @@ def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, po
     plan, whole = undisturbed
     run = tmp_path / "run"
     killed_after(plan, run, poses, then_s)
+    if poses == 4:  # a recovery in between changes nothing
+        assert mbcacq("recover", run).returncode == 0
+        assert load_observations(run).n_poses >= poses
+        assert poses <= len(poses_done(run)) < 7
+        assert any("of 7 planned poses were not measured" in gap for gap in find_gaps(run))
     resumed = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
     assert resumed.returncode == 0, resumed.stderr
     equal(run, whole)
@@ -83,6 +101,13 @@ def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, po
         again = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
         assert again.returncode == 0
         assert "nothing moves" in again.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory as files here")
+def test_a_run_killed_with_its_children_leaves_nothing_in_shared_memory(undisturbed, tmp_path):
+    used = killed_after(undisturbed[0], tmp_path / "run", 1)
+    assert used  # it does use some
+    assert not used & set(os.listdir("/dev/shm"))
 
 
 def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
@@ -124,18 +149,16 @@ def test_a_changed_robot_file_is_refused_a_comment_is_not(undisturbed, tmp_path)
     text = plan.read_text()
     other = tmp_path / "plan.yaml"
     other.write_text("# a remark\n" + text)
-    assert mbcacq("run", other, "--dry-run", "--resume", whole).returncode == 0
+    assert mbcacq("run", other, "--dry-run", "--resume", shutil.copytree(whole, tmp_path / "same")).returncode == 0
     content = yaml.safe_load(text)
     model = tmp_path / "robot.yaml"
     model.write_text(Path(content["robot"]["model"]).read_text().replace("d_mm: 515", "d_mm: 516"))
+    changed = shutil.copytree(whole, tmp_path / "changed")
     kept = json.loads((whole / "plan.files.json").read_text())
-    (whole / "plan.files.json").write_text(json.dumps(kept | {"files": {**kept["files"], content["robot"]["model"]: model.read_text()}}))
-    try:
-        done = mbcacq("run", plan, "--dry-run", "--resume", whole)
-        assert done.returncode == 2
-        assert "links[3].d_mm was 516 and is 515" in one_sentence(done)
-    finally:
-        (whole / "plan.files.json").write_text(json.dumps(kept))
+    (changed / "plan.files.json").write_text(json.dumps(kept | {"files": {**kept["files"], content["robot"]["model"]: model.read_text()}}))
+    done = mbcacq("run", plan, "--dry-run", "--resume", changed)
+    assert done.returncode == 2
+    assert "links[3].d_mm was 516 and is 515" in one_sentence(done)
 
 
 def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbed):
@@ -144,11 +167,3 @@ def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbe
         done = mbcacq("run", plan, "--resume", whole, *options)
         assert done.returncode == 2
         assert "was recorded with the fake cell of seed 0" in one_sentence(done)
-
-
-def test_an_interrupted_run_says_what_is_missing(undisturbed, tmp_path):
-    plan, _ = undisturbed
-    run = tmp_path / "run"
-    killed_after(plan, run, 2)
-    gaps = find_gaps(run)
-    assert any("of 7 planned poses were not measured" in gap for gap in gaps)

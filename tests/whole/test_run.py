@@ -1,48 +1,13 @@
 """The whole line as a user has it: the command, its exit code, what it leaves behind."""
 
 import json
-import os
+import shutil
 import signal
 import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
-import yaml
-
-ROOT = Path(__file__).parents[2]
-MBCACQ = Path(sys.executable).parent / "mbcacq"
-
-
-def mbcacq(*args, timeout=280):
-    return subprocess.run([MBCACQ, *map(str, args)], cwd=ROOT, capture_output=True, text=True, timeout=timeout, stdin=subprocess.DEVNULL)
-
-
-def until(condition, within_s=240.0):
-    """A generous bound against hanging, not a statement about time."""
-    deadline = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.01)
-
-
-def plan_file(folder, change, name="quick.yaml"):
-    """A shipped plan with a change, its files named from where it now lies."""
-    plan = yaml.safe_load((ROOT / "plans" / name).read_text())
-    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
-    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
-    change(plan)
-    path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan, sort_keys=False))
-    return path
-
-
-def one_sentence(done):
-    lines = [line for line in done.stderr.splitlines() if line.startswith("mbcacq: ")]
-    assert len(lines) == 1, done.stderr
-    assert "Traceback" not in done.stderr
-    return lines[0]
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 
 @pytest.mark.parametrize("command", [["schema"], ["drivers", "--json"]])
@@ -62,17 +27,16 @@ def test_a_full_disk_behind_the_output_is_said_and_is_no_bug():
     assert "no space is left" in one_sentence(done)
 
 
-@pytest.mark.timeout(900)
-def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
-    done = mbcacq("run", "plans/kuka.yaml", "--dry-run", "--out", tmp_path / "run", "--json")
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+@pytest.mark.timeout(600)
+def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(finished_run, tmp_path):
+    shutil.copytree(finished_run("kuka.yaml").folder, tmp_path / "run")
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert len(result["verification"]["places"]) == 10
     assert result["verification"]["before"]["mean_mm"] > 0.3
     assert result["verification"]["after"]["mean_mm"] < 0.03
     assert result["fit"]["chi2_dof"] == pytest.approx(1.0, abs=0.15)
-    for name in result["files"].values():
-        assert Path(name).stat().st_size > 10_000
+    for name in ("run.rrd", "result.rrd", "result.json", "report.html"):
+        assert (tmp_path / "run" / name).stat().st_size > 10_000
     again = mbcacq("calibrate", tmp_path / "run", "--json")
     same = json.loads(again.stdout)
     assert [p["value"] for p in same["parameters"]] == [p["value"] for p in result["parameters"]]
@@ -83,32 +47,6 @@ def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(tmp_path):
     assert mbcacq("export", tmp_path / "run", "--observations", back).returncode == 0
     folder = json.loads(mbcacq("calibrate", back, "--json").stdout)
     assert [p["value"] for p in folder["parameters"]] == [p["value"] for p in result["parameters"]]
-
-
-def test_an_interrupted_run_is_resumed_into_the_same_result(tmp_path):
-    """Killed without warning in the middle: what was measured is readable, the rest is measured by --resume."""
-    run = tmp_path / "run"
-    process = subprocess.Popen(
-        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
-        cwd=ROOT,
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    journal = run / "journal.jsonl"
-    until(lambda: journal.exists() and journal.read_text().count("\n") >= 5)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    mbcacq("recover", run)
-    from mbcacq.recording import load_observations, poses_done
-
-    done = poses_done(run)
-    assert 0 < len(done) < 10
-    assert load_observations(run).n_poses >= len(done)
-    resumed = mbcacq("run", "plans/quick.yaml", "--dry-run", "--resume", run, "--json")
-    assert resumed.returncode == 0, resumed.stderr
-    observations = load_observations(run)
-    assert sorted(observations.pose_id.tolist()) == list(range(10))
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 5), (signal.SIGHUP, 5)])
@@ -188,32 +126,11 @@ def test_a_scanner_that_is_not_there(tmp_path):
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.9])
-def test_truncated_recording(tmp_path, keep):
-    run = tmp_path / "run"
-    assert mbcacq("run", "plans/quick.yaml", "--dry-run", "--out", run).returncode == 0
+def test_truncated_recording(finished_run, tmp_path, keep):
     torn = tmp_path / "torn.rrd"
-    data = (run / "run.rrd").read_bytes()
+    data = (finished_run("quick.yaml").folder / "run.rrd").read_bytes()
     torn.write_bytes(data[: int(keep * len(data))])
     done = mbcacq("calibrate", torn)
     assert done.returncode in (6, 7), done.stderr
     if done.returncode == 6:
         assert "mbcacq recover" in one_sentence(done)
-
-
-@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory as files here")
-def test_a_run_killed_with_its_children_leaves_nothing_in_shared_memory(tmp_path):
-    before = set(os.listdir("/dev/shm"))
-    process = subprocess.Popen(
-        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", tmp_path / "run"],
-        cwd=ROOT,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    journal = tmp_path / "run" / "journal.jsonl"
-    until(lambda: journal.exists() and "pose_done" in journal.read_text())
-    maps = Path(f"/proc/{process.pid}/maps").read_text()
-    assert "/dev/shm/" in maps  # it does use some
-    ours = {line.split("/dev/shm/")[1].split()[0] for line in maps.splitlines() if "/dev/shm/" in line}
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert not ours & set(os.listdir("/dev/shm")) - before

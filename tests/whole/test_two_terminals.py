@@ -1,23 +1,16 @@
 """The fake cell in one terminal and the run in another, with the person who moves the artefact, as the README says."""
 
-import socket
 import subprocess
-from contextlib import ExitStack
 
 import pytest
-from test_arming import Terminal
-from test_run import MBCACQ, plan_file
-
-
-def free_ports(count):
-    with ExitStack() as stack:
-        held = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [each.getsockname()[1] for each in held]
+from mbcacq_fakes.cell.ports import free_port
+from terminal_session import Terminal
+from typed_command import MBCACQ, plan_file
 
 
 @pytest.fixture
 def plan(tmp_path):
-    robot, control, health, data = free_ports(4)
+    robot, control, health, data = (free_port() for _ in range(4))
 
     def change(plan):
         plan["robot"]["options"] = {"bind": "127.0.0.1", "port": robot}

@@ -2,7 +2,7 @@
 
 import subprocess
 
-from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, until
 
 
 def test_a_run_that_goes_on_cannot_be_resumed_by_another_process(tmp_path):

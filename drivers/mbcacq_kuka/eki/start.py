@@ -8,16 +8,17 @@ from mbcacq.devices import DeviceFault, IdentityError
 from mbcacq_kuka.eki.client import EkiClient
 
 _PORT = 54600
+_LONGEST_ANSWER_S = 4.0
 
 
-def start_by_eki(name: str, model: str, server: str, cycle_ms: int) -> EkiClient:
-    """The connected client; keep it open as long as RSI runs. server: 'host' or 'host:port'. Raises IdentityError, DeviceFault and what
-    EkiClient raises.
+def start_by_eki(name: str, model: str, server: str, cycle_ms: int, wait_s: float) -> EkiClient:
+    """The connected client; keep it open as long as RSI runs. server: 'host' or 'host:port'. wait_s: longest wait for one answer; never
+    more than 4 s. Raises IdentityError, DeviceFault and what EkiClient raises.
 
     KUKA's server begins every connection without a control mode and with a cycle of 12 ms, and takes no START before a mode was chosen.
     """
     host, _, port = server.partition(":")
-    client = EkiClient(host, int(port or _PORT))
+    client = EkiClient(host, int(port or _PORT), min(wait_s, _LONGEST_ANSWER_S))
     try:
         identity = client.connect()
         if model and not same_model(model, identity.model):

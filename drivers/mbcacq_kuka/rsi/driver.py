@@ -61,6 +61,8 @@ _log = logging.getLogger("mbcacq.kuka_rsi")
 class KukaRsi:
     """A six-axis KUKA arm under RSI joint correction. ``options``: see options.Options. Implements mbcacq.devices.Robot."""
 
+    plan_facts = ("dynamics",)
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
         self._options = read_options(name, options)
@@ -178,7 +180,7 @@ class KukaRsi:
             )
         self.port, self.real_time = process.port, process.real_time
         if self._options.eki:
-            self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms)
+            self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms, wait_s)
         deadline = time.monotonic() + wait_s
         while not process.connected:
             if (error := self._find_error(process, connecting=True)) is not None:
@@ -196,9 +198,7 @@ class KukaRsi:
         dynamics = [np.degrees(np.broadcast_to(np.asarray(v, dtype=float), (6,))) for v in (limits.speed, limits.acceleration, limits.jerk)]
         if not all(np.isfinite(v).all() and (v > 0).all() for v in dynamics):
             raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
-        if self._options.speed_deg_s is not None:
-            dynamics[0] = np.minimum(dynamics[0], self._options.speed_deg_s)
-        speed, acceleration, jerk = (v.tolist() for v in dynamics)
+        speed, acceleration, jerk = (np.minimum(v, most).tolist() for v, most in zip(dynamics, self._options.dynamics, strict=True))
         return RsiCommand(MOVE, target.tolist(), speed, acceleration, jerk, float(np.degrees(limits.tolerance)), limits.settle_s)
 
     def _check(self) -> CycleProcess:

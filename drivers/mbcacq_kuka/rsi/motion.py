@@ -26,6 +26,7 @@ class RsiMotion:
         self._dynamics: tuple[list[float], list[float], list[float]] | None = None
         self._velocity = self._acceleration = [0.0] * n
         self._target: list[float] | None = None
+        self._before = (tuple(start), [0.0] * n, [0.0] * n)
         self.position: tuple[float, ...] = tuple(start)
         self.moving = False
 
@@ -58,6 +59,7 @@ class RsiMotion:
 
     def step(self) -> tuple[float, ...]:
         """The set point of the next cycle, (n,) deg."""
+        self._before = self.position, self._velocity, self._acceleration
         if self.moving:
             self._elapsed += self._cycle_s
             position, self._velocity, self._acceleration = self._trajectory.at_time(self._elapsed)
@@ -66,6 +68,12 @@ class RsiMotion:
                 self._velocity = self._acceleration = [0.0] * self._n
             self.position = tuple(position)
         return self.position
+
+    def brake_instead(self, limits: tuple[list[float], list[float], list[float]]) -> None:
+        """The last step must not be made: brake from where the motion was before it, within these limits."""
+        self.position, self._velocity, self._acceleration = self._before
+        self.moving, self._dynamics = True, limits
+        self.stop()
 
     def _plan(self, target: list[float], limits: tuple[list[float], list[float], list[float]]) -> None:
         ask = self._ask(limits)

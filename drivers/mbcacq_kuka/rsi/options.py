@@ -16,6 +16,9 @@ from mbcacq_kuka.rsi.telegram import Composer
 
 KUKA_SERVER = {"sen_type": "KROSHU", "port": 59152}  # what the RSI programs of KUKA's EKI server are configured for
 _LONGEST = 1e6
+FASTEST_DEG_S = 800.0  # of an axis whose largest speed is not given: faster than any of KUKA's
+_FASTEST_START_S, _FASTEST_RISE_S = 0.05, 0.005  # to full speed, to full acceleration, where these are not given
+_PER_AXIS = ("speed_deg_s", "acceleration_deg_s2", "jerk_deg_s3", "correction_limit_deg")
 _RANGES = {
     "port": (0, 65535, True),
     "late_limit": (1, 1_000_000_000, True),
@@ -40,7 +43,8 @@ class RsiOptions:
     names agreed in the Ethernet configuration; stop_element '' if there is none. stop_at_close: end the KRL program's RSI_MOVECORR on
     close. external_axes: the Ethernet configuration that is written for the controller sends E1 to E6, too.
 
-    limits_deg: (6, 2) joint limits. speed_deg_s: (6,) largest joint speeds. correction_limit_deg: largest correction of each axis
+    limits_deg: (6, 2) joint limits. speed_deg_s, acceleration_deg_s2, jerk_deg_s3: (6,) what the axes may do at most; no set point
+    beyond them is sent. Without them the axes are taken for very fast ones. correction_limit_deg: largest correction of each axis
     the controller allows, one number or six, or None if the KRL program opens the full range (ours does).
 
     eki: 'host' or 'host:port' of KUKA's EKI server program, to check the robot's model, switch the drives on and start RSI; '' if the
@@ -69,6 +73,8 @@ class RsiOptions:
     external_axes: bool = False
     eki: str = ""
     speed_deg_s: tuple[float, ...] | None = None
+    acceleration_deg_s2: tuple[float, ...] | None = None
+    jerk_deg_s3: tuple[float, ...] | None = None
     correction_limit_deg: tuple[float, ...] | None = None
     connect_timeout_s: float = 30.0
     silence_s: float = 1.0
@@ -83,7 +89,16 @@ class RsiOptions:
     cpu: int | None = None
 
     def settings(self) -> dict[str, Any]:
-        return asdict(self)
+        """Of the cycle process, all numbers resolved."""
+        return {**asdict(self), "dynamics": self.dynamics}
+
+    @property
+    def dynamics(self) -> tuple[list[float], list[float], list[float]]:
+        """Largest speed, acceleration and jerk of each axis: deg/s, deg/s^2, deg/s^3."""
+        speed = self.speed_deg_s or (FASTEST_DEG_S,) * 6
+        acceleration = self.acceleration_deg_s2 or tuple(v / _FASTEST_START_S for v in speed)
+        jerk = self.jerk_deg_s3 or tuple(a / _FASTEST_RISE_S for a in acceleration)
+        return list(speed), list(acceleration), list(jerk)
 
 
 def read_options(name: str, given: Mapping[str, Any]) -> RsiOptions:
@@ -93,13 +108,13 @@ def read_options(name: str, given: Mapping[str, Any]) -> RsiOptions:
         raise ConfigError(f"robot '{name}': option limits_deg (joint limits, six pairs in deg) is missing")
     values = {**(KUKA_SERVER if given.get("eki") else {}), **given}
     values["limits_deg"] = tuple((float(low), float(high)) for low, high in array(name, "limits_deg", given["limits_deg"], (6, 2)))
-    for key in ("speed_deg_s", "correction_limit_deg"):
+    for key in _PER_AXIS:
         if values.get(key) is not None:
             values[key] = _one_or_six(name, key, values[key])
     options = RsiOptions(**values)
     check_numbers(name, options, _RANGES)
     check_limits(name, options.limits_deg)
-    for key in ("speed_deg_s", "correction_limit_deg"):
+    for key in _PER_AXIS:
         check_positive(name, key, getattr(options, key))
     _check_texts(name, options)
     _check_addresses(name, options)

@@ -21,6 +21,7 @@ from mbcacq_kuka.rsi.lateness import Lateness
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
+from mbcacq_kuka.rsi.step_limits import StepLimits
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, finite
 from mbcacq_kuka.rsi.watch import Follow, Jump
 
@@ -189,12 +190,14 @@ class RsiSession:
         window = max(1, round(settings["ride_out_s"] / self.cycle_s))
         self._sequence = Sequence(int(digits), layout.step, window, self.counts)
         self._lateness = Lateness(0.0 if layout.delay is None else row[layout.delay], settings["late_limit"], settings["late_window_s"])
-        self._motion = RsiMotion(layout.reference, self.cycle_s, [tuple(pair) for pair in settings["limits_deg"]])
+        joint_limits = [tuple(pair) for pair in settings["limits_deg"]]
+        self._motion = RsiMotion(layout.reference, self.cycle_s, joint_limits)
+        self._step_limits = StepLimits(layout.reference, joint_limits, settings["dynamics"], self.cycle_s)
         self._follow = Follow(
             layout.reference, settings["follow_tolerance_deg"], settings["follow_cycles"], settings["follow_lag_s"], self.cycle_s
         )
         self._previous = layout.axes(row)
-        self._jump = Jump(self._previous, settings["speed_deg_s"], self.cycle_s)
+        self._jump = Jump(self._previous, settings["dynamics"][0], self.cycle_s)
         self._sent = self._next = layout.reference
         self._sent_moving = self._next_moving = self._stop = self._faulted = False
         self._consumed = self._delivered = self._target_used = True
@@ -227,7 +230,21 @@ class RsiSession:
             self._motion.resume(self._sent)
         except MotionRefused as error:
             self._fail(SessionFault("refused", str(error)))
-        self._next, self._next_moving = self._motion.step(), self._motion.moving
+        self._step_limits.rest(self._sent)
+        self._step()
+
+    def _step(self) -> None:
+        """The next set point, once it was seen to be within the axes' limits; one that is not is replaced by braking."""
+        position = self._motion.step()
+        if refusal := self._step_limits.refusal(position):
+            self._motion.brake_instead(self._step_limits.dynamics)
+            position = self._motion.step()
+            still = self._step_limits.refusal(position)
+            self._fail(SessionFault("refused", f"{refusal}; that set point was not sent", muted=bool(still)))
+            if still:  # nothing is sent any more, the controller stops the arm
+                return
+        self._step_limits.take(position)
+        self._next, self._next_moving = position, self._motion.moving
 
     def _prepare(self, now: float) -> None:
         """Everything about the next answer, so that it only waits for its telegram."""
@@ -237,7 +254,10 @@ class RsiSession:
             return
         self._poll_command(now)
         if self._consumed:
-            self._next, self._next_moving, self._consumed = self._motion.step(), self._motion.moving, False
+            self._consumed = False
+            self._step()
+            if self._muted:
+                return
         self._stop = self._closing and self._ending(now)
         delay = b""
         if layout.delay is not None:
@@ -301,6 +321,9 @@ class RsiSession:
         elif command.kind == MOVE:
             self._arrival.begin(command)
             self._delivered = self._target_used = False
+            if refusal := self._step_limits.too_fast(command):
+                self._fail(SessionFault("refused", refusal))
+                return
             try:
                 self._motion.move(command)
             except MotionRefused as error:

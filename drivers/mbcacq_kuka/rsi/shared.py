@@ -7,11 +7,13 @@ followed by the counter that makes it visible.
 from __future__ import annotations
 
 import json
+import os
 import struct
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing import resource_tracker, shared_memory
+from pathlib import Path
 from typing import Any
 
 from mbcacq_kuka.rsi.sequence import Counts
@@ -28,6 +30,7 @@ _NAMES_AT, _FAULT_AT, _RING_AT = 1024, 24576, 32768
 _MAX_FAULT = _RING_AT - _FAULT_AT
 _MAX_NAMES = _FAULT_AT - _NAMES_AT
 RING_BYTES = 16 * 1024 * 1024
+_FILES = Path("/dev/shm")  # where Linux has shared memory as files
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class Shared:
 
     @classmethod
     def create(cls) -> Shared:
-        return cls(shared_memory.SharedMemory(create=True, size=_RING_AT + RING_BYTES), True)
+        """Raises OSError where the memory is not there."""
+        return cls(_allocated(_RING_AT + RING_BYTES), True)
 
     @classmethod
     def attach(cls, name: str) -> Shared:
@@ -163,3 +167,19 @@ class Shared:
     def fault(self) -> dict[str, Any] | None:
         size = self._header[_FAULT_SIZE]
         return json.loads(bytes(self._buffer[_FAULT_AT : _FAULT_AT + size])) if size else None
+
+
+def _allocated(size: int) -> shared_memory.SharedMemory:
+    """A new block whose memory is there. Linux only promises it at creation, and ends a process by SIGBUS that writes where none is left;
+    other systems allocate at creation. Raises OSError."""
+    memory = shared_memory.SharedMemory(create=True, size=size)
+    file = _FILES / memory.name.lstrip("/")
+    try:
+        if file.exists():
+            with file.open("r+b") as block:
+                os.posix_fallocate(block.fileno(), 0, size)
+    except OSError:
+        memory.close()
+        memory.unlink()
+        raise
+    return memory

@@ -14,7 +14,6 @@ _BLOCK = 8  # cycles; bounds are kept by block, so that the oldest can be forgot
 _SPAN_S = 0.048  # speeds are compared as angles travelled in this time: long enough to stand out from rounded angles
 _OVERSHOOT = 0.25  # share of the commanded speed by which a servo may be off for longer than a moment
 _FROZEN_CYCLES = 6  # outside the band of speeds
-_FASTEST_DEG_S = 800.0  # of an axis whose largest speed the plan does not say
 _JUMP_DEG = 0.25  # rounding of the telegrams
 _JUMP_SHARE = 2.0  # of the axis' largest speed: an arm cannot, a telegram that arrives a cycle late can look like it
 
@@ -105,9 +104,9 @@ class Follow:
 class Jump:
     """No axis turns further in a cycle than it can."""
 
-    def __init__(self, start: Sequence[float], speed_deg_s: Sequence[float] | None, cycle_s: float) -> None:
+    def __init__(self, start: Sequence[float], speed_deg_s: Sequence[float], cycle_s: float) -> None:
         self._last = start
-        self._most = [_JUMP_SHARE * v * cycle_s for v in speed_deg_s or (_FASTEST_DEG_S,) * len(start)]
+        self._most = [_JUMP_SHARE * v * cycle_s for v in speed_deg_s]
 
     def check(self, measured: Sequence[float], cycles: int) -> tuple[int, float] | None:
         """The axis that moved too far since the telegram so many ``cycles`` ago, and how far; or None."""

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.cell.ports import LOOPBACK, ipv4, udp_port
+from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 
 CLOCK_START_MS = 1_000_000
+HANGING_S = 30.0
+FASTEST_START_S = 0.05  # to full speed: no arm whose accelerations are not stated is faster
 RSI, EKI = "kuka_rsi", "kuka_eki"
 MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
 
@@ -45,7 +47,10 @@ def start_controller(
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
     if robot.speed is not None:
         settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
-    return (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+    krc, address = (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+    if not realtime and ports == "free" and "silence_s" not in use.options:
+        address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent
+    return krc, address
 
 
 def check_options(driver: str, given: Mapping[str, Any]) -> None:
@@ -66,8 +71,11 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     if ports == "plan":
         client = (ipv4(str(options.get("bind", LOOPBACK))), int(options.get("port", 49152)))
     else:
-        client = (LOOPBACK, udp_port())
+        client = (LOOPBACK, free_port())
     same = {k: options[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms") if k in options}
+    speed, acceleration = loaded.cell.robot.speed, loaded.cell.robot.acceleration
+    if speed is not None:
+        settings["acceleration_deg_s2"] = tuple(np.degrees(speed / FASTEST_START_S if acceleration is None else acceleration).tolist())
     try:
         krc = FakeKrc(state, **{**settings, "client": client, "ipoc": CLOCK_START_MS, "seed": seed, **same, **given})
     except (TypeError, ValueError) as error:

@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, ConnectError
 
 LOOPBACK = "127.0.0.1"
 ANY = ("0.0.0.0", "", "::")
+_NOT_DRAWN, _MOST_TRIES = (12_000, 32_000), 1000  # Linux draws from 32768 on, Windows and macOS from 49152 on
 SCANNERS = {  # driver -> its options that are ports, with where the sensor listens as delivered
     "gocator": {"control_port": 3190, "health_port": 3194, "data_port": 3196},
     "gopxl": {"control_port": 3600, "data_port": 3601},
 }
 
 
-def udp_port() -> int:
-    """A UDP port that is free now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((LOOPBACK, 0))
-        return probe.getsockname()[1]
+def free_port() -> int:
+    """A port that is free now, for UDP and TCP, and that the operating system gives to nobody who asks for just any port: so it is still
+    free when its user comes. Raises ConnectError where there is none."""
+    draw = random.SystemRandom()
+    for _ in range(_MOST_TRIES):
+        port = draw.randrange(*_NOT_DRAWN)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, socket.socket(socket.AF_INET, socket.SOCK_STREAM) as tcp:
+            try:
+                udp.bind((LOOPBACK, port))
+                tcp.bind((LOOPBACK, port))
+            except OSError:
+                continue
+            return port
+    raise ConnectError(f"no free port was found between {_NOT_DRAWN[0]} and {_NOT_DRAWN[1]}; end other programs that listen")
 
 
 def ipv4(host: str) -> str:

@@ -20,6 +20,7 @@ FAULTS = (
     "overspeed: command velocity",
     "permissible overall correction exceeded",
     "software limit switch",
+    "command acceleration exceeded",
 )
 
 _COUNT = struct.Struct("<q")

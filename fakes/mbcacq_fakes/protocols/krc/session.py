@@ -8,7 +8,7 @@ from mbcacq_fakes.protocols.krc.settings import KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RsiAnswer
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-OPERATOR, LATE, OVERSPEED, MONITOR, SOFT_LIMIT = 1, 2, 3, 4, 5  # indices into arm_state.FAULTS
+OPERATOR, LATE, OVERSPEED, MONITOR, SOFT_LIMIT, ACCELERATION = 1, 2, 3, 4, 5, 6  # indices into arm_state.FAULTS
 PC_STOP = 0
 
 
@@ -24,6 +24,11 @@ class FakeRsiSession:
         self.delay = 0
         self.ended: int | None = None
         self._largest_step = [v * settings.overspeed * settings.cycle_ms * 1e-3 + 1e-6 for v in settings.speed_deg_s]
+        fastest = settings.acceleration_deg_s2
+        self._largest_change = (
+            None if fastest is None else [v * settings.overspeed * (settings.cycle_ms * 1e-3) ** 2 + 4e-6 for v in fastest]
+        )
+        self._asked: tuple[tuple[float, ...], ...] = ()  # corrections of the last cycles without a missing answer
         self._range: tuple[float | None, list[tuple[float, float]]] | None = None
 
     def accept(self, answer: RsiAnswer | None, ipoc: int) -> bool:
@@ -39,12 +44,14 @@ class FakeRsiSession:
         held = self._correction if self._settings.hold_on else (0.0,) * 6
         given = answer.correction
         self._correction = tuple([given.get(axis, old) for axis, old in zip(_AXES, held, strict=True)]) if given else held
+        self._asked = (*self._asked[-2:], self._correction)
         return True
 
     def miss(self) -> None:
         """A cycle without a valid answer."""
         if not self.active:
             return
+        self._asked = ()
         self.delay += 1
         if not self._settings.hold_on:
             self._correction = (0.0,) * 6
@@ -56,6 +63,8 @@ class FakeRsiSession:
         wanted = self.applied if ignore else self._correction
         if wanted == self.applied:
             return
+        if self._is_too_steep():
+            self.ended = ACCELERATION
         bounds = self._bounds(clamp_deg)
         wanted = tuple([low if v < low else high if v > high else v for v, (low, high) in zip(wanted, bounds, strict=True)])
         watch = self._settings.monitor_deg
@@ -67,6 +76,11 @@ class FakeRsiSession:
         if self.ended is None:
             self.applied = wanted
             self.set_point = tuple([s + c for s, c in zip(self.start, wanted, strict=True)])
+
+    def _is_too_steep(self) -> bool:
+        if self._largest_change is None or len(self._asked) < 3:
+            return False
+        return any(abs(a - 2.0 * b + c) > most for a, b, c, most in zip(*self._asked, self._largest_change, strict=True))
 
     def _bounds(self, clamp_deg: float | None) -> list[tuple[float, float]]:
         """Range of each axis' correction: up to the software limits, as our KRL program opens it, or AXISCORR's own."""

@@ -41,8 +41,10 @@ class KrcSettings:
     second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is waited for, and
     how long where the cycle before had none at all.
 
-    Angles deg, speeds deg/s, accelerations deg/s^2. limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None
-    for the full range. external_deg: what EIPos shows. empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
+    Angles deg, speeds deg/s, accelerations deg/s^2. speed_deg_s, acceleration_deg_s2: a correction that asks an axis for ``overspeed``
+    times more ends the session; accelerations are watched where they are given and no answer was missing.
+    limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None for the full range. external_deg: what EIPos shows.
+    empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
     timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
     beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
@@ -56,6 +58,7 @@ class KrcSettings:
     start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
     limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
     speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
+    acceleration_deg_s2: tuple[float, ...] | None = None
     overspeed: float = 1.05
     external_deg: tuple[float, ...] = (0.0,) * 6
     cycle_ms: int = 4

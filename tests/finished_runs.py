@@ -1,0 +1,52 @@
+"""What is costly to make and only looked at, such as whole dry runs: made once, by the first process of the suite that needs it."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from filelock import FileLock
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def made_once(base: Path, name: str, make: Callable[[Path], None]) -> Path:
+    """The folder ``base / name`` as ``make`` left it; nobody may change it. base: a folder that all processes of the suite share."""
+    folder, complete = base / name, base / f"{name}.complete"
+    with FileLock(base / f"{name}.lock"):
+        if not complete.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            complete.touch()
+    return folder
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """``desk``: the folder in which ``mbcacq run PLAN --dry-run`` was typed; ``folder``: that of the run."""
+
+    desk: Path
+
+    @property
+    def folder(self) -> Path:
+        return (self.desk / "runs" / "latest").resolve()
+
+    @property
+    def stdout(self) -> str:
+        return (self.desk / "stdout").read_text()
+
+    @property
+    def stderr(self) -> str:
+        return (self.desk / "stderr").read_text()
+
+
+def dry_run(desk: Path, plan: str) -> None:
+    """Type ``mbcacq run plans/PLAN --dry-run`` on a desk with the shipped plans."""
+    shutil.copytree(ROOT / "plans", desk / "plans")
+    command = [Path(sys.executable).parent / "mbcacq", "run", f"plans/{plan}", "--dry-run"]
+    with (desk / "stdout").open("w") as out, (desk / "stderr").open("w") as err:
+        done = subprocess.run(command, cwd=desk, stdout=out, stderr=err, stdin=subprocess.DEVNULL, timeout=560)
+    assert done.returncode == 0, (desk / "stderr").read_text()

@@ -1,0 +1,62 @@
+"""The memory that the RSI driver shares with its cycle process is there when it is created, or a sentence says that it is not."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from kuka_bench import LIMITS_DEG
+from mbcacq_fakes.cell.ports import free_port
+from mbcacq_kuka.rsi.driver import KukaRsi
+from mbcacq_kuka.rsi.shared import RING_BYTES, Shared
+
+from mbcacq.devices import ConnectError
+
+SHM = Path("/dev/shm")
+pytestmark = pytest.mark.skipif(not SHM.is_dir(), reason="no shared memory as files here")
+
+FULL = """
+mount -t tmpfs -o size=8m none /dev/shm || exit 77
+exec "$0" -c '
+from mbcacq_kuka.rsi.driver import KukaRsi
+try:
+    KukaRsi("arm", "", {"limits_deg": [[-1, 1]] * 6, "port": 0}).connect()
+except Exception as error:
+    print(type(error).__name__, error)
+'
+"""
+
+
+def test_the_ring_of_cycles_is_allocated_at_creation():
+    shared = Shared.create()
+    try:
+        assert (SHM / shared.name).stat().st_blocks * 512 >= RING_BYTES
+    finally:
+        shared.close()
+
+
+def test_a_ring_that_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
+    blocks = []
+
+    def full(handle, *_):
+        blocks.append(Path(os.readlink(f"/proc/self/fd/{handle}")))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(ConnectError, match=r"no shared memory for the RSI cycles \(No space left on device\); free some in /dev/shm"):
+        KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": free_port()}).connect()
+    assert len(blocks) == 1
+    assert not blocks[0].exists()
+
+
+def test_a_full_dev_shm_ends_no_driver_by_sigbus():
+    if shutil.which("unshare") is None:
+        pytest.skip("unshare is not installed: no /dev/shm of its own for the test")
+    done = subprocess.run(["unshare", "--mount", "sh", "-c", FULL, sys.executable], capture_output=True, text=True, timeout=120)
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip("a mount of its own is not permitted here")
+    assert done.returncode == 0, done
+    assert done.stdout.startswith("ConnectError robot 'arm': no shared memory for the RSI cycles (No space left on device)")

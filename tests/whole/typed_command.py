@@ -1,0 +1,54 @@
+"""The command as a user types it, a shipped plan with a change, and the one sentence in which a command fails."""
+
+import signal
+import sys
+import time
+from contextlib import chdir
+from pathlib import Path
+from types import SimpleNamespace
+
+import yaml
+from click.testing import CliRunner
+
+from mbcacq.cli.app import app
+
+ROOT = Path(__file__).parents[2]
+MBCACQ = Path(sys.executable).parent / "mbcacq"
+
+
+def mbcacq(*args):
+    """The command without a terminal, in this process, which has its libraries loaded; what must be a process of its own starts MBCACQ."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))}
+    try:
+        with chdir(ROOT):
+            done = CliRunner().invoke(app, [str(arg) for arg in args])
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return SimpleNamespace(returncode=done.exit_code, stdout=done.stdout, stderr=done.stderr)
+
+
+def until(condition, within_s=240.0):
+    """A generous bound against hanging, not a statement about time."""
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.01)
+
+
+def plan_file(folder, change, name="quick.yaml"):
+    """A shipped plan with a change, its files named from where it now lies."""
+    plan = yaml.safe_load((ROOT / "plans" / name).read_text())
+    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
+    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
+    change(plan)
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan, sort_keys=False))
+    return path
+
+
+def one_sentence(done):
+    lines = [line for line in done.stderr.splitlines() if line.startswith("mbcacq: ")]
+    assert len(lines) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    return lines[0]
