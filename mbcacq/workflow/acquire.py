@@ -111,7 +111,7 @@ class Acquisition:
         from mbcacq.recording import Journal, Recorder
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
         from mbcacq.recording.run_folder.recovery import WHOLE
-        from mbcacq.recording.run_folder.run_plan import keep_plan
+        from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
         from mbcacq.spheres import find_spheres
 
         def gate(q: np.ndarray) -> None:
@@ -122,7 +122,8 @@ class Acquisition:
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
-        keep_plan(self.folder, self.loaded.text, self.loaded.files, self.cell)
+        plan_files = plan_files_text(self.loaded.files, self.cell)
+        keep_plan(self.folder, self.loaded.text, plan_files)
         with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
@@ -141,6 +142,7 @@ class Acquisition:
                 pause,
                 known,
                 self.simulated,
+                plan_files=plan_files,
             ).run()
         if self.part:
             merge_parts(self.folder, message)

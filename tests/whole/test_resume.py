@@ -8,11 +8,9 @@ import os
 import signal
 import subprocess
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 from mbcacq.recording import Recording, find_gaps, load_observations
@@ -24,11 +22,13 @@ def two_stations(plan):
     plan["steps"][0]["offsets_mm"] = [[10, 0, 0]]
     plan["steps"][1] |= {"stations": ["p1", "p2"], "views": plan["steps"][1]["views"][:3]}
     plan["fake"] = {"draws": "pose"}
+    plan["robot"]["model"] = "robot.yaml"
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
+    (folder / "robot.yaml").write_text((ROOT / "plans" / "robots" / "kr10_r1100_2.yaml").read_text())
     plan = plan_file(folder, two_stations)
     done = mbcacq("run", plan, "--dry-run", "--out", folder / "run", "--json")
     assert done.returncode == 0, done.stderr
@@ -114,6 +114,7 @@ def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
 def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, change, words):
     _, whole = undisturbed
     plan = plan_file(tmp_path, lambda p: (two_stations(p), change(p)))
+    (tmp_path / "robot.yaml").write_text((whole.parent / "robot.yaml").read_text())
     done = mbcacq("run", plan, "--dry-run", "--resume", whole)
     assert done.returncode == 2
     assert words in one_sentence(done)
@@ -121,21 +122,15 @@ def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, 
 
 def test_a_changed_robot_file_is_refused_a_comment_is_not(undisturbed, tmp_path):
     plan, whole = undisturbed
-    text = plan.read_text()
+    model = (plan.parent / "robot.yaml").read_text()
     other = tmp_path / "plan.yaml"
-    other.write_text("# a remark\n" + text)
+    other.write_text("# a remark\n" + plan.read_text())
+    (tmp_path / "robot.yaml").write_text("# a remark\n" + model)
     assert mbcacq("run", other, "--dry-run", "--resume", whole).returncode == 0
-    content = yaml.safe_load(text)
-    model = tmp_path / "robot.yaml"
-    model.write_text(Path(content["robot"]["model"]).read_text().replace("d_mm: 515", "d_mm: 516"))
-    kept = json.loads((whole / "plan.files.json").read_text())
-    (whole / "plan.files.json").write_text(json.dumps(kept | {"files": {**kept["files"], content["robot"]["model"]: model.read_text()}}))
-    try:
-        done = mbcacq("run", plan, "--dry-run", "--resume", whole)
-        assert done.returncode == 2
-        assert "links[3].d_mm was 516 and is 515" in one_sentence(done)
-    finally:
-        (whole / "plan.files.json").write_text(json.dumps(kept))
+    (tmp_path / "robot.yaml").write_text(model.replace("d_mm: 515", "d_mm: 516"))
+    done = mbcacq("run", other, "--dry-run", "--resume", whole)
+    assert done.returncode == 2
+    assert "links[3].d_mm was 515 and is 516" in one_sentence(done)
 
 
 def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbed):

@@ -49,7 +49,7 @@ def recover(path: Path | str) -> list[Recovered]:
 def make_readable(path: Path) -> list[Recovered]:
     """:func:`recover` for one who holds the lock of the run folder."""
     if path.is_dir():
-        sources = sorted((file for file in path.glob("run*.rrd") if layout.RECOVERED not in file.name), key=lambda p: (len(p.name), p.name))
+        sources = layout.originals(path)
         if not sources:
             raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run, or a .rrd file")
         found = [_recover_file(source) for source in sources]
