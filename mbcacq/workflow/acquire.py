@@ -20,6 +20,7 @@ from mbcacq.acquisition.runner import Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.cell import Cell
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
@@ -38,10 +39,11 @@ def versions() -> dict[str, str]:
 def new_run_folder(out: Path | None, name: str) -> Path:
     """Create the folder of a run: ``out`` if given (must not hold a run yet), else runs/TIME_NAME."""
     folder = out or Path("runs") / f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{re.sub(r'[^A-Za-z0-9_-]+', '-', name)}"
-    if (folder / "run.rrd").exists():
-        raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
     try:
+        if (folder / "run.rrd").exists():
+            raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
         folder.mkdir(parents=True, exist_ok=True)
+        sync_folder(folder.parent)
     except OSError as error:
         raise RecordingError(f"cannot create the run folder {folder}: {error.strerror}; give another --out") from error
     return folder

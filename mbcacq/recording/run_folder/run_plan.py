@@ -1,4 +1,4 @@
-"""The copy of the plan in a run folder, with which a resumed run checks that the plan is still the same. The recordings hold another copy."""
+"""The copy of the plan in a run folder, with which a resumed run checks that the plan is the same. The recordings hold another."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.plan.yaml_source import parse
 from mbcacq.recording.datasets.synced_files import write_synced
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import digest_of_file, note_whole, read_stretches
@@ -78,7 +79,7 @@ def fault_of(folder: Path, name: str) -> str:
     try:
         data = path.read_bytes()
         text = data.decode("utf-8")
-        content = yaml.safe_load(text) if name == PLAN else json.loads(text)
+        content = parse(text, path).data if name == PLAN else json.loads(text)
         noted = read_stretches(folder)[0].get(name)
         if noted and digest_of_file(path, 0, len(data))[0] != noted[-1].sha256:
             return "is damaged (it is not as it was written)"
@@ -86,7 +87,7 @@ def fault_of(folder: Path, name: str) -> str:
         return "is missing"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    except (ValueError, RecursionError, yaml.YAMLError):
+    except (ValueError, RecursionError):
         return "is damaged (it is empty or no longer text of its format)"
     whole = isinstance(content, dict) and (name == PLAN or _is_plan_files(content))
     return "" if whole else "is damaged (it is empty or no longer text of its format)"
