@@ -1,4 +1,4 @@
-"""Whether this process may use as much memory as a run needs, asked before anything moves: libraries end the process where it is refused."""
+"""Whether this process may use as much memory as a run needs: asked before motion, since libraries end a process that gets none."""
 
 from __future__ import annotations
 
