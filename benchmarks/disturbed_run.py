@@ -90,7 +90,9 @@ class DisturbedRuns:
 
     def __init__(self, library: ctypes.CDLL) -> None:
         import mbcacq.recording.rrd.writer  # noqa: F401  (imported before the fork, so that imports are not among the calls)
+        import mbcacq.recording.run_folder.progress  # noqa: F401
         import mbcacq.recording.run_folder.recovery  # noqa: F401
+        import mbcacq.recording.run_folder.run_plan  # noqa: F401
         import mbcacq.spheres.extract  # noqa: F401
         from mbcacq.plan import expand, load
         from mbcacq.workflow import acquire

@@ -17,21 +17,36 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 from disturbed_run import CELL, NOISE_MM, centres_of, three_poses
 
 FAULTS = ("silence of the controller", "stop of the controller", "another artefact", "scanner reports a fault", "interrupted")
-MEASURED = ("files", "threads", "processes", "shared memory", "memory, MB")
+MEASURED = ("files", "threads", "processes", "abandoned shared memory", "memory, MB")
+STARTED = time.time()
 
 
 def state() -> tuple[int, int, int, int, float]:
-    """Open files, threads, child processes, segments of shared memory, resident MB."""
+    """Open files, threads, child processes, abandoned segments of shared memory, resident MB."""
     own = Path("/proc/self")
     status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines() if ":\t" in line)
     children = sum(len((task / "children").read_text().split()) for task in (own / "task").iterdir())
-    mine = [path for path in Path("/dev/shm").iterdir() if path.owner() == own.owner()]
-    return len(list((own / "fd").iterdir())), int(status["Threads"]), children, len(mine), int(status["VmRSS"].split()[0]) / 1024
+    return len(list((own / "fd").iterdir())), int(status["Threads"]), children, len(abandoned()), int(status["VmRSS"].split()[0]) / 1024
+
+
+def abandoned() -> set[str]:
+    """Segments of shared memory, made since the start, that no process has mapped any more."""
+    mapped = ""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            mapped += "".join(line for line in (process / "maps").read_text().splitlines() if "/dev/shm/" in line)
+    out = set()
+    for path in Path("/dev/shm").iterdir():
+        with suppress(OSError):
+            if path.stat().st_mtime > STARTED and str(path) not in mapped:
+                out.add(path.name)
+    return out
 
 
 def disturb(fake: object, what: str) -> None:

@@ -180,3 +180,28 @@ def test_a_file_is_on_the_disk_before_the_folder_names_it(tmp_path, monkeypatch)
     monkeypatch.setattr(synced_files.os, "replace", lambda old, new: (calls.append("rename"), replace(old, new)))
     keep_plan(tmp_path, "a: 1\n", "{}")
     assert calls == ["file", "rename", "folder"] * 2
+
+
+def test_a_recording_that_ends_before_its_cell_is_no_obstacle_to_resuming(folder):
+    """Readable as a file, and of no use: what a write error in the first second of a run leaves."""
+    import rerun as rr
+
+    from mbcacq.recording.rrd import layout
+
+    stream = rr.RecordingStream(layout.APPLICATION, send_properties=False)
+    (folder / "run.rrd").unlink()
+    stream.save(str(folder / "run.rrd"))
+    stream.log(layout.LOG, rr.TextLog("made"))
+    stream.disconnect()
+    progress = repair_and_read_progress(folder)
+    assert progress.done == frozenset()
+    assert "run.rrd.empty" in progress.repairs[0]
+
+
+def test_a_full_disk_while_resuming_sets_no_recording_aside(folder, monkeypatch):
+    data = (folder / "run.rrd").read_bytes()
+    (folder / "run.rrd").write_bytes(data[: len(data) * 3 // 4])
+    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 0})())
+    with pytest.raises(RecordingError, match="free some space"):
+        repair_and_read_progress(folder)
+    assert (folder / "run.rrd").exists()
