@@ -21,6 +21,7 @@ class ExitCode(IntEnum):
     NOT_ACCEPTABLE = 7
     SAFETY_STOP = 8
     LOST = 9
+    SYSTEM_REFUSED = 10
     INTERRUPTED = 130
 
 
@@ -35,6 +36,7 @@ EXIT_CODE_MEANING = {
     ExitCode.NOT_ACCEPTABLE: "the calibration is not acceptable",
     ExitCode.SAFETY_STOP: "the robot was stopped for safety, or a motion was refused",
     ExitCode.LOST: "a device was lost or fell silent during the run",
+    ExitCode.SYSTEM_REFUSED: "the computer refused memory, a file or a right",
     ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
 }
 
@@ -95,6 +97,12 @@ class RecordingError(MbcacqError, OSError):
     """A recording cannot be written (disk full, no permission) or read (torn, not ours)."""
 
     exit_code = ExitCode.RECORDING_FAILED
+
+
+class SystemRefused(MbcacqError):
+    """The computer refuses what the program needs: memory, open files, rights."""
+
+    exit_code = ExitCode.SYSTEM_REFUSED
 
 
 class CalibrationError(MbcacqError):

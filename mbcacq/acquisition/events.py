@@ -22,7 +22,7 @@ class Event:
 class RunStarted(Event):
     """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC. route: number of each
     pose yet to come -> (k, n) rad, the joint waypoints that lead to it, the pose last. urdf: file that draws the arm, or ''. simulated: the
-    devices are fakes."""
+    devices are fakes. plan_files: JSON of the files that the plan names and which cell is driven, with which a resumed run is compared."""
 
     name: str
     started: str
@@ -33,6 +33,7 @@ class RunStarted(Event):
     route: Mapping[int, np.ndarray] = field(default_factory=dict)
     urdf: str = ""
     simulated: bool = False
+    plan_files: str = ""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class Runner:
 
     ``find_balls`` extracts the centres of a scan. ``confirm`` is asked once, with the measured joints, before anything moves; it raises
     to refuse. ``pause`` is asked before each pose. ``known``: station -> ball -> place (3,) mm in the base frame, as measured before a
-    resume. ``simulated``: the devices are fakes.
+    resume. ``simulated``: the devices are fakes. ``plan_files``: see :class:`~mbcacq.acquisition.events.RunStarted`.
     """
 
     loaded: LoadedPlan
@@ -66,6 +66,7 @@ class Runner:
     known: Mapping[str, Mapping[int, np.ndarray]] = field(default_factory=dict)
     simulated: bool = False
     gates: GateOptions = GateOptions()
+    plan_files: str = ""
 
     def run(self) -> None:
         """Connect, measure every pose, stop. Emits RunStopped in every case, then raises what ended the run early."""
@@ -102,6 +103,7 @@ class Runner:
             {pose.number: np.array([*path, pose.q]) for pose, path in left},
             str(self.loaded.path.parent / plan.robot.urdf) if plan.robot.urdf else "",
             self.simulated,
+            self.plan_files,
         )
 
     def _describe(self) -> None:

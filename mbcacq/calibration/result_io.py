@@ -168,11 +168,14 @@ def read_result(path: Path) -> dict[str, Any]:
     """The content of a result.json, given itself or by its run folder. Raises ConfigError."""
     file = path / "result.json" if path.is_dir() else path
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot read {file}: {error.strerror}; give the result.json of a calibration") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{file} is not JSON ({error}); give the result.json of a calibration") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ConfigError(f"{file} is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
+    return content
 
 
 def html(result: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ import errno
 import importlib
 import io
 import os
+import re
 import sys
 
 import click
@@ -34,6 +35,17 @@ COMMANDS = {
     "drivers": "list the installed drivers",
     "schema": "print the JSON Schema of a plan",
 }
+
+
+def refused_by_the_system(error: Exception) -> str:
+    """A sentence where the cause lies in the computer and not in this program; '' for any other error."""
+    lacking = isinstance(error, ImportError | RuntimeError) and re.search("failed to map|annot allocate|start new thread", str(error))
+    if isinstance(error, MemoryError) or lacking:
+        return f"the computer has too little memory for this ({error}); free some, or raise the limit that is set (ulimit -v)"
+    if isinstance(error, OSError) and error.errno is not None:
+        where = f"{str(error.filename)[:200]}: " if error.filename else ""
+        return f"the system refused a file, a connection or memory: {where}{error.strerror or error}; look at the disk, limits and rights"
+    return ""
 
 
 class LazyGroup(click.Group):
@@ -87,6 +99,9 @@ class LazyGroup(click.Group):
                 where = error.filename or "the output"
                 echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
                 sys.exit(ExitCode.RECORDING_FAILED)
+            if sentence := refused_by_the_system(error):
+                echo(f"mbcacq: {sentence}", err=True)
+                sys.exit(ExitCode.SYSTEM_REFUSED)
             echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True)
             sys.exit(ExitCode.BUG)
 

@@ -1,4 +1,4 @@
-"""``mbcacq recover``: make a torn recording readable."""
+"""``mbcacq recover``: make a torn recording readable, or check one bit for bit."""
 
 from __future__ import annotations
 
@@ -13,17 +13,24 @@ from mbcacq.cli.terminal import echo
 
 @click.command("recover")
 @click.argument("recording", type=RunPath())
+@click.option("--check", is_flag=True, help="Only compare every file of the run with the checksums of what was written.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(recording: Path, as_json: bool) -> None:
+def command(recording: Path, check: bool, as_json: bool) -> None:
     """Make RECORDING (a run folder or a .rrd file) readable after a crash, a power cut or a full disk.
 
     Everything complete before the tear goes into a copy, NAME.recovered.rrd; the original is not touched. All commands that
     take a run folder use the copy from then on.
+
+    With --check nothing is written: each bit that changed since it was written is named by file, bytes and pose, and the command ends with
+    exit code 6 if there is one.
     """
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.recording.run_folder.recovery import recover
 
     end_in_order_on_signals("the recovery")
+    if check:
+        print_check(recording, as_json)
+        return
     found = recover(recording)
     if as_json:
         echo(
@@ -51,3 +58,24 @@ def command(recording: Path, as_json: bool) -> None:
             echo(f"{item.source}: torn; {content} are in {item.output}{end}")
         else:
             echo(f"{item.source}: nothing to do, {content}{end}")
+
+
+def print_check(recording: Path, as_json: bool) -> None:
+    """Raises RecordingError if anything is not as it was written."""
+    from mbcacq.errors import RecordingError
+    from mbcacq.recording.run_folder.check import check
+
+    found = check(recording)
+    if as_json:
+        files = [{"file": str(f.path), "bytes": f.size, "unverified": f.unverified, "faults": list(f.faults)} for f in found]
+        echo(json.dumps({"files": files}))
+    else:
+        for file in found:
+            unverified = f", {file.unverified} of them without a checksum" if file.unverified else ""
+            echo(f"{file.path}: {len(file.faults) or 'no'} fault{'s' * (len(file.faults) != 1)} in {file.size} bytes{unverified}")
+            for fault in file.faults:
+                echo(f"  {fault}")
+    if number := sum(len(file.faults) for file in found):
+        raise RecordingError(
+            f"{number} fault{'s' * (number != 1)} in {recording}: poses named are left out by calibrate and measured anew by run --resume"
+        )

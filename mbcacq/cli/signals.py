@@ -1,4 +1,4 @@
-"""A closed terminal and ``kill`` end a command as Ctrl-C does: in order, with nothing left behind."""
+"""A closed terminal, ``kill`` and Ctrl-C end a command in order, with nothing left behind, however often they come."""
 
 from __future__ import annotations
 
@@ -8,14 +8,20 @@ from mbcacq.errors import Aborted
 
 
 def end_in_order_on_signals(what: str = "the run") -> None:
-    """Raise Aborted in the main thread at SIGTERM and SIGHUP. what: subject of the sentence."""
+    """Raise Aborted in the main thread at SIGTERM and SIGHUP, KeyboardInterrupt at SIGINT. what: subject of the sentence.
+
+    The first signal counts. Later ones must not disturb the closing, in which the arm comes to rest and the recording is completed; all of
+    it is bounded in time.
+    """
 
     def end(number: int, frame: object) -> None:
-        for each in numbers:
-            signal.signal(each, signal.SIG_IGN)  # once is enough; a second one must not disturb the closing
+        for each in handled:
+            signal.signal(each, signal.SIG_IGN)
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
         raise Aborted(f"{what} was ended by {signal.Signals(number).name}")
 
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    for number in numbers:
-        if signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
-            signal.signal(number, end)
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    handled = [each for each in numbers if signal.getsignal(each) in (signal.SIG_DFL, signal.default_int_handler)]  # nohup stays nohup
+    for number in handled:
+        signal.signal(number, end)

@@ -169,6 +169,6 @@ def _finite(points: np.ndarray) -> np.ndarray:
         raise ConfigError(f"a cloud must have shape (N, 3), this one has {points.shape}")
     kind = points.dtype if points.dtype in (np.float32, np.float64) else np.float64
     columns = np.ascontiguousarray(points.T, dtype=kind)
-    if columns.size and not np.isfinite(columns.min() + columns.max()):
+    if columns.size and not (np.isfinite(columns.min()) and np.isfinite(columns.max())):
         columns = columns[:, np.isfinite(columns).all(axis=0)]
     return columns

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.errors import DeviceFault
+
 MAX_DENSE_CELLS = 4_000_000
 POINTS_PER_PATCH = 24
 MIN_PATCH_POINTS = 5
@@ -38,7 +40,8 @@ def voxelise(columns: np.ndarray, size: float) -> Voxels:
     low = columns.min(axis=1).astype(np.float64)
     extent = (columns.max(axis=1) - low) / size
     if not np.all(extent < 2**20):
-        raise ValueError("the cloud spans more than a million cells")
+        widest = 1e-3 * size * float(extent.max())
+        raise DeviceFault(f"the scan is {widest:.3g} m wide, no field of view is; take it again, or look at the scanner's resolution")
     shape = extent.astype(np.int64) + 1
     dense = np.prod(shape) <= MAX_DENSE_CELLS
     index = np.int32 if dense else np.int64
@@ -91,7 +94,7 @@ def smallest_eigenvector(xx, yy, zz, xy, yz, zx) -> tuple[np.ndarray, np.ndarray
     """Eigenvalues (m, 3), ascending, and unit eigenvector (m, 3) of the smallest, of symmetric 3 x 3 matrices, in closed form."""
     middle = (xx + yy + zz) / 3
     a, b, c = xx - middle, yy - middle, zz - middle
-    radius = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + yz * yz + zx * zx)) / 6) + 1e-300
+    radius = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + yz * yz + zx * zx)) / 6) + 1e-100
     half = (a * (b * c - yz * yz) - xy * (xy * c - yz * zx) + zx * (xy * yz - b * zx)) / (2 * radius**3)
     angle = np.arccos(np.clip(half, -1.0, 1.0)) / 3
     largest = middle + 2 * radius * np.cos(angle)

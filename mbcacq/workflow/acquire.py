@@ -20,6 +20,7 @@ from mbcacq.acquisition.runner import Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.cell import Cell
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
@@ -38,10 +39,11 @@ def versions() -> dict[str, str]:
 def new_run_folder(out: Path | None, name: str) -> Path:
     """Create the folder of a run: ``out`` if given (must not hold a run yet), else runs/TIME_NAME."""
     folder = out or Path("runs") / f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{re.sub(r'[^A-Za-z0-9_-]+', '-', name)}"
-    if (folder / "run.rrd").exists():
-        raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
     try:
+        if (folder / "run.rrd").exists():
+            raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
         folder.mkdir(parents=True, exist_ok=True)
+        sync_folder(folder.parent)
     except OSError as error:
         raise RecordingError(f"cannot create the run folder {folder}: {error.strerror}; give another --out") from error
     return folder
@@ -111,7 +113,7 @@ class Acquisition:
         from mbcacq.recording import Journal, Recorder
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
         from mbcacq.recording.run_folder.recovery import WHOLE
-        from mbcacq.recording.run_folder.run_plan import keep_plan
+        from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
         from mbcacq.spheres import find_spheres
 
         def gate(q: np.ndarray) -> None:
@@ -122,7 +124,8 @@ class Acquisition:
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
-        keep_plan(self.folder, self.loaded.text, self.loaded.files, self.cell)
+        plan_files = plan_files_text(self.loaded.files, self.cell)
+        keep_plan(self.folder, self.loaded.text, plan_files)
         with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
@@ -141,6 +144,7 @@ class Acquisition:
                 pause,
                 known,
                 self.simulated,
+                plan_files=plan_files,
             ).run()
         if self.part:
             merge_parts(self.folder, message)

@@ -9,7 +9,6 @@ from typing import Any
 
 from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
 from mbcacq.calibration.accuracy_map import accuracy_map
-from mbcacq.calibration.result_io import read_result
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
@@ -65,9 +64,11 @@ def _write(
 
 def _result(data: Calibration | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:
     """The content of result.json with 'accuracy_map': the one that is kept in a run folder, or computed."""
+    from mbcacq.exports.result_json import load_result
+
     kept = None
     if not isinstance(data, Calibration) and Path(data).is_dir() and (Path(data) / "result.json").exists():
-        kept = read_result(Path(data))
+        kept = load_result(Path(data))
         if "accuracy_map" in kept:
             return kept
     if isinstance(data, Calibration):

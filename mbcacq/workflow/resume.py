@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,15 +25,17 @@ def new_progress() -> Progress:
 
 
 def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
-    """What an interrupted run has measured, its torn recordings made readable.
+    """What an interrupted run has measured, its torn recordings made readable and its copies of the plan restored.
 
     Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
     from mbcacq.recording import repair_and_read_progress
-    from mbcacq.recording.run_folder.run_plan import refuse_change
+    from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 
-    refuse_change(folder, loaded.text, loaded.files, cell)
-    return repair_and_read_progress(folder)
+    progress = repair_and_read_progress(folder)
+    kept = read_kept_plan(folder)
+    refuse_change(folder, kept, loaded.text, loaded.files, cell)
+    return replace(progress, repairs=(*progress.repairs, *kept.repairs))
 
 
 def partial_stations(poses: Sequence[PlannedPose], before: Progress) -> list[str]:

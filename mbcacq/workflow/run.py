@@ -15,6 +15,7 @@ from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.address_space import refuse_small_address_space
 from mbcacq.workflow.dry_run import device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan
@@ -69,12 +70,13 @@ def run(
     recording on 127.0.0.1 while it grows. operator: who allows a real arm to move, and is asked and informed.
 
     Raises ConfigError for a plan or options that cannot be executed, SafetyStop, what a device reports, CalibrationError, RecordingError
-    (also where another process writes in the folder).
+    (also where another process writes in the folder), SystemRefused.
     """
     if resume is not None and out is not None:
         raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
     from mbcacq.recording.run_folder.lock import write_lock
 
+    refuse_small_address_space()
     operator, loaded = operator or Operator(), as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)

@@ -94,9 +94,9 @@ FAULTS = {
     "not a mapping": ([("format: mbcacq-plan/1\n", "- a\n- b\n#"), ("name: small", "#")], "plan.yaml:"),
     "tabs": (
         [("  driver: kuka_rsi", "\tdriver: kuka_rsi")],
-        "plan.yaml:4: not valid YAML: found character '\\t' that cannot start any token",
+        "plan.yaml:4: not valid YAML: found character that cannot start any token; indent with spaces, not with tabs",
     ),
-    "open bracket": ([("[mbc.yaml, bar.yaml]", "[mbc.yaml, bar.yaml")], "plan.yaml:15: not valid YAML: expected ',' or ']', but got ':'"),
+    "open bracket": ([("[mbc.yaml, bar.yaml]", "[mbc.yaml, bar.yaml")], "plan.yaml:15: not valid YAML: did not find expected ',' or ']'"),
     "object": (
         [("name: small", "name: !!python/object/apply:os.getcwd []")],
         "plan.yaml:2: not valid YAML: could not determine a constructor for the tag 'tag:yaml.org,2002:python/object/apply:os.getcwd'",
@@ -256,3 +256,40 @@ def test_the_loaded_plan_holds_what_its_files_say(folder):
     )
     assert heavier.cell.robot.payload_mass == 2.5
     assert heavier.cell.robot.gravity.tolist() == [0, 1, 0]
+
+
+def test_a_file_of_the_largest_size_is_refused_where_it_has_too_many_values(tmp_path):
+    """The work is bounded by the number of values, not by the size: pure Python took eleven seconds for this."""
+    from mbcacq.plan import yaml_source
+
+    counted = 0
+
+    class Loader(yaml_source.LOADER):
+        def check_event(self, *choices):
+            nonlocal counted
+            counted += 1
+            return super().check_event(*choices)
+
+    original, yaml_source.LOADER = yaml_source.LOADER, Loader
+    try:
+        with pytest.raises(ConfigError, match="too many or too deeply nested values"):
+            yaml_source.parse("a: [" + "1," * 490_000 + "1]\n", tmp_path / "plan.yaml")
+    finally:
+        yaml_source.LOADER = original
+    assert counted <= yaml_source.MAX_NODES + 10
+
+
+@pytest.mark.parametrize("text", ["a: " + "[" * 490_000, "a: " + "[" * 450_000 + "]" * 450_000, "a: " + "{b: " * 200_000])
+def test_nesting_is_refused_before_it_can_end_the_process(text, tmp_path):
+    from mbcacq.plan import yaml_source
+
+    with pytest.raises(ConfigError, match="deeply nested"):
+        yaml_source.parse(text, tmp_path / "plan.yaml")
+
+
+@pytest.mark.parametrize("value", ["!!timestamp 2", "!!binary 'xx'", "2024-99-99", "!!int x", "!!float ''"])
+def test_a_tag_that_does_not_fit_its_value_is_a_sentence(value, tmp_path):
+    from mbcacq.plan import yaml_source
+
+    with pytest.raises(ConfigError, match=r"plan\.yaml:1: not valid YAML"):
+        yaml_source.parse(f"a: {value}\n", tmp_path / "plan.yaml")

@@ -71,7 +71,7 @@ def test_a_full_disk_is_one_sentence_and_closing_raises_nothing(tmp_path, monkey
         journal.close()
         return
     journal._journal.close()
-    with open("/dev/full", "w") as device:
+    with open("/dev/full", "wb") as device:
         monkeypatch.setattr(journal, "_journal", device)
         with pytest.raises(RecordingError, match="No space left on device"):
             journal(done(0))

@@ -9,11 +9,9 @@ import shutil
 import signal
 import subprocess
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
 from mbcacq.recording import Recording, find_gaps, load_observations, poses_done
@@ -25,6 +23,7 @@ def two_stations(plan):
     plan["steps"][0]["offsets_mm"] = [[10, 0, 0]]
     plan["steps"][1] |= {"stations": ["p1", "p2"], "views": plan["steps"][1]["views"][:3]}
     plan["fake"] = {"draws": "pose"}
+    plan["robot"]["model"] = "robot.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +31,7 @@ def undisturbed(made_once):
     """(plan, folder of its whole run); to be looked at only."""
 
     def make(folder):
+        (folder / "robot.yaml").write_text((ROOT / "plans" / "robots" / "kr10_r1100_2.yaml").read_text())
         plan = plan_file(folder, two_stations)
         done = mbcacq("run", plan, "--dry-run", "--out", folder / "run", "--json")
         assert done.returncode == 0, done.stderr
@@ -139,6 +139,7 @@ def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
 def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, change, words):
     _, whole = undisturbed
     plan = plan_file(tmp_path, lambda p: (two_stations(p), change(p)))
+    (tmp_path / "robot.yaml").write_text((whole.parent / "robot.yaml").read_text())
     done = mbcacq("run", plan, "--dry-run", "--resume", whole)
     assert done.returncode == 2
     assert words in one_sentence(done)
@@ -146,19 +147,15 @@ def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, 
 
 def test_a_changed_robot_file_is_refused_a_comment_is_not(undisturbed, tmp_path):
     plan, whole = undisturbed
-    text = plan.read_text()
+    model = (plan.parent / "robot.yaml").read_text()
     other = tmp_path / "plan.yaml"
-    other.write_text("# a remark\n" + text)
+    other.write_text("# a remark\n" + plan.read_text())
+    (tmp_path / "robot.yaml").write_text("# a remark\n" + model)
     assert mbcacq("run", other, "--dry-run", "--resume", shutil.copytree(whole, tmp_path / "same")).returncode == 0
-    content = yaml.safe_load(text)
-    model = tmp_path / "robot.yaml"
-    model.write_text(Path(content["robot"]["model"]).read_text().replace("d_mm: 515", "d_mm: 516"))
-    changed = shutil.copytree(whole, tmp_path / "changed")
-    kept = json.loads((whole / "plan.files.json").read_text())
-    (changed / "plan.files.json").write_text(json.dumps(kept | {"files": {**kept["files"], content["robot"]["model"]: model.read_text()}}))
-    done = mbcacq("run", plan, "--dry-run", "--resume", changed)
+    (tmp_path / "robot.yaml").write_text(model.replace("d_mm: 515", "d_mm: 516"))
+    done = mbcacq("run", other, "--dry-run", "--resume", shutil.copytree(whole, tmp_path / "changed"))
     assert done.returncode == 2
-    assert "links[3].d_mm was 516 and is 515" in one_sentence(done)
+    assert "links[3].d_mm was 515 and is 516" in one_sentence(done)
 
 
 def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbed):

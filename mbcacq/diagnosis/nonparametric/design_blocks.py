@@ -186,6 +186,8 @@ def of_scanner(s: Context) -> list[BlockGroup]:
         measured = obs.ball == k
         if measured.sum() >= 3 and np.sum(owner == owner[k]) >= 3:
             index = table.add(measured)
+            if not len(index):  # no other ball was measured: its shift is that of all points
+                continue
             entries.append((f"ball{ball}", (0, 1, 2), BasisFunction("x", index, np.ones(len(index)))))
     if entries:
         out.append(BlockGroup(3, table.values, entries, tuple(("ball", 0, c) for c in range(3)), np.eye(3), False))

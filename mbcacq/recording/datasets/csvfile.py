@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
 from mbcacq.recording.datasets import angles
+from mbcacq.recording.datasets.synced_files import write_synced
 
 MAX_BYTES = 1 << 30
 XYZ = ("x_mm", "y_mm", "z_mm")
@@ -135,13 +135,8 @@ def write_table(path: Path, columns: Mapping[str, Sequence[str]]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(text.encode("utf-8"))
-        os.replace(partial, path)
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror}; choose another folder or free the disk") from error
+    """Write a file as UTF-8; an existing one is replaced only when the new one is complete. Raises RecordingError."""
+    write_synced(path, text.encode("utf-8"))
 
 
 def numbered(pattern: str, n: int) -> list[str]:

@@ -18,7 +18,9 @@ TIME, ROBOT_TIME, POSE, STEP_INDEX, CLOCK = "time", "robot_time", "pose", "step"
 
 # Static: the run as data.
 RUN = "run"  # mbcacq.Run
-PLAN, CELL = "plan", "cell"  # TextDocument, the full YAML
+PLAN, CELL = "plan", "cell"  # TextDocument, the full YAML; mbcacq.Text: its sha256
+CELL_COPY = "cell_copy"  # the same again: without its cell no recording can be calibrated
+PLAN_FILES = "plan_files"  # TextDocument: JSON of the files that the plan names, and which cell was driven; mbcacq.Text
 
 # The course of the run.
 STATE, STEP, STATION = "run/state", "run/step", "run/station"  # StateChange
@@ -72,7 +74,8 @@ MISFIT = "diagnosis/residual_um"  # .../before, .../after: Scalars, 3D rms of a 
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"
 CYCLES_ARCHETYPE, SCAN_ARCHETYPE, RESIDUAL_ARCHETYPE = "mbcacq.Cycles", "mbcacq.Scan", "mbcacq.Residual"
-ENLARGED_ARCHETYPE = "mbcacq.Enlarged"
+ENLARGED_ARCHETYPE, TEXT_ARCHETYPE = "mbcacq.Enlarged", "mbcacq.Text"
+DIGEST = "sha256"  # of the other values of a row
 
 # Files of a run folder.
 RUN_FILE, RESULT_FILE, JOURNAL_FILE, LOG_FILE = "run.rrd", "result.rrd", "journal.jsonl", "log.jsonl"
@@ -100,6 +103,12 @@ def parts(folder: Path) -> list[Path]:
         if match and number not in found:
             found[number] = path
     return [recovered_of(found[number]) or found[number] for number in sorted(found)]
+
+
+def originals(folder: Path) -> list[Path]:
+    """The recordings of a run folder as they were written, in order, recovered copies left out."""
+    found = {int(match[1] or 1): path for path in folder.glob("run*.rrd") if (match := _PART.fullmatch(path.name))}
+    return [found[number] for number in sorted(found)]
 
 
 def next_part(folder: Path) -> int:

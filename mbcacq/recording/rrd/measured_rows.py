@@ -7,7 +7,13 @@ import rerun as rr
 
 from mbcacq.acquisition import events
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checksums import digest_of_values
 from mbcacq.recording.rrd.rows import named, row
+
+
+def text_row(text: str) -> rr.DynamicArchetype:
+    """What belongs to a TextDocument of this text."""
+    return row(layout.TEXT_ARCHETYPE, **{layout.DIGEST: digest_of_values({"text": text})})
 
 
 def scan_row(event: events.ScanTaken) -> rr.DynamicArchetype:
@@ -41,31 +47,30 @@ def exposure_row(event: events.CentresFound) -> rr.DynamicArchetype:
 
 
 def observation_rows(event: events.PoseDone, part: int, time_s: float) -> tuple[rr.DynamicArchetype, rr.DynamicArchetype]:
-    """A finished pose and its balls. time_s: since the run started, pauses between its parts included."""
-    pose = row(
-        layout.POSE_ARCHETYPE,
-        pose=event.pose,
-        part=part,
-        station=event.station,
-        phase=event.phase,
-        step=event.step,
-        q=_float(event.q),
-        direction=_int(event.direction),
-        time_s=time_s,
-        robot_time_s=float(event.robot_time_s),
-        n_exposures=event.n_exposures,
-        current=None if event.current is None else _float(event.current),
+    """A finished pose and its balls, with the SHA-256 of both. time_s: since the run started, pauses between its parts included."""
+    pose = {
+        "pose": event.pose,
+        "part": part,
+        "station": event.station,
+        "phase": event.phase,
+        "step": event.step,
+        "q": _float(event.q),
+        "direction": _int(event.direction),
+        "time_s": time_s,
+        "robot_time_s": float(event.robot_time_s),
+        "n_exposures": event.n_exposures,
+        "current": None if event.current is None else _float(event.current),
         **named("sensors", event.sensors),
-    )
-    centres = row(
-        layout.CENTRES_ARCHETYPE,
-        ball=_int(event.ball),
-        xyz=_float(event.xyz),
-        n_points=_float(event.n_points),
-        rms_mm=_float(event.rms_mm),
-        scatter_mm=_float(event.scatter_mm),
-    )
-    return pose, centres
+    }
+    centres = {
+        "ball": _int(event.ball),
+        "xyz": _float(event.xyz),
+        "n_points": _float(event.n_points),
+        "rms_mm": _float(event.rms_mm),
+        "scatter_mm": _float(event.scatter_mm),
+    }
+    digest = digest_of_values(pose | centres)
+    return row(layout.POSE_ARCHETYPE, **pose, **{layout.DIGEST: digest}), row(layout.CENTRES_ARCHETYPE, **centres)
 
 
 def _float(values: np.ndarray) -> np.ndarray:

@@ -16,9 +16,11 @@ from mbcacq.devices import Cycles, Scan
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checksums import digest_of_values
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 Row = dict[str, Any]
+COPIES = {layout.CELL: (layout.CELL_COPY,)}
 
 
 @dataclass(frozen=True)
@@ -83,10 +85,16 @@ class Recording:
         return found
 
     def text(self, entity: str) -> str:
-        """A document: the plan or the cell. Raises RecordingError if the recording was cut before it."""
-        for row in self.rows(entity):
-            if "text" in row:
-                return row["text"][0]
+        """A document: the plan or the cell. Raises RecordingError if the recording was cut before it, or if it is damaged."""
+        damaged = False
+        for copy in (entity, *COPIES.get(entity, ())):
+            for row in self.rows(copy):
+                if "text" in row:
+                    if intact({"text": row["text"], **({layout.DIGEST: row[layout.DIGEST]} if layout.DIGEST in row else {})}):
+                        return row["text"][0]
+                    damaged = True
+        if damaged:
+            raise RecordingError(f"{self.path}: its {entity} is damaged, bits changed since it was written; see mbcacq recover --check")
         raise RecordingError(f"{self.path}: the recording ends before its {entity}; nothing in it can be calibrated")
 
     def about(self) -> Row:
@@ -120,8 +128,14 @@ class Recording:
                 )
 
     def observed(self) -> list[Row]:
-        """The pose observations, in the order made."""
-        return [row for row in self.rows(layout.OBSERVATION) if "q" in row]
+        """The pose observations that are as they were written, in the order made."""
+        return [row for row in self.rows(layout.OBSERVATION) if "q" in row and intact(row)]
+
+    def damaged_poses(self) -> list[int]:
+        """Numbers of the pose observations that are not as they were written, and so not among the observed."""
+        return [
+            int(row["pose"][0]) for row in self.rows(layout.OBSERVATION) if len(row.get("pose", ())) and not ("q" in row and intact(row))
+        ]
 
     def _batches(self, entity: str) -> list[pa.RecordBatch]:
         """In the order of logging, whatever order a merge left the chunks in: row ids count up with time."""
@@ -164,6 +178,13 @@ def read_observations(path: Path | str) -> Observations:
     if not rows:
         raise RecordingError(f"{path} holds no finished pose; there is nothing to calibrate")
     return assemble(recordings[0].text(layout.CELL), str(path), rows)
+
+
+def intact(row: Row) -> bool:
+    """Whether the values of a row are those that its digest was made of; a row of an earlier version has none."""
+    values = {name: value for name, value in row.items() if isinstance(value, np.ndarray | list)}
+    digest = values.pop(layout.DIGEST, None)
+    return digest is None or digest == [digest_of_values(values)]
 
 
 class _named_errors:

@@ -6,7 +6,8 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from mbcacq.recording.datasets.csvfile import write_text
+from mbcacq.recording.datasets.synced_files import write_synced
+from mbcacq.recording.rrd.checksums import note_whole
 
 FILE = "recording.json"
 
@@ -21,7 +22,9 @@ class RunHeader:
 
 
 def write_run_header(folder: Path, header: RunHeader) -> None:
-    write_text(folder / FILE, json.dumps({"format": "mbcacq-run/1", **asdict(header)}, indent=1) + "\n")
+    data = (json.dumps({"format": "mbcacq-run/1", **asdict(header)}, indent=1) + "\n").encode("utf-8")
+    write_synced(folder / FILE, data)
+    note_whole(folder, FILE, data)
 
 
 def read_run_header(folder: Path) -> RunHeader | None:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import collections
 import ctypes
 import os
 import shutil
 import socket
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from mbcacq.errors import RecordingError
+from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, note_stretch
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 STALLED_S = 5  # without one byte more in the file, while there is something to write
@@ -42,6 +46,7 @@ class Sink:
             self.stream.set_sinks(*sinks, default_blueprint=blueprint)
         except (RuntimeError, ValueError, OSError) as error:
             raise RecordingError(f"the recording {path} cannot be opened: {error}; choose another folder (or live port)") from error
+        sync_folder(path.parent)
 
     def check_space(self, size: int) -> None:
         """Raise RecordingError before ``size`` bytes would fill the disk."""
@@ -72,14 +77,15 @@ class Sink:
             except RuntimeError as error:
                 raise self._lost(error) from error
 
-    def flush(self) -> None:
-        """Wait until everything logged is in the file. Raises RecordingError if it cannot be written."""
+    def flush(self, finished: int | None = None) -> None:
+        """Wait until everything logged is in the file, then let it be synced. finished: number of a pose that was finished just now.
+        Raises RecordingError if it cannot be written."""
         if self._alive:
             try:
                 self._wait()
             except RuntimeError as error:
                 raise self._lost(error) from error
-            self._sync.soon()
+            self._sync.soon(finished)
 
     def _lost(self, error: RuntimeError) -> RecordingError:
         self.abandon()
@@ -140,17 +146,22 @@ def _free_port(preferred: int) -> int:
 
 
 class _Syncer:
-    """Brings the file to the disk after every flush, in a thread of its own, so that a power cut loses little and a scan never waits.
+    """Brings the file to the disk after every flush and notes the checksum of what came since, in a thread of its own, so that a power cut
+    loses little and a scan never waits.
 
     ``os.fsync`` works on a handle that may be written, on POSIX and on Windows.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._wake, self._quit = path, threading.Event(), False
+        self._finished: collections.deque[int] = collections.deque()
+        self._noted = 0  # bytes whose checksum is noted
         self._thread = threading.Thread(target=self._work, name="recording-sync", daemon=True)
         self._thread.start()
 
-    def soon(self) -> None:
+    def soon(self, finished: int | None = None) -> None:
+        if finished is not None:
+            self._finished.append(finished)
         self._wake.set()
 
     def close(self) -> None:
@@ -162,13 +173,22 @@ class _Syncer:
         while not self._quit:
             self._wake.wait()
             self._wake.clear()
-            try:
-                handle = os.open(self._path, os.O_RDWR)
-            except OSError:
-                continue
-            try:
-                os.fsync(handle)
-            except OSError:
-                pass  # the next flush reports a disk that does not take the data
-            finally:
-                os.close(handle)
+            self._bring_to_disk()
+        self._bring_to_disk()  # what came while the last one was under way
+
+    def _bring_to_disk(self) -> None:
+        with suppress(OSError):  # the next flush reports a disk that does not take the data
+            self._sync_and_note()
+
+    def _sync_and_note(self) -> None:
+        poses = tuple(self._finished.popleft() for _ in range(len(self._finished)))
+        handle = os.open(self._path, os.O_RDWR)
+        try:
+            end = os.fstat(handle).st_size
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+        if end > self._noted:
+            digest, end = digest_of_file(self._path, self._noted, end)
+            note_stretch(self._path.parent, Stretch(self._path.name, self._noted, end, digest, poses))
+            self._noted = end

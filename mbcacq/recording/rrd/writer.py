@@ -21,7 +21,7 @@ from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import blueprint, for_cell
 from mbcacq.recording.rrd.cycles import CycleWriter
 from mbcacq.recording.rrd.drawing import Drawing
-from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row
+from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.rrd.sink import Sink
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -133,8 +133,9 @@ class Recorder:
         self._set_times(event.time_s)
         rec = self._rec
         rec.send_recording_name(f"{event.name} (simulated)" if event.simulated else event.name)
-        rec.log(layout.PLAN, rr.TextDocument(event.plan_yaml), static=True)
-        rec.log(layout.CELL, rr.TextDocument(event.cell_yaml), static=True)
+        texts = {layout.PLAN: event.plan_yaml, layout.CELL: event.cell_yaml, layout.CELL_COPY: event.cell_yaml}
+        for entity, text in {**texts, **({layout.PLAN_FILES: event.plan_files} if event.plan_files else {})}.items():
+            rec.log(entity, rr.TextDocument(text), text_row(text), static=True)
         about = rows.row(
             layout.RUN_ARCHETYPE,
             layout=layout.VERSION,
@@ -236,7 +237,7 @@ class Recorder:
         if len(event.ball):
             self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
             self._rec.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
-        self._sink.flush()
+        self._sink.flush(event.pose)
         self._done += 1
         if self._done == FORECAST_AFTER:
             self._sink.check_predicted_size(self._done, self._n_poses)

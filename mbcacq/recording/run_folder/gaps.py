@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from mbcacq.errors import MbcacqError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
@@ -13,13 +14,14 @@ NAMED = 12  # pose numbers written out
 
 
 def find_gaps(folder: Path | str) -> list[str]:
-    """One sentence for each gap of a run folder: poses left out or never reached, values missing, interruptions.
+    """One sentence for each gap of a run folder or recording: poses left out, damaged or never reached, values missing, interruptions.
 
-    Empty for an undisturbed run and for data without a journal.
+    Empty for an undisturbed run and for data that are no recording.
     """
     folder = Path(folder)
+    held, damaged = _recorded(folder)
     if not (folder / layout.JOURNAL_FILE).exists():
-        return []
+        return _damage(damaged)
     entries = read_journal(folder)
     measured = {int(e["pose"]) for e in entries if e.get("event") == "pose_done"}
     planned = max((int(e["n_poses"]) for e in entries if e.get("event") == "run_started"), default=0)
@@ -27,7 +29,29 @@ def find_gaps(folder: Path | str) -> list[str]:
     left_out = {int(e["pose"]) for e in entries if e.get("event") == "gap" and e.get("kind") == "pose"}
     if missing := sorted(set(range(planned)) - measured - left_out):
         out.append(f"{len(missing)} of {planned} planned poses were not measured: {_numbers(missing)}")
-    return out + _interruptions(entries)
+    lost = set() if held is None else measured - held
+    return out + _damage(damaged | lost) + _interruptions(entries)
+
+
+def _recorded(path: Path) -> tuple[set[int] | None, set[int]]:
+    """Numbers of the poses that the recordings of a run folder, or a .rrd, hold intact (None where they cannot be read), and damaged."""
+    from mbcacq.recording.rrd.reader import open_recordings
+
+    if not (path.suffix == ".rrd" or path.is_dir() and layout.parts(path)):
+        return None, set()
+    try:
+        recordings = open_recordings(path)
+        held = {int(row["pose"][0]) for recording in recordings for row in recording.observed()}
+        return held, {number for recording in recordings for number in recording.damaged_poses()} - held
+    except MbcacqError:
+        return None, set()  # who reads the observations is told
+
+
+def _damage(poses: set[int]) -> list[str]:
+    if not poses:
+        return []
+    many = f"pose {min(poses)} was" if len(poses) == 1 else f"{len(poses)} poses ({_numbers(sorted(poses))}) were"
+    return [f"{many} measured, but the recording holds no intact values (see mbcacq recover --check); a resumed run measures anew"]
 
 
 def _measured_later(entry: dict[str, Any], measured: set[int]) -> bool:

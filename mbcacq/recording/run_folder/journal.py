@@ -1,20 +1,22 @@
-"""The journal of a run, one JSON object a line, each on the disk before the run goes on; and the log, the same way."""
+"""The journal of a run, one JSON object a line, each on the disk before the run goes on; and the log, the same way. Every line carries a
+checksum."""
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import singledispatchmethod
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, BinaryIO
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
 from mbcacq.model.cell import SIMULATED
+from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 
 
 class Journal:
@@ -26,6 +28,7 @@ class Journal:
         try:
             self._journal = _open(folder / layout.JOURNAL_FILE)
             self._log = _open(folder / layout.LOG_FILE)
+            sync_folder(folder)
         except OSError as error:
             raise RecordingError(f"{folder / layout.JOURNAL_FILE} cannot be written: {error.strerror}; choose another --out") from error
 
@@ -100,9 +103,9 @@ class Journal:
         entry = {"time": now, "time_s": round(event.time_s, 4), "level": level, "source": source, "text": text}
         self._append(self._log, layout.LOG_FILE, entry)
 
-    def _append(self, file: TextIO, name: str, entry: dict[str, Any], sync: bool = False) -> None:
+    def _append(self, file: BinaryIO, name: str, entry: dict[str, Any], sync: bool = False) -> None:
         try:
-            file.write(json.dumps(entry, ensure_ascii=False) + "\n")
+            file.write(checked_line(entry))
             file.flush()
             if sync:
                 os.fsync(file.fileno())
@@ -111,38 +114,26 @@ class Journal:
 
 
 def read_journal(folder: Path | str) -> list[dict[str, Any]]:
-    """The entries of a run folder's journal; a torn last line is left out. Raises RecordingError if there is none."""
+    """The entries of a run folder's journal; torn and damaged lines are left out. Raises RecordingError if there is none."""
     path = Path(folder) / layout.JOURNAL_FILE
     try:
-        return _entries(path)
+        return read_lines(path).entries
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; is this a run folder?") from None
 
 
 def read_log(folder: Path | str) -> list[dict[str, Any]]:
-    """The entries of a run folder's log, none where it has no log; a torn last line is left out."""
+    """The entries of a run folder's log, none where it has no log; torn and damaged lines are left out."""
     try:
-        return _entries(Path(folder) / layout.LOG_FILE)
+        return read_lines(Path(folder) / layout.LOG_FILE).entries
     except OSError:
         return []
 
 
-def _entries(path: Path) -> list[dict[str, Any]]:
-    entries = []
-    for line in path.read_bytes().decode("utf-8", errors="replace").splitlines():
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(entry, dict):
-            entries.append(entry)
-    return entries
-
-
-def _open(path: Path) -> TextIO:
+def _open(path: Path) -> BinaryIO:
     """Open for appending; a torn last line left by a crash is ended first, so that it spoils no other."""
     torn = path.exists() and path.stat().st_size > 0 and path.read_bytes()[-1:] != b"\n"
-    file = path.open("a", encoding="utf-8")
+    file = path.open("ab")
     if torn:
-        file.write("\n")
+        file.write(b"\n")
     return file

@@ -63,7 +63,7 @@ def _measured(folder: Path) -> dict[int, str]:
 
 def _repair(folder: Path) -> Iterator[str]:
     from mbcacq.recording.rrd.reader import Recording
-    from mbcacq.recording.run_folder.recovery import make_readable
+    from mbcacq.recording.run_folder.recovery import NothingRecovered, make_readable
 
     for path in layout.parts(folder):
         try:
@@ -76,9 +76,7 @@ def _repair(folder: Path) -> Iterator[str]:
         try:
             found = make_readable(path)[0]
             yield f"{path.name} was torn; its {found.poses} finished poses are in {found.output.name}"
-        except RecordingError as error:
-            if "nothing could be recovered" not in str(error):
-                raise
+        except NothingRecovered:
             path.rename(path.with_name(path.name + EMPTY))
             yield f"{path.name} was torn before a pose was in it, it is now {path.name + EMPTY}"
 

@@ -32,6 +32,10 @@ class Recovered:
         return self.output != self.source
 
 
+class NothingRecovered(RecordingError):
+    """A recording holds nothing that can be calibrated; no other copy of it does."""
+
+
 def recover(path: Path | str) -> list[Recovered]:
     """Make a .rrd, or every recording of a run folder, readable. Raises RecordingError where nothing is left to read.
 
@@ -49,7 +53,7 @@ def recover(path: Path | str) -> list[Recovered]:
 def make_readable(path: Path) -> list[Recovered]:
     """:func:`recover` for one who holds the lock of the run folder."""
     if path.is_dir():
-        sources = sorted((file for file in path.glob("run*.rrd") if layout.RECOVERED not in file.name), key=lambda p: (len(p.name), p.name))
+        sources = layout.originals(path)
         if not sources:
             raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run, or a .rrd file")
         found = [_recover_file(source) for source in sources]
@@ -71,9 +75,9 @@ def _recover_file(source: Path) -> Recovered:
     try:
         _merge([source], output)
         return _summary(source, output)
-    except RecordingError as error:
+    except NothingRecovered:
         output.unlink(missing_ok=True)
-        raise RecordingError(f"nothing could be recovered from {source}: {error}") from None
+        raise
 
 
 def _merge(sources: list[Path], output: Path) -> None:
@@ -86,9 +90,9 @@ def _merge(sources: list[Path], output: Path) -> None:
     try:
         result = rerun_program.run(["rrd", "merge", "--continue-on-error", *map(str, sources), "-o", str(partial)])
         if result.returncode or not partial.exists():
-            raise RecordingError(f"rerun could not read it ({rerun_program.error_line(result)})")
+            raise NothingRecovered(f"{_nothing(sources)}: rerun could not read it ({rerun_program.error_line(result)})")
         if not _verified(partial):
-            raise RecordingError("no complete message is left in it")
+            raise NothingRecovered(f"{_nothing(sources)}: no complete message is left in it")
         partial.replace(output)
     except OSError as error:
         if isinstance(error, RecordingError):
@@ -96,6 +100,10 @@ def _merge(sources: list[Path], output: Path) -> None:
         raise RecordingError(f"{output} cannot be written: {error.strerror}") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _nothing(sources: list[Path]) -> str:
+    return f"nothing could be recovered from {', '.join(map(str, sources))}"
 
 
 def _verified(path: Path) -> bool:
@@ -111,7 +119,10 @@ def _verified(path: Path) -> bool:
 
 def _summary(source: Path, output: Path) -> Recovered:
     recording = Recording(output)
-    recording.text(layout.CELL)  # without its cell a recording cannot be calibrated
+    try:
+        recording.text(layout.CELL)
+    except RecordingError as error:  # whole as a file, but cut before its cell was in it
+        raise NothingRecovered(f"{_nothing([source])}: {error}") from None
     about = recording.about()
     poses = {int(row["pose"][0]) for row in recording.observed()}
     return Recovered(source, output, len(poses), len(recording.cycles()), "exit_status" in about)

@@ -1,39 +1,122 @@
-"""The copy of the plan in a run folder, with which a resumed run checks that the plan is still the same."""
+"""The copy of the plan in a run folder, with which a resumed run checks that the plan is the same. The recordings hold another."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.recording.datasets.csvfile import write_text
+from mbcacq.plan.yaml_source import parse
+from mbcacq.recording.datasets.synced_files import write_synced
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checksums import digest_of_file, note_whole, read_stretches
 
 PLAN, FILES = "plan.yaml", "plan.files.json"
+FORMAT = "mbcacq-run-plan/1"
+COPY_OF = {PLAN: layout.PLAN, FILES: layout.PLAN_FILES}
 SHOWN = 60  # characters of a value
 
 
-def keep_plan(folder: Path, plan: str, files: Mapping[str, str], cell: str) -> None:
-    """Write the plan's text, the texts of the files it names and which cell is driven ('real', or the fake one and its seed)."""
-    write_text(folder / PLAN, plan)
-    write_text(folder / FILES, json.dumps({"format": "mbcacq-run-plan/1", "cell": cell, "files": dict(files)}, indent=1) + "\n")
+@dataclass(frozen=True)
+class KeptPlan:
+    """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
+    recordings say. repairs: one sentence for each file that had to be restored or is lost."""
+
+    plan: str | None
+    files: Mapping[str, str] | None
+    cell: str | None
+    repairs: tuple[str, ...] = field(default=())
 
 
-def refuse_change(folder: Path, plan: str, files: Mapping[str, str], cell: str) -> None:
+def plan_files_text(files: Mapping[str, str], cell: str) -> str:
+    """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed)."""
+    return json.dumps({"format": FORMAT, "cell": cell, "files": dict(files)}, indent=1) + "\n"
+
+
+def keep_plan(folder: Path, plan: str, plan_files: str) -> None:
+    """Write the plan's text and ``plan_files_text``, with their checksums. They are on the disk when the call returns."""
+    for name, text in ((PLAN, plan), (FILES, plan_files)):
+        data = text.encode("utf-8")
+        write_synced(folder / name, data)
+        note_whole(folder, name, data)
+
+
+def read_kept_plan(folder: Path) -> KeptPlan:
+    """What a run folder was recorded with. A file that is missing or damaged is restored from the recordings, which must be readable.
+
+    Raises ConfigError where the folder holds no run.
+    """
+    parts = layout.parts(folder)
+    if not (parts or (folder / PLAN).exists() or (folder / layout.JOURNAL_FILE).exists()):
+        raise ConfigError(f"{folder} holds no run to resume; give the folder of the interrupted run")
+    found, repairs = {}, []
+    for name in (PLAN, FILES):
+        what = fault_of(folder, name)
+        if not what:
+            found[name] = (folder / name).read_text(encoding="utf-8")
+            continue
+        copy = _recorded(parts, name)
+        if copy is not None:
+            data = copy.encode("utf-8")
+            write_synced(folder / name, data)
+            note_whole(folder, name, data)
+            found[name] = copy
+            repairs.append(f"{folder / name} {what}; it was restored from {layout.RUN_FILE}")
+        elif parts:
+            repairs.append(f"{folder / name} {what}, and no recording holds a copy; it is taken to be as in this run")
+    kept = json.loads(found[FILES]) if FILES in found else {}
+    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs))
+
+
+def fault_of(folder: Path, name: str) -> str:
+    """What is wrong with plan.yaml or plan.files.json, as a predicate ('is missing'); '' for an intact one."""
+    path = folder / name
+    try:
+        data = path.read_bytes()
+        text = data.decode("utf-8")
+        content = parse(text, path).data if name == PLAN else json.loads(text)
+        noted = read_stretches(folder)[0].get(name)
+        if noted and digest_of_file(path, 0, len(data))[0] != noted[-1].sha256:
+            return "is damaged (it is not as it was written)"
+    except FileNotFoundError:
+        return "is missing"
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    except (ValueError, RecursionError):
+        return "is damaged (it is empty or no longer text of its format)"
+    whole = isinstance(content, dict) and (name == PLAN or _is_plan_files(content))
+    return "" if whole else "is damaged (it is empty or no longer text of its format)"
+
+
+def _is_plan_files(content: dict[str, Any]) -> bool:
+    files = content.get("files", {})
+    return isinstance(files, dict) and all(isinstance(text, str) for text in files.values()) and isinstance(content.get("cell", ""), str)
+
+
+def _recorded(parts: list[Path], name: str) -> str | None:
+    """The copy of a file in the newest recording that has an intact one."""
+    from mbcacq.recording.rrd.reader import Recording
+
+    for path in reversed(parts):
+        try:
+            return Recording(path).text(COPY_OF[name])
+        except (RecordingError, ConfigError):
+            continue
+    return None
+
+
+def refuse_change(folder: Path, kept: KeptPlan, plan: str, files: Mapping[str, str], cell: str) -> None:
     """Raises ConfigError, in one sentence with what changed, unless the folder was recorded with this plan and this kind of cell.
 
     Comments and layout of the YAML may differ; a value may not.
     """
-    try:
-        before = (folder / PLAN).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{folder} holds no run to resume ({PLAN}: {error.strerror}); give the folder of the interrupted run") from None
-    kept = _kept(folder)
-    changed = [*_changes("the plan", before, plan)]
-    for name, text in kept.get("files", {}).items():
+    changed = [] if kept.plan is None else [*_changes("the plan", kept.plan, plan)]
+    for name, text in (kept.files or {}).items():
         if name not in files:
             changed.append(f"the plan no longer names {name}")
         else:
@@ -41,22 +124,11 @@ def refuse_change(folder: Path, plan: str, files: Mapping[str, str], cell: str) 
     if changed:
         more = f" (and {len(changed) - 1} more changes)" if len(changed) > 1 else ""
         raise ConfigError(f"{changed[0]}{more} since {folder} was recorded; take the change back, or start a new run")
-    if kept.get("cell", cell) != cell:
+    if kept.cell is not None and kept.cell != cell:
         raise ConfigError(
-            f"{folder} was recorded with {kept['cell']}, this would go on with {cell}, and the two do not belong into one "
+            f"{folder} was recorded with {kept.cell}, this would go on with {cell}, and the two do not belong into one "
             "recording; give the same options as before, or start a new run"
         )
-
-
-def _kept(folder: Path) -> dict[str, Any]:
-    """Nothing where the file is not there: a run of an earlier version, or one that was killed at once."""
-    try:
-        found = json.loads((folder / FILES).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{folder / FILES} cannot be read: {error}; is this a run folder?") from None
-    return found if isinstance(found, dict) else {}
 
 
 def _changes(name: str, before: str, now: str) -> Iterator[str]:

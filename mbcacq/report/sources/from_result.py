@@ -28,7 +28,7 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
         raise ConfigError(f"this is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
     try:
         return _content(result, observations, run_info or {})
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise ConfigError(
             f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
         ) from error

@@ -1,0 +1,84 @@
+"""``checksums.jsonl`` of a run folder: the SHA-256 of each of its files that has no other copy, of a recording stretch by stretch."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.recording.rrd.checked_lines import Lines, checked_line, read_lines
+
+FILE = "checksums.jsonl"
+BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Bytes ``start`` to ``end`` of a file, as they were written; ``poses``: numbers of the poses that were finished in them."""
+
+    file: str
+    start: int
+    end: int
+    sha256: str
+    poses: tuple[int, ...] = ()
+
+
+def note_stretch(folder: Path, stretch: Stretch) -> None:
+    """Append a line. Raises OSError."""
+    entry = {"file": stretch.file, "start": stretch.start, "end": stretch.end, "poses": list(stretch.poses), "sha256": stretch.sha256}
+    with (folder / FILE).open("ab") as file:
+        file.write(checked_line(entry))
+
+
+def note_whole(folder: Path, name: str, data: bytes) -> None:
+    """Note the checksum of a file that was written at once; it counts in place of an earlier one. A disk that takes no more leaves the file
+    without a checksum."""
+    with suppress(OSError):
+        note_stretch(folder, Stretch(name, 0, len(data), hashlib.sha256(data).hexdigest()))
+
+
+def read_stretches(folder: Path) -> tuple[dict[str, list[Stretch]], Lines]:
+    """File -> its stretches in order, and the lines themselves. Nothing for a run of an earlier version."""
+    try:
+        lines = read_lines(folder / FILE)
+    except OSError:
+        return {}, Lines([], ())
+    found: dict[str, list[Stretch]] = {}
+    for entry in lines.entries:
+        with suppress(KeyError, TypeError, ValueError):
+            poses = tuple(int(pose) for pose in entry["poses"])
+            stretch = Stretch(str(entry["file"]), int(entry["start"]), int(entry["end"]), str(entry["sha256"]), poses)
+            found[stretch.file] = [*(found.get(stretch.file, []) if stretch.start else []), stretch]
+    return found, lines
+
+
+def digest_of_file(path: Path, start: int, end: int) -> tuple[str, int]:
+    """SHA-256 of the bytes start to end, and where the file ended if that is before. Raises OSError."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        file.seek(start)
+        while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
+            digest.update(block)
+            start += len(block)
+    return digest.hexdigest(), start
+
+
+def digest_of_values(values: Mapping[str, Any]) -> str:
+    """SHA-256 of named values: arrays by type and bytes, lists of str by their text. None counts as absent."""
+    digest = hashlib.sha256()
+    for name in sorted(name for name, value in values.items() if value is not None):
+        value = values[name]
+        if isinstance(value, str) or isinstance(value, Sequence) and all(isinstance(item, str) for item in value):
+            texts = [item.encode("utf-8", errors="surrogatepass") for item in ([value] if isinstance(value, str) else value)]
+            kind, data = "text", b"".join(len(item).to_bytes(8, "little") + item for item in texts)
+        else:
+            array = np.atleast_1d(np.asarray(value))
+            array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+            kind, data = array.dtype.str, array.tobytes()
+        digest.update(f"{name}:{kind}:{len(data)}:".encode() + data)
+    return digest.hexdigest()

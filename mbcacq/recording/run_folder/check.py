@@ -1,0 +1,105 @@
+"""Whether the files of a run are as they were written: every bit that has a checksum, and what a changed one hits. Nothing is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checked_lines import read_lines
+from mbcacq.recording.rrd.checksums import FILE, Stretch, digest_of_file, read_stretches
+from mbcacq.recording.rrd.run_header import FILE as HEADER_FILE
+from mbcacq.recording.run_folder.lock import write_lock
+from mbcacq.recording.run_folder.run_plan import FILES, PLAN
+
+LINES = (layout.JOURNAL_FILE, layout.LOG_FILE, FILE)
+WHOLE_FILES = (PLAN, FILES, HEADER_FILE)
+
+
+@dataclass(frozen=True)
+class CheckedFile:
+    """faults: one sentence each. size: bytes; unverified: how many of them have no checksum."""
+
+    path: Path
+    size: int
+    unverified: int
+    faults: tuple[str, ...]
+
+
+def check(path: Path | str) -> list[CheckedFile]:
+    """Check a run folder or one of its recordings against the checksums that were noted when they were written.
+
+    Raises ConfigError where there is no recording, RecordingError where another process writes in the folder.
+    """
+    path = Path(path)
+    folder = path if path.is_dir() else path.parent
+    recordings = layout.originals(folder) if path.is_dir() else [path]
+    if not recordings or not all(recording.is_file() for recording in recordings):
+        raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run, or a .rrd file")
+    with write_lock(folder, "recover --check"):
+        stretches = read_stretches(folder)[0]
+        found = [_check_recording(recording, stretches.get(recording.name, [])) for recording in recordings]
+        if path.is_dir():
+            found += [_check_lines(folder / name) for name in LINES if (folder / name).exists()]
+            found += [
+                _check_whole(folder / name, stretches.get(name, []))
+                for name in WHOLE_FILES
+                if name in stretches or (folder / name).exists()
+            ]
+        return found
+
+
+def _check_recording(path: Path, stretches: list[Stretch]) -> CheckedFile:
+    size = path.stat().st_size
+    faults = [*_stretch_faults(path, stretches, size), *_value_faults(path)]
+    return CheckedFile(path, size, size - sum(min(s.end, size) - min(s.start, size) for s in stretches), tuple(faults))
+
+
+def _stretch_faults(path: Path, stretches: list[Stretch], size: int) -> Iterator[str]:
+    for stretch in stretches:
+        poses = f" (with pose {', '.join(map(str, stretch.poses))})" if stretch.poses else ""
+        where = f"bytes {stretch.start} to {stretch.end}{poses}"
+        try:
+            digest, end = digest_of_file(path, stretch.start, stretch.end)
+        except OSError as error:
+            yield f"{where} cannot be read: {error.strerror}"
+            continue
+        if end < stretch.end:
+            yield f"{where} were written, but the file ends at byte {size}"
+        elif digest != stretch.sha256:
+            yield f"{where} are not as they were written"
+
+
+def _value_faults(path: Path) -> Iterator[str]:
+    """Of what a solver reads, by name."""
+    from mbcacq.recording.rrd.reader import Recording
+
+    try:
+        recording = Recording(path)
+        for number in recording.damaged_poses():
+            yield f"the observation of pose {number} (joint angles, ball centres) is not as it was written"
+    except RecordingError as error:
+        yield f"it cannot be read as a recording: {error}"
+        return
+    for entity in (layout.PLAN, layout.CELL):
+        try:
+            recording.text(entity)
+        except RecordingError as error:
+            yield str(error)
+
+
+def _check_lines(path: Path) -> CheckedFile:
+    size = path.stat().st_size
+    return CheckedFile(path, size, 0, tuple(f"line {number} is torn or not as it was written" for number in read_lines(path).damaged))
+
+
+def _check_whole(path: Path, stretches: list[Stretch]) -> CheckedFile:
+    if not path.exists():
+        return CheckedFile(path, 0, 0, ("it is missing",))
+    size = path.stat().st_size
+    if not stretches:
+        return CheckedFile(path, size, size, ())
+    same = size == stretches[-1].end and digest_of_file(path, 0, size)[0] == stretches[-1].sha256
+    return CheckedFile(path, size, 0, () if same else ("it is not as it was written",))

@@ -1,0 +1,207 @@
+"""Bits that change on the disk: found and named, left out, restored from another copy. Never a wrong centre without a word."""
+
+import json
+import os
+import random
+import shutil
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+from click.testing import CliRunner
+
+from mbcacq.cli.recover import command as recover_command
+from mbcacq.errors import ConfigError, MbcacqError, RecordingError
+from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, poses_done, repair_and_read_progress
+from mbcacq.recording.datasets import synced_files
+from mbcacq.recording.rrd.checksums import digest_of_values
+from mbcacq.recording.run_folder.check import check
+from mbcacq.recording.run_folder.journal import read_journal
+from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text, read_kept_plan, refuse_change
+
+FILES = {"robots/made.yaml": "name: six axes\n", "balls.yaml": "id: mbc\n"}
+CELL = "the fake cell of seed 0"
+COPIES = ("plan.yaml", "plan.files.json")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A run folder with its plan, written from synthetic events."""
+    from dataclasses import replace
+
+    folder = tmp_path_factory.mktemp("recorded") / "run"
+    files = plan_files_text(FILES, CELL)
+    keep_plan(folder, synthetic.PLAN, files)
+    with Recorder(folder) as recorder, Journal(folder) as journal:
+        for event in synthetic.run(n_poses=4):
+            event = replace(event, plan_files=files) if event.__class__.__name__ == "RunStarted" else event
+            recorder(event)
+            journal(event)
+    return folder
+
+
+@pytest.fixture
+def folder(recorded, tmp_path) -> Path:
+    return shutil.copytree(recorded, tmp_path / "run")
+
+
+def flip(path: Path, at: int, bit: int = 0) -> None:
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1 << bit
+    path.write_bytes(data)
+
+
+def faults(folder: Path) -> list[str]:
+    return [f"{file.path.name}: {fault}" for file in check(folder) for fault in file.faults]
+
+
+def test_an_undamaged_run_has_no_faults_and_every_byte_has_a_checksum(folder):
+    assert faults(folder) == []
+    assert {file.path.name: file.unverified for file in check(folder)} == dict.fromkeys(
+        ("run.rrd", "journal.jsonl", "log.jsonl", "checksums.jsonl", "plan.yaml", "plan.files.json", "recording.json"), 0
+    )
+
+
+def test_one_flipped_bit_in_a_stored_centre_is_found_named_and_left_out(folder):
+    true = load_observations(folder)
+    row = next(row for row in Recording(folder / "run.rrd").observed() if row["pose"][0] == 2)
+    at = (folder / "run.rrd").read_bytes().rindex(row["xyz"][:3].tobytes())
+    flip(folder / "run.rrd", at + 5, 3)
+    assert any("the observation of pose 2" in fault for fault in faults(folder))
+    assert any("(with pose 2) are not as they were written" in fault for fault in faults(folder))
+    left = load_observations(folder)
+    assert left.pose_id.tolist() == [0, 1, 3]
+    assert set(map(tuple, left.xyz.tolist())) < set(map(tuple, true.xyz.tolist()))
+    assert any("pose 2 was measured, but the recording holds no intact values" in gap for gap in find_gaps(folder))
+    assert poses_done(folder) == {0, 1, 3}  # a resumed run measures it again
+    done = CliRunner().invoke(recover_command, ["--check", str(folder)])
+    assert isinstance(done.exception, RecordingError)
+    assert "pose 2" in done.output
+
+
+def test_a_cell_with_a_flipped_bit_is_read_from_its_copy_and_refused_without(folder):
+    data = (folder / "run.rrd").read_bytes()
+    true = load_observations(folder).cell_yaml
+    places = [k for k in range(len(data)) if data.startswith(b"a comment that must survive", k)]
+    assert len(places) == 2
+    flip(folder / "run.rrd", places[0])
+    assert load_observations(folder).cell_yaml == true
+    flip(folder / "run.rrd", places[1])
+    with pytest.raises(RecordingError, match="its cell is damaged"):
+        load_observations(folder)
+
+
+def test_no_flipped_bit_anywhere_is_missed_or_becomes_a_wrong_value(folder, recorded):
+    """Sampled places; benchmarks/flipped_bits.py has more of them."""
+    true = load_observations(recorded)
+    centres = {(pose, ball): xyz for pose, ball, xyz in zip(true.pose_id[true.pose], true.ball, true.xyz.tolist(), strict=True)}
+    rng = random.Random(7)
+    for name in ("run.rrd",) * 24 + ("journal.jsonl", "log.jsonl", "checksums.jsonl", *COPIES, "recording.json"):
+        at = rng.randrange((recorded / name).stat().st_size)
+        flip(folder / name, at, rng.randrange(8))
+        assert any(fault.startswith(name) for fault in faults(folder)), (name, at)
+        try:
+            found = load_observations(folder)
+        except MbcacqError:
+            pass
+        else:
+            assert found.cell_yaml == true.cell_yaml
+            np.testing.assert_array_equal(found.q, true.q[np.searchsorted(true.pose_id, found.pose_id)])
+            for pose, ball, xyz in zip(found.pose_id[found.pose], found.ball, found.xyz.tolist(), strict=True):
+                assert centres[pose, ball] == xyz, (name, at)
+        shutil.copy(recorded / name, folder / name)
+
+
+DAMAGE = {
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "emptied": lambda path: path.write_bytes(b""),
+    "zeroed": lambda path: path.write_bytes(bytes(path.stat().st_size)),
+    "one bit": lambda path: flip(path, path.stat().st_size // 2),
+    "first bit": lambda path: flip(path, 0, 7),
+    "missing": lambda path: path.unlink(),
+}
+
+
+@pytest.mark.parametrize("name", COPIES)
+@pytest.mark.parametrize("how", DAMAGE)
+def test_a_damaged_copy_of_the_plan_is_restored_from_the_recording(folder, recorded, name, how):
+    DAMAGE[how](folder / name)
+    assert any(fault.startswith(name) for fault in faults(folder))
+    kept = read_kept_plan(folder)
+    assert (kept.plan, dict(kept.files), kept.cell) == (synthetic.PLAN, FILES, CELL)
+    assert [repair for repair in kept.repairs if name in repair and "restored from run.rrd" in repair] == list(kept.repairs)
+    assert (folder / name).read_bytes() == (recorded / name).read_bytes()
+    assert faults(folder) == []
+    refuse_change(folder, kept, synthetic.PLAN, FILES, CELL)
+    with pytest.raises(ConfigError, match="balls.yaml was changed: id was"):
+        refuse_change(folder, kept, synthetic.PLAN, FILES | {"balls.yaml": "id: other\n"}, CELL)
+
+
+def test_a_run_without_any_copy_of_its_plan_can_still_be_resumed(folder):
+    for name in COPIES:
+        (folder / name).write_bytes(b"\0" * 40)
+    for text in (synthetic.PLAN, plan_files_text(FILES, CELL)):  # its text is compressed, its digest stands in the file as it is
+        flip(folder / "run.rrd", (folder / "run.rrd").read_bytes().index(digest_of_values({"text": text}).encode()))
+    kept = read_kept_plan(folder)
+    assert kept.plan is None
+    assert kept.files is None
+    assert len(kept.repairs) == 2
+    refuse_change(folder, kept, "name: other\n", {}, "real")
+    assert repair_and_read_progress(folder).done == {0, 1, 2, 3}
+
+
+def test_a_damaged_line_of_the_journal_is_not_believed(folder):
+    journal = folder / "journal.jsonl"
+    at = journal.read_bytes().index(b'"pose": 1') + len(b'"pose": ')
+    flip(journal, at, 1)  # pose 1 becomes pose 3
+    assert [entry["pose"] for entry in read_journal(folder) if entry["event"] == "pose_done"] == [0, 2, 3]
+    assert poses_done(folder) == {0, 2, 3}
+
+
+def test_lines_of_an_earlier_version_are_believed_where_they_stand_first(folder):
+    journal = folder / "journal.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    old = json.dumps({"event": "pose_done", "pose": 77}) + "\n"
+    journal.write_text(old + "".join(lines) + old)
+    assert [entry.get("pose") for entry in read_journal(folder)].count(77) == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no handle of a folder")
+def test_a_file_is_on_the_disk_before_the_folder_names_it(tmp_path, monkeypatch):
+    calls = []
+    sync, replace = os.fsync, os.replace
+    monkeypatch.setattr(
+        synced_files.os,
+        "fsync",
+        lambda handle: (calls.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file"), sync(handle)),
+    )
+    monkeypatch.setattr(synced_files.os, "replace", lambda old, new: (calls.append("rename"), replace(old, new)))
+    keep_plan(tmp_path, "a: 1\n", "{}")
+    assert calls == ["file", "rename", "folder"] * 2
+
+
+def test_a_recording_that_ends_before_its_cell_is_no_obstacle_to_resuming(folder):
+    """Readable as a file, and of no use: what a write error in the first second of a run leaves."""
+    import rerun as rr
+
+    from mbcacq.recording.rrd import layout
+
+    stream = rr.RecordingStream(layout.APPLICATION, send_properties=False)
+    (folder / "run.rrd").unlink()
+    stream.save(str(folder / "run.rrd"))
+    stream.log(layout.LOG, rr.TextLog("made"))
+    stream.disconnect()
+    progress = repair_and_read_progress(folder)
+    assert progress.done == frozenset()
+    assert "run.rrd.empty" in progress.repairs[0]
+
+
+def test_a_full_disk_while_resuming_sets_no_recording_aside(folder, monkeypatch):
+    data = (folder / "run.rrd").read_bytes()
+    (folder / "run.rrd").write_bytes(data[: len(data) * 3 // 4])
+    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 0})())
+    with pytest.raises(RecordingError, match="free some space"):
+        repair_and_read_progress(folder)
+    assert (folder / "run.rrd").exists()

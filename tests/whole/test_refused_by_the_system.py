@@ -1,0 +1,71 @@
+"""What the computer refuses, and signals that come more than once: one sentence, an exit code that says so, nothing left behind."""
+
+import resource
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
+
+from mbcacq.cli.app import refused_by_the_system
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of processes are Linux's here")
+
+
+def test_too_small_an_address_space_is_said_before_anything_moves(tmp_path):
+    done = subprocess.run(
+        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", tmp_path / "run"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (1_500_000_000, 1_500_000_000)),
+    )
+    assert done.returncode == 10
+    assert "1430 MiB of addresses here, and a run needs 4096 MiB" in one_sentence(done)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["run", "plans/quick.yaml", "--dry-run", "--out"], ["run", "plans/quick.yaml", "--dry-run", "--resume"]]
+)
+def test_a_name_that_no_folder_can_have_is_a_sentence(tmp_path, arguments):
+    done = mbcacq(*arguments, tmp_path / ("x" * 300))
+    assert done.returncode in (2, 6, 10)
+    assert "File name too long" in one_sentence(done)
+
+
+def test_memory_files_and_threads_that_are_refused_are_no_bug():
+    with pytest.raises(MemoryError) as memory:
+        np.empty(1 << 50)
+    assert "too little memory" in refused_by_the_system(memory.value)
+    assert "too little memory" in refused_by_the_system(ImportError("libx.so: failed to map segment from shared object"))
+    assert "too little memory" in refused_by_the_system(RuntimeError("can't start new thread"))
+    with pytest.raises(OSError, match="too long") as name:
+        open("y" * 300)
+    assert "File name too long" in refused_by_the_system(name.value)
+    assert refused_by_the_system(RuntimeError("another")) == refused_by_the_system(ValueError("x")) == ""
+
+
+def test_ctrl_c_three_times_ends_the_run_as_once(tmp_path):
+    run = tmp_path / "run"
+    process = subprocess.Popen(
+        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+    journal = run / "journal.jsonl"
+    until(lambda: journal.exists() and "pose_done" in journal.read_text())
+    process.send_signal(signal.SIGINT)
+    until(lambda: process.poll() is not None or "run_stopped" in journal.read_text())
+    for _ in range(2):  # while it closes
+        process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=240)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert "BufferError" not in errors
+    assert errors.count("mbcacq: interrupted") == 1
