@@ -12,7 +12,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact
 from mbcacq.plan.field_of_view import T_base_scanner, margin
 from mbcacq.plan.ik_selection import select_solutions
-from mbcacq.plan.inverse_kinematics import InverseKinematics
+from mbcacq.plan.inverse_kinematics import inverse_kinematics, wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
 from mbcacq.plan.yaml_source import Path_
@@ -22,7 +22,7 @@ from mbcacq.plan.yaml_source import Path_
 class Target:
     """One pose to take. T_base_flange: (4, 4), or ``q`` (n,) rad where the step gives joint angles; the other one is None.
 
-    balls: ids expected in view. wrist: sign asked of A5. where: path of the view, offset or joint vector in the YAML.
+    balls: ids expected in view. wrist: sign asked of the last axis but one. where: path of the view, offset or joint vector in the YAML.
     """
 
     step: int
@@ -60,7 +60,7 @@ def expand_reachable(loaded: LoadedPlan) -> tuple[list[PlannedPose], list[Target
 def unreachable_sentence(loaded: LoadedPlan, target: Target) -> str:
     """'file:line: ...' about a target that no joint position reaches."""
     step = loaded.plan.steps[target.step]
-    wrist = "" if target.wrist == "any" else f" with A5 {target.wrist}"
+    wrist = "" if target.wrist == "any" else f" with A{wrist_axis(loaded.cell.robot.n) + 1} {target.wrist}"
     return (
         f"{loaded.path}:{loaded.lines[target.where]}: step '{step.name}' at station '{target.station}': no joint position within the "
         f"limits of {loaded.cell.robot.name} reaches this pose{wrist}; move the station or change the view"
@@ -125,10 +125,10 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
     solutions = [np.empty((0, 0)) if t.q is None else t.q[None] for t in wanted]
     free = [(i, t.wrist, t.T_base_flange) for i, t in enumerate(wanted) if t.T_base_flange is not None]
     if free:
-        solver = InverseKinematics.of(loaded.cell.robot)
+        solver, wrist_bend = inverse_kinematics(loaded.cell.robot), wrist_axis(loaded.cell.robot.n)
         for (i, wrist, _), q in zip(free, solver.solutions(np.stack([T for *_, T in free])), strict=True):
             sign = {"any": 0, "positive": 1, "negative": -1}[wrist]
-            solutions[i] = q[sign * q[:, 4] >= 0]
+            solutions[i] = q[sign * q[:, wrist_bend] >= 0]
     return solutions
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.geometry import se3
 from mbcacq.plan.clearance import Clearance, Closest
-from mbcacq.plan.inverse_kinematics import InverseKinematics
+from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
 
@@ -104,10 +104,7 @@ class Router:
         self.home = np.radians(loaded.plan.robot.home_deg)
         self.clearance = Clearance(loaded)
         self._needed = loaded.plan.clearance_mm
-        try:
-            self._solver: InverseKinematics | None = InverseKinematics.of(loaded.cell.robot)
-        except ConfigError:
-            self._solver = None  # taught poses of another kind of arm: no retraction, only by home
+        self._solver = inverse_kinematics(loaded.cell.robot)
 
     def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a to b, both looking at the artefact of one station."""
@@ -150,13 +147,9 @@ class Router:
 
     def _retracted(self, q: np.ndarray) -> Iterator[np.ndarray]:
         """Positions on the same branch of the arm, drawn back along the scanner's axis."""
-        if self._solver is None:
-            return
         T = self._loaded.cell.robot.chain.flange(q[None])[0]
         axis = T[:3, :3] @ self._loaded.cell.T_flange_scanner[:3, 2]
         for step in self._loaded.planning.retractions_mm:
-            found = self._solver.solutions(se3.transform(T[:3, :3], T[:3, 3] + step * axis)[None])[0]
-            if len(found):
-                nearest = found[np.argmin(np.abs(found - q).max(axis=1))]
-                if np.abs(nearest - q).max() < self._loaded.planning.farthest_retraction:
-                    yield nearest
+            nearest = self._solver.nearest(se3.transform(T[:3, :3], T[:3, 3] + step * axis), q)
+            if nearest is not None and np.abs(nearest - q).max() < self._loaded.planning.farthest_retraction:
+                yield nearest
