@@ -33,8 +33,8 @@ class SolverOptions:
     solved: float = 2e-10  # remaining error, as a share of the reach, and in rad
     stalled: float = 0.98  # of the error ten iterations before: a start that improves less is given up
     same_branch: float = 0.02  # rad: positions of a six-axis arm that differ by less are one
-    same_posture: float = 0.15  # rad: the same for an arm with more axes than a pose has freedoms, whose positions are a continuum
-    most_branches: int = 48  # per target; a six-axis arm has at most 16
+    same_posture: float = 0.3  # rad: the same for an arm with more axes than a pose has freedoms, whose positions are a continuum
+    most_branches: int = 24  # per target: a six-axis arm has at most 16, and of a continuum this is a fair sample
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class NumericalInverse:
                 new = len(found[target]) > len(known)
                 # A target without any solution is given every start; one with solutions is done once no new ones come.
                 quiet[target] = 0 if new or not len(known) else quiet[target] + 1
+                if len(found[target]) >= self.options.most_branches:
+                    quiet[target] = self.options.quiet_rounds
         return found
 
     def solutions(self, targets: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:

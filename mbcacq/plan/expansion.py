@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact
+from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.field_of_view import T_base_scanner, margin
 from mbcacq.plan.ik_selection import select_solutions
 from mbcacq.plan.inverse_kinematics import inverse_kinematics, wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
 from mbcacq.plan.yaml_source import Path_
+
+SAME_POSTURE = 1e-6  # rad, full turns aside
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,30 @@ def expand_reachable(loaded: LoadedPlan) -> tuple[list[PlannedPose], list[Target
     unreachable = [t for t, q in zip(wanted, solutions, strict=True) if not len(q)]
     stations = [t.station for t, _ in reachable]
     restart = [i > 0 and stations[i] != stations[i - 1] for i in range(len(stations))]
-    chosen = select_solutions(loaded, [q for _, q in reachable], restart)
-    return [_planned(loaded, i, t, q[k]) for i, ((t, q), k) in enumerate(zip(reachable, chosen, strict=True))], unreachable
+    chosen = _free_solutions(loaded, [t for t, _ in reachable], [q for _, q in reachable], restart)
+    return [_planned(loaded, i, t, q) for i, ((t, _), q) in enumerate(zip(reachable, chosen, strict=True))], unreachable
+
+
+def _free_solutions(loaded: LoadedPlan, wanted: list[Target], options: list[np.ndarray], restart: list[bool]) -> list[np.ndarray]:
+    """The joint position (n,) rad to take at each target: of those that reach it (k, n) one at which nothing is too close, if there is
+    one. A position that was chosen and is too close is left out, with the same posture full turns away, and all are chosen anew."""
+    clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
+    left, spoiled = list(options), [target.T_base_flange is None for target in wanted]
+
+    @cache
+    def too_close(i: int, q: tuple[float, ...]) -> bool:
+        return clearance.at(np.array(q), wanted[i].station).distance < needed
+
+    while True:
+        q = [of[k] for of, k in zip(left, select_solutions(loaded, left, restart), strict=True)]
+        blocked = [i for i, here in enumerate(q) if not spoiled[i] and too_close(i, tuple(here.tolist()))]
+        if not blocked:
+            return q
+        for i in blocked:
+            apart = np.abs(np.mod(left[i] - q[i] + np.pi, 2 * np.pi) - np.pi).max(axis=1) > SAME_POSTURE
+            # Where every position is too close, the first choice stands and the checks of the plan say so.
+            spoiled[i] = not apart.any()
+            left[i] = options[i] if spoiled[i] else left[i][apart]
 
 
 def unreachable_sentence(loaded: LoadedPlan, target: Target) -> str:
@@ -128,8 +154,14 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
         solver, wrist_bend = inverse_kinematics(loaded.cell.robot), wrist_axis(loaded.cell.robot.n)
         for (i, wrist, _), q in zip(free, solver.solutions(np.stack([T for *_, T in free])), strict=True):
             sign = {"any": 0, "positive": 1, "negative": -1}[wrist]
-            solutions[i] = q[sign * q[:, wrist_bend] >= 0]
+            solutions[i] = _nearest_home(loaded, q[sign * q[:, wrist_bend] >= 0])
     return solutions
+
+
+def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
+    """Of joint positions (k, n) rad, no more than planning looks at, in their order."""
+    most, home = loaded.planning.most_positions, np.radians(loaded.plan.robot.home_deg)
+    return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
 
 
 def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> PlannedPose:

@@ -21,6 +21,7 @@ class PlanningLimits:
     poor_posture_s: float = 20.0  # cost of a position at a limit, or of a straight wrist: more than any motion takes
     reach_back_s: float = 20.0  # cost of reaching over the arm's back where home does not: more than any motion takes
     mean_joint_share: float = 0.2  # of the mean joint time added to the slowest joint's: decides between motions of equal duration
+    most_positions: int = 96  # that reach one target, those nearest home: others differ by full turns, which only wind up cables
     assumed_top_speed: float = float(np.radians(180.0))  # rad/s in that cost, for an arm without stated speeds
 
     # Execution.
