@@ -104,7 +104,8 @@ def solved(name: str, poses: int) -> tuple[int, float, float]:
 
 
 def main(poses: int) -> str:
-    lines = ["# Numerical inverse kinematics", "", f"Random reachable poses, {poses} an arm. Made by `python benchmarks/inverse_kinematics.py`.", ""]
+    lines = ["# Numerical inverse kinematics", ""]
+    lines += [f"Random reachable poses, {poses} an arm. Made by `python benchmarks/inverse_kinematics.py {poses}`.", ""]
     lines += ["| arm | axes | solved | without a solution | largest miss, mm | ms a pose |", "|---|---|---|---|---|---|"]
     for name in ARMS:
         left, ms, miss = solved(name, poses)

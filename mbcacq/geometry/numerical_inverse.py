@@ -39,11 +39,12 @@ class SolverOptions:
 
 @dataclass(frozen=True)
 class NumericalInverse:
-    """Solver of one chain. limits: (n, 2) rad."""
+    """Solver of one chain. limits: (n, 2) rad. preferred: (n,) rad, a posture from which every target is tried first, or None."""
 
     chain: Chain
     limits: np.ndarray
     options: SolverOptions = field(default_factory=SolverOptions)
+    preferred: np.ndarray | None = None
 
     def branches(self, targets: np.ndarray) -> list[np.ndarray]:
         """Per target (P, 4, 4) the joint positions (k, n) rad within the limits that were found, none a full turn from another; k may be 0.
@@ -61,6 +62,8 @@ class NumericalInverse:
                 break
             first = number * self.options.starts_per_round
             start = self._table[0][order[open_, first : first + self.options.starts_per_round]]
+            if number == 0 and self.preferred is not None:
+                start = np.concatenate([np.broadcast_to(self.preferred, (len(open_), 1, self.chain.n)), start], axis=1)
             owner = np.repeat(open_, start.shape[1])
             q, solved = self._solve(targets[owner], start.reshape(-1, self.chain.n))
             for target in open_:

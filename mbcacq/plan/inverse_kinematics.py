@@ -1,7 +1,8 @@
 """Inverse kinematics of an arm: in closed form where it has a spherical wrist, else numerically.
 
-Closed form: MD-H rows -> ortho-parallel parameters -> all branches at once. Parameters and branches after Brandstoetter, Angerer, Hofbaur: "An Analytical Solution of the Inverse Kinematics Problem of
-Industrial Serial Manipulators with an Ortho-parallel Basis and a Spherical Wrist" (2014), as py-opw-kinematics implements them.
+Closed form: MD-H rows -> ortho-parallel parameters -> all branches at once. Parameters and branches after Brandstoetter, Angerer,
+Hofbaur: "An Analytical Solution of the Inverse Kinematics Problem of Industrial Serial Manipulators with an Ortho-parallel Basis and a
+Spherical Wrist" (2014), as py-opw-kinematics implements them.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ class InverseKinematics(Protocol):
         ...
 
 
-def inverse_kinematics(robot: RobotModel) -> InverseKinematics:
-    """The solver that suits an arm."""
+def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None) -> InverseKinematics:
+    """The solver that suits an arm. home: (n,) rad, a posture near which solutions are wanted where there is a continuum of them."""
     try:
         return OrthoParallelInverse.of(robot)
     except ConfigError:
-        return NumericalInverse(robot.chain, robot.limits)
+        return NumericalInverse(robot.chain, robot.limits, preferred=home)
 
 
 def wrist_axis(n: int) -> int:

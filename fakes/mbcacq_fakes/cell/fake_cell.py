@@ -39,7 +39,7 @@ class FakeCell:
         plan = loaded.plan
         if plan.scanner.driver not in SCANNERS:
             raise ConfigError(
-                f"the fake cell plays an LMI sensor (gocator, gopxl), not a scanner '{plan.scanner.driver}'; name one of these to try the plan"
+                f"the fake cell plays an LMI sensor (gocator, gopxl), not a scanner '{plan.scanner.driver}'; name one of these"
             )
         if loaded.cell.robot.n > MOST_AXES:
             raise ConfigError(f"the fake cell plays arms of up to {MOST_AXES} axes, this one has {loaded.cell.robot.n}")

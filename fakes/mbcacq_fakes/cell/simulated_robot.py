@@ -73,13 +73,14 @@ class SimulatedRobot:
             if outside.any():
                 axis = int(np.argmax(outside))
                 raise SafetyStop(
-                    f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f} deg, outside its limits; nothing was moved"
+                    f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f} deg, beyond its limits; it stays"
                 )
             bounds = [np.broadcast_to(np.asarray(v, dtype=float), target.shape) for v in (limits.speed, limits.acceleration, limits.jerk)]
             if not all(np.isfinite(b).all() and (b > 0).all() for b in bounds):
                 raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
             self._begin(target, bounds)
             self._wanted, self._still_s = limits, 0.0
+            self._publish()
 
     def state(self) -> RobotState:
         """The state a little later than at the last call. Raises ConfigError before ``connect``."""
@@ -105,12 +106,15 @@ class SimulatedRobot:
         return Cycles({name: np.array([row[k] for row in rows]) for k, name in enumerate(names)})
 
     def stop(self) -> None:
+        """Brakes; the arm stands when this returns."""
         with self._lock:
             if not self._connected:
                 return
             self._wanted = None
             if self._motion is not None:
                 self._brake()
+            while self._motion is not None:
+                self._step()
 
     def close(self) -> None:
         self.stop()
