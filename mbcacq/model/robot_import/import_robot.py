@@ -61,7 +61,9 @@ def import_robot(
         speed = np.where(np.isnan(speed), np.radians(speed_deg_s), speed)
         remarks = [r for r in remarks if "--speed" not in r]
     if (silent := np.isnan(speed) | (speed <= 0)).any() and not any("speed" in r for r in remarks):
-        remarks.append(f"the file states no speed of {', '.join(np.array(source.joints)[silent])}; an arm that is to move needs all of them")
+        remarks.append(
+            f"the file states no speed of {', '.join(np.array(source.joints)[silent])}; an arm that is to move needs all of them"
+        )
     if np.isnan(source.limits).any():
         remarks.append("the file states no limits of some joints; an arm that is to move needs all of them (limits_deg)")
     if not source.mass.any():

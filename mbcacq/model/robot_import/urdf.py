@@ -160,7 +160,9 @@ def _chain(path: Path, joints: dict[str, Joint], links: list[str], base: str | N
             chain.pop(0)
     odd = [j for j in chain if j.kind not in (*MOVING, "fixed")]
     if odd:
-        raise ConfigError(f"{path}: joint '{odd[0].name}' is {odd[0].kind}; an arm of revolute joints is needed, name its --base and --flange")
+        raise ConfigError(
+            f"{path}: joint '{odd[0].name}' is {odd[0].kind}; an arm of revolute joints is needed, name its --base and --flange"
+        )
     if sum(j.kind in MOVING for j in chain) < 2:
         raise ConfigError(f"{path}: fewer than two moving joints lead to link '{tip}'; name the arm's last link with --flange")
     return chain
