@@ -70,7 +70,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     chosen = _spread(draft, found, request.stations + VERIFICATION_VIEWS)
     if len(chosen) < 2:
         raise ConfigError(
-            f"{request.robot}: only {len(chosen)} of {len(draft.cell.stations)} places tried can be seen from enough sides; check hand_eye, "
+            f"{request.robot}: only {len(chosen)} of {len(draft.cell.stations)} places tried can be seen well enough; check hand_eye, "
             "the scanner's housing (body_mm) and the arm's limits"
         )
     kept, apart = chosen[: request.stations], chosen[request.stations :] or chosen[-1:]

@@ -20,9 +20,7 @@ LIMIT = '<limit lower="-3" upper="2.5" velocity="2" effort="1"/>'
 
 def joint(name, parent, child, origin, axis="", kind="revolute"):
     limit = LIMIT if kind == "revolute" else ""
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin {origin}/>{axis and f"<axis xyz={axis!r}/>"}{limit}</joint>'
-    )
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin {origin}/>{axis and f"<axis xyz={axis!r}/>"}{limit}</joint>'
 
 
 URDF = (
@@ -120,7 +118,9 @@ MODIFIED = [(0, 333, 0, 0), (0, 0, 0, -90), (0, 316, 0, 90), (0, 0, 82.5, 90), (
 
 def test_a_modified_table_is_the_arm_of_the_standard_one(tmp_path):
     path = tmp_path / "panda.csv"
-    path.write_text("theta_deg;d_m;a_m;alpha_deg\n" + "".join(f"{t};{d / 1e3};{a / 1e3};{al}\n".replace(".", ",") for t, d, a, al in MODIFIED))
+    path.write_text(
+        "theta_deg;d_m;a_m;alpha_deg\n" + "".join(f"{t};{d / 1e3};{a / 1e3};{al}\n".replace(".", ",") for t, d, a, al in MODIFIED)
+    )
     arm = model(import_robot(path, convention="modified"))
     known = RobotSpec.model_validate(yaml.safe_load(shipped.robot_file("panda").read_text())).model()
     assert arm.chain.rows == pytest.approx(known.chain.rows, abs=1e-9)
