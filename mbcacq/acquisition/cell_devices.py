@@ -72,15 +72,17 @@ class CellDevices:
 
 
 def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> CellDevices:
-    """Construct the drivers a plan names; nothing is opened. ``overrides`` (by 'robot', 'scanner', 'positioner') win over the plan."""
+    """Construct the drivers a plan names; nothing is opened. ``overrides`` (by 'robot', 'scanner', 'positioner') win over the plan's
+    options, and those under 'drivers' (by the same roles) over its drivers."""
     overrides = overrides or {}
     plan, robot = loaded.plan, loaded.cell.robot
+    arm_driver = str(overrides.get("drivers", {}).get("robot", plan.robot.driver))
 
     def device(kind: str, role: str, driver: str, model: str, options: Mapping[str, Any]) -> Any:
         return create(kind, driver, model, {**options, **overrides.get(role, {})})
 
     devices = CellDevices(
-        robot=device("robots", "robot", plan.robot.driver, robot.name, robot_options(loaded)),
+        robot=device("robots", "robot", arm_driver, robot.name, robot_options(loaded, arm_driver)),
         scanner=device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, plan.scanner.options),
         positioner=device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, plan.positioner.options),
         sensors=tuple(device("sensors", f"sensor {i + 1}", s.driver, s.model, s.options) for i, s in enumerate(plan.sensors)),
@@ -89,8 +91,9 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
     return devices
 
 
-def robot_options(loaded: LoadedPlan) -> dict[str, Any]:
-    """The options that the robot's driver gets: limits_deg (6, 2), speed_deg_s (6,) where known, and the plan's own, which win over them.
+def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, Any]:
+    """The options that the robot's driver (default: the plan's) gets: limits_deg (n, 2), speed_deg_s (n,) where known, and the plan's own,
+    which win over them.
 
     What else of the model the driver needs it names in ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
     beta_deg); 'dynamics', acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not state them.
@@ -99,7 +102,7 @@ def robot_options(loaded: LoadedPlan) -> dict[str, Any]:
     facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}
     if robot.speed is not None:
         facts["speed_deg_s"] = np.degrees(robot.speed).tolist()
-    wanted = getattr(load_driver("robots", use.driver), "plan_facts", ())
+    wanted = getattr(load_driver("robots", driver or use.driver), "plan_facts", ())
     if "dynamics" in wanted and robot.speed is not None:
         limits = axis_limits(loaded)
         facts["acceleration_deg_s2"] = np.degrees(limits.acceleration).tolist()

@@ -18,7 +18,8 @@ from mbcacq.version import __version__
 FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {
     "run": "execute a plan, record it, calibrate the cell",
-    "plan": "show, check or design a plan, without opening a socket",
+    "plan": "make, show, check or design a plan, without opening a socket",
+    "robot": "make a robot file from a URDF, an MJCF file or a table of DH rows",
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",

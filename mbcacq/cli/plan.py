@@ -16,7 +16,51 @@ from mbcacq.errors import ExitCode
 
 @click.group("plan")
 def command() -> None:
-    """Show, check or design a plan, without opening a socket."""
+    """Make, show, check or design a plan, without opening a socket."""
+
+
+@command.command("new")
+@click.option("--robot", help="One of the tool's by name (kr6_r900_2, ur10e, panda ...) or a robot file.")
+@click.option("--scanner", help="gocator-3210, or a YAML file with scanner and hand_eye.")
+@click.option("--artefact", help="One of the tool's by name (mbc-8) or an artefact file.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("plan.yaml"), show_default=True, help="The plan to write.")
+@click.option("--driver", help="Of the robot [default: kuka_rsi for a KUKA KR, else simulated, for dry runs].")
+@click.option("--stations", type=click.IntRange(2, 12), default=6, show_default=True, help="Places of the artefact to calibrate at.")
+@click.option("--poses", "count", type=click.IntRange(6, 400), default=36, show_default=True, help="Calibration poses at them.")
+@click.option("--seed", default=0, show_default=True, help="Of the random views to choose from.")
+@click.option("--force", is_flag=True, help="Replace the file if it exists.")
+def new(
+    robot: str | None,
+    scanner: str | None,
+    artefact: str | None,
+    out: Path,
+    driver: str | None,
+    stations: int,
+    count: int,
+    seed: int,
+    force: bool,
+) -> None:
+    """Make a plan from nothing: stations and views that this arm reaches, the scanner sees and the calibration learns from.
+
+    \b
+    Example: mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact my_balls.yaml --out plan.yaml
+    """
+    from mbcacq.design.new_plan import NewPlan, write_new_plan
+    from mbcacq.errors import ConfigError
+    from mbcacq.model import shipped
+
+    wanted: dict[str, str] = {}
+    for kind, given in (("robots", robot), ("scanners", scanner), ("artefacts", artefact)):
+        if given is None and not sys.stdin.isatty():
+            raise ConfigError(f"which of the {kind}? say --{kind[:-1]} NAME or FILE")
+        choices = ", ".join(p.stem for p in sorted((shipped.folder() / kind).glob("*.yaml")))
+        wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
+    if out.exists() and not force:
+        raise ConfigError(f"{out} exists already; give another --out, or --force to replace it")
+    files = {kind: shipped.named_file(kind, name) for kind, name in wanted.items()}
+    request = NewPlan(files["robots"], files["scanners"], files["artefacts"], out, driver, stations, count, seed)
+    for sentence in write_new_plan(request, lambda text: echo(text, err=True)):
+        echo(sentence)
 
 
 @command.command("show")
@@ -48,14 +92,15 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
 @command.command("check")
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--quick", is_flag=True, help="Only what would stop a run; not what the plan can see.")
+@click.option("--fix", is_flag=True, help="Write the plan with stations moved into reach, and views left out that no place helps.")
 @click.option("--all", "every", is_flag=True, help="One line a finding, instead of one a kind and step.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
+def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> None:
     """Find what is wrong with PLAN (reach, limits, singularities, view, collisions), and what it can and cannot see.
 
     Errors end with exit code 2.
     """
-    from mbcacq.design.plan_findings import identifiability_findings, sentences
+    from mbcacq.design.plan_findings import identifiability_findings, reach_findings, sentences
     from mbcacq.plan import load
     from mbcacq.plan.expansion import expand_reachable
     from mbcacq.plan.feasibility import check
@@ -64,11 +109,14 @@ def check(plan: Path, quick: bool, every: bool, as_json: bool) -> None:
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
+    if fix:
+        loaded = _fixed(loaded, plan)
     poses, _ = expand_reachable(loaded)
     routes = find_paths(loaded, poses)
     findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
     more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
     findings += more
+    findings += reach_findings(loaded)
     errors = sum(f.level == "error" for f in findings)
     if as_json:
         content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
@@ -112,20 +160,24 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
     from mbcacq.design.optimal_design import design
     from mbcacq.design.plan_comparison import compare
     from mbcacq.design.planned_scope import scope_sentence
+    from mbcacq.design.station_repair import repaired
     from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
+    from mbcacq.plan.expansion import expand_reachable
 
     target = out or plan.with_name(f"{plan.stem}_designed.yaml")
     if target.exists() and not force:
         raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
     if target.resolve().parent != plan.resolve().parent:
         raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {plan}")
-    loaded = load(plan)
+    loaded, repairs = repaired(load(plan))
+    for sentence in repairs:
+        echo(sentence, err=True)
     result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
     target.write_text(result.text, encoding="utf-8")
     new = load(target)
     poses = expand(new)
-    rows = compare([(loaded, expand(loaded)), (new, poses)], seed)
+    rows = compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
     if sentence := scope_sentence(new, poses):
         echo(sentence, err=True)
     if as_json:
@@ -144,6 +196,22 @@ def design(plan: Path, count: int, out: Path | None, criterion: str, tilt: float
         return
     _print_comparison(rows)
     echo(f"chosen from {result.tried} views that can be taken; written to {target}")
+
+
+def _fixed(loaded: Any, plan: Path) -> Any:
+    """The plan with what is out of reach repaired, written where it was."""
+    from mbcacq.design.station_repair import repaired
+    from mbcacq.errors import RecordingError
+
+    fixed, said = repaired(loaded)
+    if said:
+        try:
+            plan.write_text(fixed.text, encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"{plan}: cannot be written: {error.strerror}") from error
+    for sentence in said or ["nothing is out of reach that --fix can change"]:
+        echo(sentence, err=True)
+    return fixed
 
 
 def _colour() -> bool | None:

@@ -12,8 +12,8 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.clearance import Clearance
 from mbcacq.plan.expansion import aim_points, visible_balls
 from mbcacq.plan.field_of_view import T_base_scanner
-from mbcacq.plan.ik_selection import select_solutions
-from mbcacq.plan.inverse_kinematics import InverseKinematics
+from mbcacq.plan.ik_selection import select_solutions, wrist_bend
+from mbcacq.plan.inverse_kinematics import inverse_kinematics, wrist_axis
 from mbcacq.plan.occlusion import occluded
 from mbcacq.plan.schema import View
 
@@ -73,7 +73,7 @@ class _Choice:
 
     def __init__(self, loaded: LoadedPlan, options: DesignOptions) -> None:
         self._loaded, self._options = loaded, options
-        self._solver, self._clearance = InverseKinematics.of(loaded.cell.robot), Clearance(loaded)
+        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot), Clearance(loaded)
 
     def at_station(self, station: str, aim: int | None, views: list[View]) -> list[CandidateView]:
         """Those of ``views`` of one ball, or of all (None), that can be taken."""
@@ -105,12 +105,12 @@ class _Choice:
     def _posture(self, found: np.ndarray, view: View, station: str) -> np.ndarray | None:
         """Of the positions (k, n) that reach a view the one that the plan's expansion will take, or None where that one is poor."""
         loaded, robot, options = self._loaded, self._loaded.cell.robot, self._options
-        found = found[(1 if view.wrist == "positive" else -1) * found[:, 4] >= 0]
+        found = found[{"positive": 1, "negative": -1, "any": 0}[view.wrist] * found[:, wrist_axis(robot.n)] >= 0]
         if not len(found):
             return None
         q = found[select_solutions(loaded, [found], [False])[0]]
         near_limit = np.minimum(q - robot.limits[:, 0], robot.limits[:, 1] - q).min() < options.limit_margin
-        if near_limit or abs(q[4]) < options.wrist_bend:
+        if near_limit or wrist_bend(robot.chain, q[None])[0] < options.wrist_bend:
             return None
         if self._clearance.at(q, station).distance < loaded.plan.clearance_mm + options.spare_clearance_mm:
             return None

@@ -10,17 +10,22 @@ from mbcacq.design.design_problem import DesignProblem
 from mbcacq.design.exchange_algorithm import choose_by_exchange
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.plan_rewriter import Chosen, with_views
+from mbcacq.design.station_repair import repaired
 from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
+from mbcacq.plan.expansion import expand_reachable
+from mbcacq.plan.schema import Look
 
 
 @dataclass(frozen=True)
 class Design:
-    """text: YAML of the new plan; chosen: its views by station and ball (None: all); tried: how many candidates there were."""
+    """text: YAML of the new plan; chosen: its views by station and ball (None: all); tried: how many candidates there were; repairs: a
+    sentence about each thing of the given plan that could not be reached and was changed."""
 
     text: str
     chosen: Chosen
     tried: int
+    repairs: tuple[str, ...] = ()
 
 
 def design(
@@ -33,7 +38,8 @@ def design(
     poses can be taken.
     """
     options = options or DesignOptions()
-    poses = expand(loaded)
+    loaded, repairs = repaired(loaded)
+    poses = expand_reachable(loaded)[0] if any(isinstance(s, Look) and s.phase == "position" for s in loaded.plan.steps) else expand(loaded)
     stations = _stations(loaded, poses)
     found = candidates(loaded, stations, steepest_deg, seed, options)
     if len(found) < count:
@@ -46,7 +52,7 @@ def design(
     chosen: Chosen = {}
     for k in sorted(picked, key=lambda k: _order(stations, found[k])):
         chosen.setdefault((found[k].station, found[k].aim), []).append(found[k].view)
-    return Design(with_views(loaded, chosen), chosen, len(found))
+    return Design(with_views(loaded, chosen), chosen, len(found), tuple(repairs))
 
 
 def _order(stations: list[str], candidate: CandidateView) -> tuple[int, int, str, float]:
@@ -56,7 +62,10 @@ def _order(stations: list[str], candidate: CandidateView) -> tuple[int, int, str
 
 def _stations(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[str]:
     """Where the plan's position poses are, or, without such, every station of an artefact with at least three balls."""
-    own = list(dict.fromkeys(p.station for p in poses if p.phase == "position"))
+    own = list(
+        dict.fromkeys(str(s) for step in loaded.plan.steps if isinstance(step, Look) and step.phase == "position" for s in step.stations)
+    )
+    own = own or list(dict.fromkeys(p.station for p in poses if p.phase == "position"))
     rich = [s.id for s in loaded.cell.stations if len(loaded.cell.artefact(s.artefact).ball_ids) >= 3]
     stations = own or rich
     if not stations:

@@ -9,6 +9,7 @@ from mbcacq.calibration.sufficiency import HAND_EYE_ALONE
 from mbcacq.design.effect_detectability import Detectability, detectability
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy
+from mbcacq.design.station_repair import station_moves
 from mbcacq.errors import CalibrationError
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.findings import PlanFinding
@@ -42,6 +43,11 @@ def identifiability_findings(
     transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
     effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful], options)
     return [*_of_accuracy(accuracy, place, options.weak_mm), *_of_detectability(effects, place)], accuracy, effects
+
+
+def reach_findings(loaded: LoadedPlan) -> list[PlanFinding]:
+    """The way out for each station with views out of reach."""
+    return [PlanFinding("info", "move-station", "", f"{loaded.path}:{m.line}", m.sentence()) for m in station_moves(loaded)]
 
 
 def _of_accuracy(accuracy: PredictedAccuracy, place: str, weak_mm: float) -> list[PlanFinding]:

@@ -28,14 +28,15 @@ def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
 
 def _step(station: str, aim: int | None, views: list[View]) -> dict[str, Any]:
     name, which = (f"{NAME} {station}", {}) if aim is None else (f"{NAME} {station} ball {aim}", {"balls": [aim]})
-    return {"name": name, "phase": "position", "do": "look", "stations": [_id(station)], **which, "views": [_view(v) for v in views]}
+    return {"name": name, "phase": "position", "do": "look", "stations": [_id(station)], **which, "views": [view_mapping(v) for v in views]}
 
 
 def _id(station: str) -> str | int:
     return int(station) if station.isdecimal() and str(int(station)) == station else station
 
 
-def _view(view: View) -> dict[str, Any]:
+def view_mapping(view: View) -> dict[str, Any]:
+    """A view as it stands in a plan."""
     angles = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
     content: dict[str, Any] = {k: int(v) if float(v).is_integer() else v for k, v in angles.items()}
     if any(view.shift_mm):

@@ -26,3 +26,16 @@ def robot_file(name: str) -> Path:
     if name not in robots():
         raise ConfigError(f"there is no robot '{name}' among those of the tool ({', '.join(robots())}); correct the name or give its links")
     return folder() / "robots" / f"{name}.yaml"
+
+
+def named_file(kind: str, name: str) -> Path:
+    """The file of a robot, artefact or scanner: one of the tool's by its name, or a path. kind: 'robots', 'artefacts' or 'scanners'.
+
+    Raises ConfigError naming the choices.
+    """
+    own = {path.stem: path for path in sorted((folder() / kind).glob("*.yaml"))}
+    if name in own:
+        return own[name]
+    if Path(name).is_file():
+        return Path(name)
+    raise ConfigError(f"there is no file {name}, and among the tool's {kind} none of that name ({', '.join(own)}); correct it")

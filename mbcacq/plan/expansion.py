@@ -4,25 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.geometry.numerical_inverse import NumericalInverse
 from mbcacq.model.cell import Artefact
 from mbcacq.plan.field_of_view import T_base_scanner, margin
 from mbcacq.plan.ik_selection import select_solutions
-from mbcacq.plan.inverse_kinematics import InverseKinematics
+from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
+from mbcacq.plan.routing import find_paths, router_of
 from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
 from mbcacq.plan.yaml_source import Path_
+
+SAME_POSTURE = 1e-6  # rad, full turns aside
 
 
 @dataclass(frozen=True)
 class Target:
     """One pose to take. T_base_flange: (4, 4), or ``q`` (n,) rad where the step gives joint angles; the other one is None.
 
-    balls: ids expected in view. wrist: sign asked of A5. where: path of the view, offset or joint vector in the YAML.
+    balls: ids expected in view. wrist: sign asked of the last axis but one. where: path of the view, offset or joint vector in the YAML.
     """
 
     step: int
@@ -47,20 +52,59 @@ def expand(loaded: LoadedPlan) -> list[PlannedPose]:
 
 def expand_reachable(loaded: LoadedPlan) -> tuple[list[PlannedPose], list[Target]]:
     """The poses that can be reached, and the targets that cannot."""
+    if "expansion" not in loaded.computed:
+        loaded.computed["expansion"] = _expand(loaded)
+    poses, unreachable = loaded.computed["expansion"]
+    return list(poses), list(unreachable)
+
+
+def _expand(loaded: LoadedPlan) -> tuple[list[PlannedPose], list[Target]]:
     wanted = targets(loaded)
     solutions = _solutions(loaded, wanted)
     reachable = [(t, q) for t, q in zip(wanted, solutions, strict=True) if len(q)]
     unreachable = [t for t, q in zip(wanted, solutions, strict=True) if not len(q)]
     stations = [t.station for t, _ in reachable]
     restart = [i > 0 and stations[i] != stations[i - 1] for i in range(len(stations))]
-    chosen = select_solutions(loaded, [q for _, q in reachable], restart)
-    return [_planned(loaded, i, t, q[k]) for i, ((t, q), k) in enumerate(zip(reachable, chosen, strict=True))], unreachable
+    chosen = _free_solutions(loaded, [t for t, _ in reachable], [q for _, q in reachable], restart)
+    return _poses(loaded, [t for t, _ in reachable], chosen), unreachable
+
+
+def _poses(loaded: LoadedPlan, wanted: list[Target], chosen: list[np.ndarray]) -> list[PlannedPose]:
+    return [_planned(loaded, i, t, q) for i, (t, q) in enumerate(zip(wanted, chosen, strict=True))]
+
+
+def _free_solutions(loaded: LoadedPlan, wanted: list[Target], options: list[np.ndarray], restart: list[bool]) -> list[np.ndarray]:
+    """The joint position (n,) rad to take at each target: of those that reach it (k, n) one at which nothing is too close, if there is
+    one, and of an arm with many ways to a pose one with a free path to it. A position that fails is left out, with the same posture full
+    turns away, and all are chosen anew."""
+    router, needed = router_of(loaded), loaded.plan.clearance_mm
+    many_ways = isinstance(router.solver, NumericalInverse)
+    left, spoiled = list(options), [target.T_base_flange is None for target in wanted]
+
+    @cache
+    def too_close(i: int, q: tuple[float, ...]) -> bool:
+        return router.clearance.at(np.array(q), wanted[i].station).distance < needed
+
+    for _ in range(loaded.planning.selection_rounds):
+        q = [of[k] for of, k in zip(left, select_solutions(loaded, left, restart), strict=True)]
+        blocked = [i for i, here in enumerate(q) if not spoiled[i] and too_close(i, tuple(here.tolist()))]
+        if not blocked and many_ways:
+            obstructed = find_paths(loaded, _poses(loaded, wanted, q))[1]
+            blocked = [o.number for o in obstructed if not spoiled[o.number]]
+        if not blocked:
+            return q
+        for i in blocked:
+            apart = np.abs(np.mod(left[i] - q[i] + np.pi, 2 * np.pi) - np.pi).max(axis=1) > SAME_POSTURE
+            # Where every position is too close, the first choice stands and the checks of the plan say so.
+            spoiled[i] = not apart.any()
+            left[i] = options[i] if spoiled[i] else left[i][apart]
+    return [of[k] for of, k in zip(left, select_solutions(loaded, left, restart), strict=True)]
 
 
 def unreachable_sentence(loaded: LoadedPlan, target: Target) -> str:
     """'file:line: ...' about a target that no joint position reaches."""
     step = loaded.plan.steps[target.step]
-    wrist = "" if target.wrist == "any" else f" with A5 {target.wrist}"
+    wrist = "" if target.wrist == "any" else f" with A{wrist_axis(loaded.cell.robot.n) + 1} {target.wrist}"
     return (
         f"{loaded.path}:{loaded.lines[target.where]}: step '{step.name}' at station '{target.station}': no joint position within the "
         f"limits of {loaded.cell.robot.name} reaches this pose{wrist}; move the station or change the view"
@@ -125,11 +169,17 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
     solutions = [np.empty((0, 0)) if t.q is None else t.q[None] for t in wanted]
     free = [(i, t.wrist, t.T_base_flange) for i, t in enumerate(wanted) if t.T_base_flange is not None]
     if free:
-        solver = InverseKinematics.of(loaded.cell.robot)
+        solver, wrist_bend = router_of(loaded).solver, wrist_axis(loaded.cell.robot.n)
         for (i, wrist, _), q in zip(free, solver.solutions(np.stack([T for *_, T in free])), strict=True):
             sign = {"any": 0, "positive": 1, "negative": -1}[wrist]
-            solutions[i] = q[sign * q[:, 4] >= 0]
+            solutions[i] = _nearest_home(loaded, q[sign * q[:, wrist_bend] >= 0])
     return solutions
+
+
+def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
+    """Of joint positions (k, n) rad, no more than planning looks at, in their order."""
+    most, home = loaded.planning.most_positions, np.radians(loaded.plan.robot.home_deg)
+    return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
 
 
 def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> PlannedPose:

@@ -45,6 +45,12 @@ def reaches_forward(chain: Chain, q: np.ndarray) -> np.ndarray:
     return np.einsum("pi,pi->p", frames[:, 1, :3, 0], frames[:, -2, :3, 3]) >= 0
 
 
+def wrist_bend(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """(P,) rad between the lines of the last axis and the last but two, within a quarter turn: 0 where the wrist is straight."""
+    z = chain.frames(q)[:, :-1, :3, 2]
+    return np.arctan2(np.linalg.norm(np.cross(z[:, -3], z[:, -1]), axis=1), np.abs(np.einsum("pi,pi->p", z[:, -3], z[:, -1])))
+
+
 def _motion_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray, mean_joint_share: float) -> np.ndarray:
     """(len(a), len(b)) s; the mean over the joints decides between motions with the same slowest joint."""
     time = np.abs(b[None] - a[:, None]) / speed
@@ -55,7 +61,7 @@ def _posture_cost(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """(k,) s: grows as a position comes close to a limit, and as its wrist straightens."""
     joint_limits, planning = loaded.cell.robot.limits, loaded.planning
     room = np.minimum(q - joint_limits[:, 0], joint_limits[:, 1] - q).min(axis=1)
-    bend = np.abs(q[:, 4]) if q.shape[1] == 6 else np.full(len(q), np.inf)
+    bend = wrist_bend(loaded.cell.robot.chain, q)
     near_limit = np.clip(1 - room / planning.preferred_limit_margin, 0, 1)
     straight = np.clip(1 - bend / planning.preferred_wrist_bend, 0, 1)
     return planning.poor_posture_s * near_limit + planning.poor_posture_s * straight

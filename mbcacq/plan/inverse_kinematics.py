@@ -1,7 +1,8 @@
-"""Closed-form inverse kinematics of spherical-wrist arms: MD-H rows -> ortho-parallel parameters -> all branches at once.
+"""Inverse kinematics of an arm: in closed form where it has a spherical wrist, else numerically.
 
-Parameters and branches after Brandstoetter, Angerer, Hofbaur: "An Analytical Solution of the Inverse Kinematics Problem of
-Industrial Serial Manipulators with an Ortho-parallel Basis and a Spherical Wrist" (2014), as py-opw-kinematics implements them.
+Closed form: MD-H rows -> ortho-parallel parameters -> all branches at once. Parameters and branches after Brandstoetter, Angerer,
+Hofbaur: "An Analytical Solution of the Inverse Kinematics Problem of Industrial Serial Manipulators with an Ortho-parallel Basis and a
+Spherical Wrist" (2014), as py-opw-kinematics implements them.
 """
 
 from __future__ import annotations
@@ -9,13 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.numerical_inverse import NumericalInverse
 from mbcacq.model.cell import RobotModel
 
 if TYPE_CHECKING:
@@ -23,6 +25,34 @@ if TYPE_CHECKING:
 
 FULL_TURN = 2 * np.pi
 AGREEMENT = 1e-6  # mm, and rad: how well the closed form must repeat the chain
+
+
+class InverseKinematics(Protocol):
+    """Solver of one arm."""
+
+    def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
+        """All joint positions within the limits less ``margin`` (rad), full turns included: per pose (P, 4, 4) (k, n) rad, k may be 0.
+
+        Of an arm with more than six axes, a sample of them.
+        """
+        ...
+
+    def nearest(self, T_base_flange: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+        """A joint position (n,) rad at a pose (4, 4) on the branch of ``q`` (n,), or None."""
+        ...
+
+
+def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None) -> InverseKinematics:
+    """The solver that suits an arm. home: (n,) rad, a posture near which solutions are wanted where there is a continuum of them."""
+    try:
+        return OrthoParallelInverse.of(robot)
+    except ConfigError:
+        return NumericalInverse(robot.chain, robot.limits, preferred=home)
+
+
+def wrist_axis(n: int) -> int:
+    """Index of the axis whose sign tells the two ways a wrist reaches one orientation: the last but one of an arm of n axes."""
+    return n - 2
 
 
 class OpwLengths(NamedTuple):
@@ -38,7 +68,7 @@ class OpwLengths(NamedTuple):
 
 
 @dataclass(frozen=True)
-class InverseKinematics:
+class OrthoParallelInverse:
     """Solver of one arm: T_base_flange = T_base_opw OPW(theta) T_opw_flange, theta = direction * q + offset the closed form's angles.
 
     limits: (6, 2) rad; direction: (6,) +1 or -1, of rotation; offset: (6,) rad; transforms: (4, 4).
@@ -52,7 +82,7 @@ class InverseKinematics:
     T_opw_flange: np.ndarray
 
     @classmethod
-    def of(cls, robot: RobotModel) -> InverseKinematics:
+    def of(cls, robot: RobotModel) -> OrthoParallelInverse:
         """The solver of an arm. Raises ConfigError when it has no spherical wrist or no parallel axes 2 and 3."""
         solver = _derive(robot)
         q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (32, robot.n))
@@ -85,6 +115,11 @@ class InverseKinematics:
         low, high = self.limits[:, 0] + margin, self.limits[:, 1] - margin
         return [self._within(q[np.isfinite(q).all(axis=1)], low, high) for q in self.branches(T_base_flange)]
 
+    def nearest(self, T_base_flange: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+        """The solution (n,) rad at a pose (4, 4) that is closest to ``q`` (n,), or None."""
+        found = self.solutions(np.asarray(T_base_flange)[None])[0]
+        return found[np.argmin(np.abs(found - q).max(axis=1))] if len(found) else None
+
     def _within(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Adds full turns to the joints whose range allows them, and drops what lies outside."""
         choices = [(0.0,) if span < FULL_TURN else (-FULL_TURN, 0.0, FULL_TURN) for span in high - low]
@@ -106,7 +141,7 @@ def wrist_centre(chain: Chain) -> np.ndarray | None:
     return centre if np.abs(miss).max() < AGREEMENT else None
 
 
-def _derive(robot: RobotModel) -> InverseKinematics:
+def _derive(robot: RobotModel) -> OrthoParallelInverse:
     """Parameters of the closed form from the arm's axes at q = 0. Raises ConfigError where they do not fit it."""
     chain = robot.chain
     if robot.n != 6:
@@ -149,7 +184,7 @@ def _derive(robot: RobotModel) -> InverseKinematics:
         c4=float((flange - centre) @ tool),
     )
     offset = np.array([0.0, theta2, pitch - theta2, theta4, theta5, 0.0])
-    bare = InverseKinematics(robot.limits, lengths, direction, offset, T_base_opw, np.eye(4))
+    bare = OrthoParallelInverse(robot.limits, lengths, direction, offset, T_base_opw, np.eye(4))
     return replace(bare, T_opw_flange=se3.inverse(bare.forward(np.zeros((1, 6)))[0]) @ frames[6])
 
 
@@ -164,4 +199,4 @@ def _refuse_skewed(robot: RobotModel, axis: np.ndarray) -> None:
 
 
 def _refusal(robot: RobotModel, why: str) -> str:
-    return f"robot '{robot.name}': no inverse kinematics, because {why}; give its poses as joint positions (do: joints)"
+    return f"robot '{robot.name}' has no inverse kinematics in closed form, because {why}"

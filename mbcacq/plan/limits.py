@@ -21,6 +21,8 @@ class PlanningLimits:
     poor_posture_s: float = 20.0  # cost of a position at a limit, or of a straight wrist: more than any motion takes
     reach_back_s: float = 20.0  # cost of reaching over the arm's back where home does not: more than any motion takes
     mean_joint_share: float = 0.2  # of the mean joint time added to the slowest joint's: decides between motions of equal duration
+    selection_rounds: int = 25  # of leaving out positions that are too close or without a free path, and choosing anew
+    most_positions: int = 96  # that reach one target, those nearest home: others differ by full turns, which only wind up cables
     assumed_top_speed: float = float(np.radians(180.0))  # rad/s in that cost, for an arm without stated speeds
 
     # Execution.
@@ -39,7 +41,7 @@ class PlanningLimits:
 
     # Clearance along a motion.
     finest_travel_mm: float = 4.0  # a motion is divided until nothing moves further between two examined postures
-    neighbour_postures: int = 100  # random postures: bodies of the arm that overlap in all of them are neighbours, not collisions
+    neighbour_postures: int = 100  # random postures: bodies of the arm too close in all of them are neighbours, not collisions
 
     # Detours.
     retractions_mm: tuple[float, ...] = (80.0, 160.0, 260.0)  # tried in turn, along the scanner's axis away from the artefact

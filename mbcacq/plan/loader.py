@@ -13,14 +13,17 @@ from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
 from mbcacq.plan.schema import Look, Plan, Taught
-from mbcacq.plan.yaml_source import Path_, YamlFile, read
+from mbcacq.plan.yaml_source import Path_, YamlFile, parse, read
 
 ROTATION_TOLERANCE = 0.02  # of the format: published matrices carry two to four digits
 
 
-def load(path: str | Path) -> LoadedPlan:
-    """Read a plan, its robot and its artefacts. Raises ConfigError 'file:line: sentence' for the first thing that is wrong."""
-    file = read(Path(path), "plan")
+def load(path: str | Path, text: str | None = None) -> LoadedPlan:
+    """Read a plan, its robot and its artefacts. Raises ConfigError 'file:line: sentence' for the first thing that is wrong.
+
+    text: the plan's YAML, where it is not written to ``path`` yet.
+    """
+    file = read(Path(path), "plan") if text is None else parse(text, Path(path))
     plan = file.validate(Plan)
     robot = _robot(file, plan)
     artefacts = _artefacts(file, plan)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,10 @@ class LoadedPlan:
     lines: dict[tuple[str | int, ...], int]
     files: dict[str, str] = field(default_factory=dict)
     planning: PlanningLimits = PlanningLimits()
+    computed: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)  # what follows from it, computed once
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "computed": {}}  # another process computes it anew
 
 
 @dataclass(frozen=True)

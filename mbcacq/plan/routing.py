@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.geometry import se3
 from mbcacq.plan.clearance import Clearance, Closest
-from mbcacq.plan.inverse_kinematics import InverseKinematics
+from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
 
@@ -51,13 +51,13 @@ def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] 
 
 def path_home(loaded: LoadedPlan, pose: PlannedPose) -> list[np.ndarray]:
     """Joint waypoints from a pose to home, home included; the straight path where no free one was found."""
-    router = Router(loaded)
+    router = router_of(loaded)
     return router.retract(pose) or [router.home]
 
 
 def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
     """The first motion of a run goes straight from where the arm stands, q (n,) rad, to home. Raises SafetyStop if that is not free."""
-    router = Router(loaded)
+    router = router_of(loaded)
     needed = min(loaded.plan.clearance_mm, router.clearance.at(q, None).distance - 1.0)  # an arm that stands too close may move away
     near = router.clearance.along_segment(q, router.home, None, needed)
     if near is not None:
@@ -70,7 +70,7 @@ def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
 
 def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
     """Transits to all poses, straight where no free path was found, and which those are."""
-    router = Router(loaded)
+    router = router_of(loaded)
     transits, obstructed = [], []
     for before, pose in zip([None, *poses], poses, strict=False):
         if before is not None and before.station == pose.station:
@@ -96,18 +96,23 @@ def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], obstru
     )
 
 
+def router_of(loaded: LoadedPlan) -> Router:
+    """The router of a plan, which remembers the paths that it has found."""
+    if "router" not in loaded.computed:
+        loaded.computed["router"] = Router(loaded)
+    return loaded.computed["router"]
+
+
 class Router:
     """Finds free paths in one cell. Each of them is a list of joint waypoints (n,) rad; None: no free one was found."""
 
     def __init__(self, loaded: LoadedPlan) -> None:
         self._loaded = loaded
+        self._found: dict[tuple[str, bytes, bytes], list[np.ndarray] | None] = {}
         self.home = np.radians(loaded.plan.robot.home_deg)
         self.clearance = Clearance(loaded)
         self._needed = loaded.plan.clearance_mm
-        try:
-            self._solver: InverseKinematics | None = InverseKinematics.of(loaded.cell.robot)
-        except ConfigError:
-            self._solver = None  # taught poses of another kind of arm: no retraction, only by home
+        self.solver = inverse_kinematics(loaded.cell.robot, self.home)
 
     def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a to b, both looking at the artefact of one station."""
@@ -138,11 +143,13 @@ class Router:
         self, start: np.ndarray, end: np.ndarray, candidates: Iterable[list[np.ndarray]], station: str
     ) -> list[np.ndarray] | None:
         # A pose that itself is too close spoils every path to it: that is said once, by the check of the poses.
-        for waypoints in candidates:
-            stops = [start, *waypoints, end]
-            if all(self.clearance.along_segment(x, y, station, self._needed) is None for x, y in pairwise(stops)):
-                return waypoints
-        return None
+        key = (station, start.tobytes(), end.tobytes())
+        if key not in self._found:
+            self._found[key] = next((w for w in candidates if self._free([start, *w, end], station)), None)
+        return self._found[key]
+
+    def _free(self, stops: list[np.ndarray], station: str) -> bool:
+        return all(self.clearance.along_segment(x, y, station, self._needed) is None for x, y in pairwise(stops))
 
     def _straight_or_retracted(self, pose: PlannedPose) -> Iterator[list[np.ndarray]]:
         yield []
@@ -150,13 +157,9 @@ class Router:
 
     def _retracted(self, q: np.ndarray) -> Iterator[np.ndarray]:
         """Positions on the same branch of the arm, drawn back along the scanner's axis."""
-        if self._solver is None:
-            return
         T = self._loaded.cell.robot.chain.flange(q[None])[0]
         axis = T[:3, :3] @ self._loaded.cell.T_flange_scanner[:3, 2]
         for step in self._loaded.planning.retractions_mm:
-            found = self._solver.solutions(se3.transform(T[:3, :3], T[:3, 3] + step * axis)[None])[0]
-            if len(found):
-                nearest = found[np.argmin(np.abs(found - q).max(axis=1))]
-                if np.abs(nearest - q).max() < self._loaded.planning.farthest_retraction:
-                    yield nearest
+            nearest = self.solver.nearest(se3.transform(T[:3, :3], T[:3, 3] + step * axis), q)
+            if nearest is not None and np.abs(nearest - q).max() < self._loaded.planning.farthest_retraction:
+                yield nearest

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from mbcacq.diagnosis.linearized import geometry_fit
+
 from mbcacq.diagnosis.nonparametric.design_blocks import of_scanner
 from mbcacq.effects.context import Context
 from mbcacq.estimation import forward_model

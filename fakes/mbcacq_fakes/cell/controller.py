@@ -1,14 +1,16 @@
-"""The fake cell's controller: what a plan says of its robot becomes an RSI or an EKI controller."""
+"""The fake cell's controller: an RSI or an EKI controller, the fake that the package of the plan's driver registers, or a robot that is
+only simulated, for any other driver."""
 
 from __future__ import annotations
 
 import socket
 from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 
+from mbcacq.devices import available, load_driver
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
@@ -19,8 +21,23 @@ from mbcacq_fakes.protocols.krc.settings import KrcSettings
 CLOCK_START_MS = 1_000_000
 HANGING_S = 30.0
 FASTEST_START_S = 0.05  # to full speed: no arm whose accelerations are not stated is faster
-RSI, EKI = "kuka_rsi", "kuka_eki"
+RSI, EKI, OWN, SIMULATED = "kuka_rsi", "kuka_eki", "own", "simulated"
 MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
+
+
+class Controller(Protocol):
+    """What plays the robot's controller."""
+
+    def stop(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class StartedController:
+    """options: lead the plan's driver to it. driver: one to take in the plan's place, or None."""
+
+    controller: Controller
+    options: dict[str, Any]
+    driver: str | None = None
 
 
 def normal(driver: str) -> str:
@@ -30,32 +47,65 @@ def normal(driver: str) -> str:
 
 def start_controller(
     loaded: Any, state: ArmState, rows: tuple[tuple[float, ...], ...], given: Mapping[str, Any], *, realtime: bool, ports: str, seed: int
-) -> tuple[FakeKrc | FakeEkiController, dict[str, Any]]:
-    """A running controller and the options that lead the plan's driver to it. rows: its nominal kinematics; given: the plan's
-    ``fake.robot``. Raises ConfigError, ConnectError."""
+) -> StartedController:
+    """A running controller. rows: its nominal kinematics; given: the plan's ``fake.robot``. Raises ConfigError, ConnectError."""
     robot, use = loaded.cell.robot, loaded.plan.robot
+    check_options(use.driver, given)
     settings: dict[str, Any] = {
         "realtime": realtime,
         "start_deg": tuple(map(float, use.home_deg)),
         "dh": rows,
         "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())),
     }
-    check_options(use.driver, given)
+    if robot.speed is not None:
+        settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
+    kind = kind_of(use.driver)
+    if kind == OWN:
+        controller, options = load_driver("fakes", use.driver)(state, **settings, ports=ports, plan_options=dict(use.options), **given)
+        return StartedController(controller, options)
+    if kind == SIMULATED:
+        if ports == "plan":
+            raise ConfigError(
+                f"there is no fake controller for the driver '{use.driver}', only a simulated arm inside a dry run: "
+                f"mbcacq run {loaded.path} --dry-run"
+            )
+        return StartedController(_Nothing(), {"state": state, "clock_start_s": CLOCK_START_MS * 1e-3}, SIMULATED)
     if "moving" in given:
         from mbcacq_fakes.dynamics.online import description
 
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
     if robot.speed is not None:
         settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
-    krc, address = (_eki if normal(use.driver) == EKI else _rsi)(loaded, state, settings, given, ports, seed)
+    krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent
-    return krc, address
+    return StartedController(krc, address)
+
+
+class _Nothing:
+    """A simulated robot is its own controller."""
+
+    def stop(self) -> None:
+        return
+
+
+def kind_of(driver: str) -> str:
+    """RSI, EKI, OWN where the driver's package registers a fake of its name, or SIMULATED."""
+    if normal(driver) in (RSI, EKI):
+        return normal(driver)
+    return OWN if normal(driver) in map(normal, available("fakes")) else SIMULATED
 
 
 def check_options(driver: str, given: Mapping[str, Any]) -> None:
     """Raises ConfigError where ``fake.robot`` names something that the controller of this driver does not have."""
-    known = [f.name for f in fields(EkiSettings if normal(driver) == EKI else KrcSettings)]
+    kind = kind_of(driver)
+    if kind == OWN:
+        return  # the fake says itself what it takes
+    if kind == SIMULATED:
+        if given:
+            raise ConfigError(f"fake.robot: the simulated arm has no option {', '.join(sorted(given))}; remove the section")
+        return
+    known = [f.name for f in fields(EkiSettings if kind == EKI else KrcSettings)]
     if "moving" in given and "moving" not in known:
         raise ConfigError(
             "fake.robot.moving is of an arm driven by kuka_rsi, whose telegrams carry torques: those of kuka_eki do not; correct the plan"

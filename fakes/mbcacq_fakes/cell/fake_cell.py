@@ -15,11 +15,10 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
-from mbcacq_fakes.cell.controller import CLOCK_START_MS, EKI, RSI, check_options, normal, start_controller
+from mbcacq_fakes.cell.controller import CLOCK_START_MS, Controller, StartedController, check_options, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
 from mbcacq_fakes.cell.ports import SCANNERS, scanner_address
-from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
-from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.arm_state import MOST_AXES, ArmState
 from mbcacq_fakes.world import options as fake_options
 from mbcacq_fakes.world.description import CellFacts, from_cell
 
@@ -38,10 +37,12 @@ class FakeCell:
         self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0, ports: Literal["free", "plan"] = "free"
     ) -> None:
         plan = loaded.plan
-        if normal(plan.robot.driver) not in (RSI, EKI) or plan.scanner.driver not in SCANNERS:
+        if plan.scanner.driver not in SCANNERS:
             raise ConfigError(
-                "the fake cell plays a KUKA controller and an LMI sensor (gocator, gopxl); for other drivers use their makers' simulators"
+                f"the fake cell plays an LMI sensor (gocator, gopxl), not a scanner '{plan.scanner.driver}'; name one of these"
             )
+        if loaded.cell.robot.n > MOST_AXES:
+            raise ConfigError(f"the fake cell plays arms of up to {MOST_AXES} axes, this one has {loaded.cell.robot.n}")
         self._loaded, self._plan, self._realtime, self._ports = loaded, plan, realtime, ports
         self._options = fake_options.parse(plan.fake)
         self._seed = seed if self._options.seed is None else self._options.seed
@@ -53,7 +54,7 @@ class FakeCell:
         make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later
         self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
         self._state: ArmState | None = None
-        self._krc: FakeKrc | FakeEkiController | None = None
+        self._krc: Controller | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
         self._overrides: dict[str, dict[str, Any]] = {}
@@ -75,7 +76,9 @@ class FakeCell:
         except BaseException:
             self.stop()
             raise
-        self._overrides = {"robot": robot, **addresses}
+        self._overrides = {"robot": robot.options, **addresses}
+        if robot.driver is not None:
+            self._overrides["drivers"] = {"robot": robot.driver}
         return self
 
     def stop(self) -> None:
@@ -98,7 +101,8 @@ class FakeCell:
             state.close()
 
     def overrides(self) -> dict[str, dict[str, Any]]:
-        """Options by role ('robot', 'scanner', 'positioner', 'sensor 1'...) that lead the plan's drivers here."""
+        """Options by role ('robot', 'scanner', 'positioner', 'sensor 1'...) that lead the plan's drivers here; under 'drivers', those that
+        take the place of the plan's."""
         return {role: dict(values) for role, values in self._overrides.items()}
 
     def truth(self) -> dict[str, Any]:
@@ -124,7 +128,8 @@ class FakeCell:
         return self._state
 
     @property
-    def krc(self) -> FakeKrc | FakeEkiController:
+    def krc(self) -> Any:
+        """The fake controller."""
         assert self._krc is not None, "the fake cell is not started"
         return self._krc
 
@@ -162,9 +167,9 @@ class FakeCell:
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }
 
-    def _start_controller(self) -> dict[str, Any]:
+    def _start_controller(self) -> StartedController:
         assert self._state is not None, "the arm's state is made before its controller"
-        self._krc, options = start_controller(
+        started = start_controller(
             self._loaded,
             self._state,
             self._nominal_rows(),
@@ -173,7 +178,8 @@ class FakeCell:
             ports=self._ports,
             seed=self._seed,
         )
-        return options
+        self._krc = started.controller
+        return started
 
     def _nominal_rows(self) -> tuple[tuple[float, ...], ...]:
         """What the controller believes of its arm: sign, theta_deg, d_mm, a_mm, alpha_deg, beta_deg."""

@@ -91,7 +91,8 @@ class Camera:
     def temperatures(self) -> dict[str, float]:
         """What the cell's thermometers show now."""
         time_s = self.world.environment.clock(np.array(self._time(self._arm.read())))
-        return {"air_C": float(self.world.environment.air(time_s)), "robot_C": float(self.world.environment.robot(time_s))}
+        climate = self.world.environment
+        return {"air_C": float(climate.air(time_s)), "robot_C": float(climate.robot(time_s)), "scanner_C": float(climate.scanner(time_s))}
 
     def mishap(self, mishap: Mishap) -> None:
         """Let something go wrong, now or from the arrival it names."""

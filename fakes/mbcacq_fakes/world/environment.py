@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SCANNER_WARMUP_K = 14.0  # of a housing that its electronics heat
+SCANNER_SHARE = 0.4  # of the arm's time constant
+
 
 @dataclass(frozen=True)
 class Environment:
@@ -32,3 +35,7 @@ class Environment:
 
     def robot(self, time_s: np.ndarray) -> np.ndarray:
         return self.air(time_s) + self.warmup_K * -np.expm1(-np.asarray(time_s) / self.time_constant_s)
+
+    def scanner(self, time_s: np.ndarray) -> np.ndarray:
+        """Its housing: it warms up more than the arm, and faster."""
+        return self.air(time_s) + SCANNER_WARMUP_K * -np.expm1(-np.asarray(time_s) / (SCANNER_SHARE * self.time_constant_s))

@@ -23,8 +23,10 @@ FAULTS = (
     "command acceleration exceeded",
 )
 
+MOST_AXES = 9  # that fit into a slot
+
 _COUNT = struct.Struct("<q")
-_SLOT = struct.Struct("<22d")
+_AXES_AT = 8  # number of axes, behind the count
 _SLOT_AT = (64, 64 + 256)  # two slots on cache lines of their own; the one not being written is always whole
 _SIZE = 64 + 2 * 256
 
@@ -34,7 +36,7 @@ _NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some
 
 @dataclass(frozen=True)
 class ArmReading:
-    """One consistent state. q (6,) rad as the controller reports it, qd (6,) rad/s, direction (6,) -1, 0 or 1: direction of
+    """One consistent state. q (n,) rad as the controller reports it, qd (n,) rad/s, direction (n,) -1, 0 or 1: direction of
     each axis' last motion.
 
     arrivals counts how often the arm came to a standstill; fault is '' or why the controller stopped.
@@ -50,18 +52,23 @@ class ArmReading:
 
 
 class ArmState:
-    """A named block of shared memory. One process creates it (and unlinks it on close), any number attach by ``name``."""
+    """A named block of shared memory. One process creates it (and unlinks it on close), any number attach by ``name``.
 
-    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
+    axes: how many the arm has; 0 where that is read from the block.
+    """
+
+    def __init__(self, memory: shared_memory.SharedMemory, owner: bool, axes: int = 0) -> None:
         assert memory.buf is not None  # it is None only once the memory is closed
         self._memory, self._buffer, self._owner, self._count = memory, memory.buf, owner, 0
-        self.name = memory.name
+        self.name, self.axes = memory.name, axes or _COUNT.unpack_from(memory.buf, _AXES_AT)[0]
+        _COUNT.pack_into(memory.buf, _AXES_AT, self.axes)
+        self._slot = struct.Struct(f"<{4 + 3 * self.axes}d")
 
     @classmethod
     def create(cls, q: tuple[float, ...] = (0.0,) * 6, name: str | None = None) -> ArmState:
-        """A new block holding an arm at rest at ``q`` (6,) rad. Raises ConnectError where there is no memory for it."""
-        state = cls(create_shared_memory(_SIZE, name), True)
-        state.write(0.0, q, (0.0,) * 6, (0.0,) * 6, True, 0)
+        """A new block holding an arm at rest at ``q`` (n,) rad, n up to MOST_AXES. Raises ConnectError where there is no memory for it."""
+        state = cls(create_shared_memory(_SIZE, name), True, len(q))
+        state.write(0.0, q, (0.0,) * len(q), (0.0,) * len(q), True, 0)
         return state
 
     @classmethod
@@ -83,7 +90,7 @@ class ArmState:
     ) -> None:
         """Publish a state (one writer only). ``fault`` indexes FAULTS."""
         count = self._count + 1
-        _SLOT.pack_into(self._buffer, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)
+        self._slot.pack_into(self._buffer, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)
         _COUNT.pack_into(self._buffer, 0, count)
         self._count = count
 
@@ -92,9 +99,11 @@ class ArmState:
         buffer = self._buffer
         while True:
             (count,) = _COUNT.unpack_from(buffer, 0)
-            v = _SLOT.unpack_from(buffer, _SLOT_AT[count & 1])
+            v = self._slot.unpack_from(buffer, _SLOT_AT[count & 1])
             if _COUNT.unpack_from(buffer, 0)[0] == count:
-                return ArmReading(v[0], v[1:7], v[7:13], v[13:19], v[19] != 0.0, int(v[20]), FAULTS[int(v[21])])
+                n = self.axes
+                q, qd, direction = v[1 : 1 + n], v[1 + n : 1 + 2 * n], v[1 + 2 * n : 1 + 3 * n]
+                return ArmReading(v[0], q, qd, direction, v[-3] != 0.0, int(v[-2]), FAULTS[int(v[-1])])
 
     def forget(self) -> None:
         """Take the block's name away once everybody has attached: it then ends with them, whatever kills them."""

@@ -1,0 +1,182 @@
+"""A simulated arm of any number of axes behind the plain interface of a robot driver: what a dry run takes where a driver has no fake.
+
+It has no wire: it lives in the process of the run and publishes where it is to the fake cell. Its clock advances when it is asked for its
+state, so a run goes as fast as it asks. A real run cannot use it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import ruckig
+
+from mbcacq.devices import ConfigError, Cycles, Description, Field, MotionLimits, RobotState, SafetyStop
+
+CYCLE_S = 0.004
+CYCLES_AT_ONCE = 25  # of a motion, per look at the state
+BRAKING_S = 0.1  # from the largest speed to rest
+
+
+class SimulatedRobot:
+    """Implements mbcacq.devices.Robot. options: limits_deg (n, 2) and, from the fake cell, state; others are of the plan's own driver."""
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._name, self._model = name, model
+        self._limits = np.radians(np.array(options.get("limits_deg", ()), dtype=float).reshape(-1, 2))
+        self._state, self._clock_start = options.get("state"), float(options.get("clock_start_s", 0.0))
+        self._lock = threading.RLock()
+        self._connected = False
+
+    def describe(self) -> Description:
+        axes, rate = (len(self._limits),), 1.0 / CYCLE_S
+        return Description(
+            "robot",
+            self._model,
+            (
+                Field("time_s", "s", (), rate, "simulated clock"),
+                Field("host_time_s", "s", (), rate, "monotonic clock of this computer"),
+                Field("q", "rad", axes, rate, "joint angles"),
+                Field("q_set", "rad", axes, rate, "set point"),
+                Field("q_command", "rad", axes, rate, "target of the motion under way"),
+            ),
+            serial="simulated",
+        )
+
+    def connect(self) -> None:
+        """Raises ConfigError outside a dry run."""
+        if self._state is None:
+            raise ConfigError("the simulated robot is there in a dry run only; run the plan with --dry-run, or name your arm's driver")
+        with self._lock:
+            reading = self._state.read()
+            self._q = np.array(reading.q, dtype=float)
+            self._time, self._arrivals = self._clock_start, reading.arrivals
+            self._qd, self._direction = np.zeros_like(self._q), np.zeros_like(self._q)
+            self._target, self._motion, self._since = self._q.copy(), None, 0.0
+            self._still_s, self._wanted, self._rows = 0.0, None, []
+            self._connected = True
+            self._publish()
+
+    def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
+        """Start a jerk-limited motion to q (n,) rad. Raises SafetyStop for a target outside the limits, ConfigError for wrong limits."""
+        with self._lock:
+            self._check()
+            target = np.asarray(q, dtype=float)
+            if target.shape != self._q.shape:
+                raise ConfigError(f"robot '{self._name}': a target has {len(self._q)} axes, not {target.shape}")
+            low, high = self._limits.T
+            outside = ~np.isfinite(target) | (target < low - 1e-9) | (target > high + 1e-9)
+            if outside.any():
+                axis = int(np.argmax(outside))
+                raise SafetyStop(
+                    f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f} deg, beyond its limits; it stays"
+                )
+            bounds = [np.broadcast_to(np.asarray(v, dtype=float), target.shape) for v in (limits.speed, limits.acceleration, limits.jerk)]
+            if not all(np.isfinite(b).all() and (b > 0).all() for b in bounds):
+                raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
+            self._begin(target, bounds)
+            self._wanted, self._still_s = limits, 0.0
+            self._publish()
+
+    def state(self) -> RobotState:
+        """The state a little later than at the last call. Raises ConfigError before ``connect``."""
+        with self._lock:
+            self._check()
+            for _ in range(CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None else 1):
+                self._step()
+            wanted = self._wanted
+            arrived = (
+                wanted is not None
+                and self._motion is None
+                and bool(np.abs(self._q - self._target).max() <= wanted.tolerance)
+                and self._still_s >= wanted.settle_s - 1e-9
+            )
+            return RobotState(self._time, self._q.copy(), self._motion is not None, arrived)
+
+    def cycles(self) -> Cycles:
+        with self._lock:
+            rows, self._rows = getattr(self, "_rows", []), []
+        if not rows:
+            return Cycles({})
+        names = ("time_s", "host_time_s", "q", "q_set", "q_command")
+        return Cycles({name: np.array([row[k] for row in rows]) for k, name in enumerate(names)})
+
+    def stop(self) -> None:
+        """Brakes; the arm stands when this returns."""
+        with self._lock:
+            if not self._connected:
+                return
+            self._wanted = None
+            if self._motion is not None:
+                self._brake()
+            while self._motion is not None:
+                self._step()
+
+    def close(self) -> None:
+        self.stop()
+        with self._lock:
+            self._connected = False
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _check(self) -> None:
+        if not self._connected:
+            raise ConfigError(f"robot '{self._name}' is not connected; connect it first")
+
+    def _begin(self, target: np.ndarray, bounds: list[np.ndarray]) -> None:
+        given = ruckig.InputParameter(len(target))
+        given.current_position, given.target_position = self._q.tolist(), target.tolist()
+        given.current_velocity = self._qd.tolist()
+        given.max_velocity, given.max_acceleration, given.max_jerk = (b.tolist() for b in bounds)
+        self._start(given)
+        self._target = target.copy()
+
+    def _brake(self) -> None:
+        """All axes to rest, each as fast as it can."""
+        fastest = np.maximum(np.abs(self._qd), np.radians(1.0))
+        given = ruckig.InputParameter(len(self._q))
+        given.control_interface = ruckig.ControlInterface.Velocity
+        given.current_position, given.current_velocity = self._q.tolist(), self._qd.tolist()
+        given.target_velocity = [0.0] * len(self._q)
+        given.max_acceleration = (fastest / BRAKING_S).tolist()
+        given.max_jerk = (fastest / BRAKING_S / CYCLE_S).tolist()
+        self._start(given)
+        self._target = np.array(self._motion.at_time(self._motion.duration)[0]) if self._motion is not None else self._q.copy()
+
+    def _start(self, given: ruckig.InputParameter) -> None:
+        motion = ruckig.Trajectory(len(self._q))
+        ruckig.Ruckig(len(self._q)).calculate(given, motion)
+        self._motion, self._since = motion, 0.0
+
+    def _step(self) -> None:
+        """One cycle later."""
+        self._time += CYCLE_S
+        if self._motion is None:
+            self._still_s += CYCLE_S
+        else:
+            self._since = min(self._since + CYCLE_S, self._motion.duration)
+            position, speed, _ = self._motion.at_time(self._since)
+            moved = np.array(position) - self._q
+            self._direction = np.where(np.abs(moved) > 1e-9, np.sign(moved), self._direction)
+            self._q, self._qd = np.array(position), np.array(speed)
+            if self._since >= self._motion.duration:
+                self._q, self._qd, self._motion, self._still_s = self._target.copy(), np.zeros_like(self._q), None, 0.0
+                self._arrivals += 1
+        self._rows.append((self._time, time.monotonic(), self._q, self._q, self._target))
+        self._publish()
+
+    def _publish(self) -> None:
+        assert self._state is not None
+        still = self._motion is None
+        self._state.write(
+            self._time, tuple(self._q.tolist()), tuple(self._qd.tolist()), tuple(self._direction.tolist()), still, self._arrivals
+        )

@@ -1,0 +1,76 @@
+"""``mbcacq robot``: robot files from other descriptions of an arm."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from mbcacq.cli.terminal import echo
+
+
+@click.group("robot")
+def command() -> None:
+    """Make a robot file from a description that you have."""
+
+
+@command.command("import")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="The robot file [default: NAME.yaml here].")
+@click.option("--base", help="The link (URDF) or body (MJCF) that the arm stands on [asked, or guessed from the names].")
+@click.option("--flange", help="The link, body or site that carries the scanner [asked, or guessed from the names].")
+@click.option("--convention", type=click.Choice(["standard", "modified"]), help="Of a table of DH rows.")
+@click.option("--name", help="Of the arm [default: the file's own].")
+@click.option("--speed", type=click.FloatRange(0, 1000, min_open=True), help="Largest joint speed, deg/s, where the file states none.")
+@click.option("--force", is_flag=True, help="Replace the robot file if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def import_(
+    file: Path,
+    out: Path | None,
+    base: str | None,
+    flange: str | None,
+    convention: str | None,
+    name: str | None,
+    speed: float | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, or a table of DH rows (.csv, .yaml).
+
+    \b
+    The rows are compared with the file's own forward kinematics at random joint angles. Examples:
+      mbcacq robot import ur10e.urdf --base base_link --flange tool0
+      mbcacq robot import rows.csv --convention modified --out my_arm.yaml
+    """
+    from mbcacq.errors import ConfigError, RecordingError
+    from mbcacq.model.robot_import import import_robot
+
+    def read(base: str | None, flange: str | None):
+        return import_robot(file, base=base, flange=flange, convention=convention, name=name, speed_deg_s=speed)  # type: ignore[arg-type]
+
+    found = read(base, flange)
+    is_table = file.suffix.lower() in (".csv", ".yaml", ".yml")
+    if sys.stdin.isatty() and not as_json and not is_table and (base is None or flange is None):
+        wanted = base or click.prompt("The arm's base", default=found.base, err=True)
+        end = flange or click.prompt("The arm's flange", default=found.flange, err=True)
+        found = found if (wanted, end) == (found.base, found.flange) else read(wanted, end)
+    target = out or Path(f"{file.stem.split('.')[0]}.yaml")
+    if target.exists() and (not force or target.resolve() == file.resolve()):
+        raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
+    try:
+        target.write_text(found.text, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{target}: cannot be written: {error.strerror}") from error
+    if as_json:
+        about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
+        figures = {"miss_mm": found.miss_mm, "miss_rad": found.miss_rad}
+        echo(json.dumps({"format": "mbcacq-robot-import/1", "file": str(target), **about, **figures}))
+        return
+    for remark in found.remarks:
+        echo(f"note: {remark}", err=True)
+    echo(f"{target}: {len(found.joints)} axes, {found.base} to {found.flange} ({', '.join(found.joints)})")
+    echo(f"at 200 random postures it agrees with {file.name} within {found.miss_mm:.1e} mm and {found.miss_rad:.1e} rad")
+    if file.suffix.lower() == ".urdf":
+        echo(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")

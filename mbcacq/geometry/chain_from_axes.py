@@ -1,0 +1,120 @@
+"""The MD-H rows of an arm that is known by its joint axes as lines in space and by its flange, all at joint angles of zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+
+PARALLEL = 1e-6  # rad: axes that differ by less are parallel, and their row gets the d of zero that Hayati gives it
+INTERSECTING_MM = 1e-6  # mm: axes that pass closer meet
+NEAR_ZERO = 1e-12
+
+
+@dataclass(frozen=True)
+class ChainInFrames:
+    """A chain, and where its own base and flange lie in the frames it was made from.
+
+    MD-H rows have their base's z along axis 1 and their flange's origin on the last axis: T_given_base (4, 4) is the chain's base in the
+    given base frame, T_flange_given (4, 4) the given flange in the chain's. Both are the identity for most arms.
+    """
+
+    chain: Chain
+    T_given_base: np.ndarray
+    T_flange_given: np.ndarray
+
+    def flange(self, q: np.ndarray) -> np.ndarray:
+        """The given flange (P, 4, 4) in the given base, q (P, n) rad."""
+        return self.T_given_base @ self.chain.flange(q) @ self.T_flange_given
+
+
+def chain_from_axes(direction: np.ndarray, point: np.ndarray, T_base_flange: np.ndarray) -> ChainInFrames:
+    """The rows that repeat an arm's forward kinematics; all signs are +1, so its joint angles stay what they are.
+
+    direction, point: (n, 3), unit vectors about which positive angles turn and a point (mm) of each axis, base frame, at q = 0;
+    T_base_flange: (4, 4) there.
+    """
+    T_given_base = _base(direction[0], point[0])
+    back = se3.inverse(T_given_base)
+    direction, point = direction @ T_given_base[:3, :3], se3.apply(back, point)
+    frame, rows = np.eye(4), []
+    for z, p in zip(direction[1:], point[1:], strict=True):
+        rows.append(_row(se3.inverse(frame)[:3, :3] @ z, se3.apply(se3.inverse(frame), p)))
+        frame = frame @ _transform(rows[-1])
+    last = se3.inverse(frame) @ back @ T_base_flange
+    rows.append(_last_row(last))
+    T_flange_given = se3.inverse(_transform(rows[-1])) @ last
+    return ChainInFrames(Chain(np.ones(len(rows)), *np.array(rows).T), _tidy(T_given_base), _tidy(T_flange_given))
+
+
+def _base(z: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """The frame on axis 1 that differs least from the given base: at the foot of its origin, its x turned as little as possible."""
+    origin = point - (point @ z) * z
+    x = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.99 else np.array([0.0, 0.0, -np.sign(z[0])])
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    return se3.transform(np.stack([x, np.cross(z, x), z], axis=1), origin)
+
+
+def _row(z: np.ndarray, p: np.ndarray) -> tuple[float, float, float, float, float]:
+    """theta, d, a, alpha, beta from a frame whose z is one axis to one whose z is the next: along ``z`` (3,), through ``p`` (3,)."""
+    across = np.hypot(z[0], z[1])
+    if across < PARALLEL:
+        # The plane z = 0 meets the next axis; where both are one line, the angle is free and taken as zero.
+        meet = p - z * (p[2] / z[2])
+        a = float(np.hypot(meet[0], meet[1]))
+        theta = float(np.arctan2(meet[1], meet[0])) if a > INTERSECTING_MM else 0.0
+        return (*_turn(theta, 0.0, a if a > INTERSECTING_MM else 0.0), *_tilts(theta, z))
+    normal = np.array([-z[1], z[0], 0.0]) / across  # of both axes; x of the next frame up to its sign
+    a = float(p @ normal)
+    if abs(a) < INTERSECTING_MM:
+        # Either sign of the normal will do where the axes meet: the one that turns x least.
+        a, normal = 0.0, normal if normal[0] > NEAR_ZERO or (abs(normal[0]) <= NEAR_ZERO and normal[1] > 0) else -normal
+    elif a < 0:
+        a, normal = -a, -normal
+    theta = float(np.arctan2(normal[1], normal[0]))
+    # The foot of the common normal on this axis: what remains of p is along z and the next axis.
+    d = float(p[2] - z[2] * (p[0] * z[0] + p[1] * z[1]) / across**2)
+    return (*_turn(theta, d, a), *_tilts(theta, z))
+
+
+def _turn(theta: float, d: float, a: float) -> tuple[float, float, float]:
+    """The same row with an angle within a quarter turn and a negative length, as data sheets write it, where that is shorter."""
+    if abs(theta) > np.pi / 2 + 1e-9:
+        return float(theta - np.sign(theta) * np.pi), d, -a
+    return theta, d, a
+
+
+def _tilts(theta: float, z: np.ndarray) -> tuple[float, float]:
+    """alpha, beta (rad) that turn z of the rotated frame along ``z`` (3,)."""
+    theta = _turn(theta, 0.0, 0.0)[0]
+    c, s = np.cos(theta), np.sin(theta)
+    x, y = c * z[0] + s * z[1], c * z[1] - s * z[0]
+    # Rx(alpha) Ry(beta) takes z to (sin beta, -sin alpha cos beta, cos alpha cos beta).
+    beta = float(np.arcsin(np.clip(x, -1, 1)))
+    return float(np.arctan2(-y, z[2])), beta if abs(beta) > NEAR_ZERO else 0.0
+
+
+def _last_row(T: np.ndarray) -> tuple[float, float, float, float, float]:
+    """To the flange's orientation, its origin put on the axis: R = Rz(theta) Rx(alpha) Ry(beta)."""
+    R = T[:3, :3]
+    alpha = float(np.arcsin(np.clip(R[2, 1], -1, 1)))
+    if abs(R[2, 1]) > 1 - NEAR_ZERO:
+        theta, beta = float(np.arctan2(R[1, 0], R[0, 0])), 0.0
+    else:
+        theta, beta = float(np.arctan2(-R[0, 1], R[1, 1])), float(np.arctan2(-R[2, 0], R[2, 2]))
+        if abs(abs(beta) - np.pi) < 1e-9:  # a flange that looks back: turned about x, as data sheets write it
+            theta, alpha, beta = float(np.arctan2(np.sin(theta + np.pi), np.cos(theta + np.pi))), np.pi - alpha, 0.0
+    return theta, float(T[2, 3]) + 0.0, 0.0, alpha, beta
+
+
+def _transform(row: tuple[float, ...]) -> np.ndarray:
+    return Chain(np.ones(1), *(np.array([v]) for v in row)).flange(np.zeros((1, 1)))[0]
+
+
+def _tidy(T: np.ndarray) -> np.ndarray:
+    """The identity where it is meant."""
+    return np.eye(4) if np.abs(T - np.eye(4)).max() < 1e-9 else T

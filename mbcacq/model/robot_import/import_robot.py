@@ -1,0 +1,160 @@
+"""A robot file of this tool from a description that people have, compared with it before it is handed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import yaml
+
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain_from_axes import ChainInFrames, chain_from_axes
+from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.model.robot_import.dh_table import read_dh_table
+from mbcacq.model.robot_import.mjcf import read_mjcf
+from mbcacq.model.robot_import.source import ArmSource
+from mbcacq.model.robot_import.urdf import read_urdf
+
+POSTURES = 200  # random ones at which both forward kinematics are compared
+LARGEST_MISS_MM, LARGEST_MISS_RAD = 1e-3, 1e-6  # the file's rounding stays far below
+
+
+@dataclass(frozen=True)
+class ImportedRobot:
+    """text: YAML of the robot file. base, flange: names in the source. miss_mm, miss_rad: largest difference of the two forward
+    kinematics. remarks: what the reader of the file should know. T_given_base, T_flange_given: (4, 4), see ChainInFrames."""
+
+    text: str
+    base: str
+    flange: str
+    joints: tuple[str, ...]
+    miss_mm: float
+    miss_rad: float
+    remarks: tuple[str, ...]
+    T_given_base: np.ndarray
+    T_flange_given: np.ndarray
+
+
+def import_robot(
+    path: Path | str,
+    *,
+    base: str | None = None,
+    flange: str | None = None,
+    convention: Literal["standard", "modified"] | None = None,
+    name: str | None = None,
+    speed_deg_s: float | None = None,
+) -> ImportedRobot:
+    """Read a URDF, xacro, MJCF file or a DH table (CSV, YAML; then ``convention`` must be said) and write it as a robot file.
+
+    base, flange: links (URDF), bodies or sites (MJCF); default: what the file's names suggest. speed_deg_s: of every axis where the source
+    states none. Raises ConfigError for a file that is not understood, or whose forward kinematics the rows do not repeat.
+    """
+    path = Path(path)
+    source = _read(path, base, flange, convention)
+    rows = chain_from_axes(source.direction, source.point, source.T_base_flange)
+    remarks = [*source.remarks, *_frame_remarks(rows)]
+    speed = source.speed
+    if np.isnan(speed).any() and speed_deg_s is not None:
+        speed = np.where(np.isnan(speed), np.radians(speed_deg_s), speed)
+        remarks = [r for r in remarks if "--speed" not in r]
+    if (silent := np.isnan(speed) | (speed <= 0)).any() and not any("speed" in r for r in remarks):
+        remarks.append(
+            f"the file states no speed of {', '.join(np.array(source.joints)[silent])}; an arm that is to move needs all of them"
+        )
+    if np.isnan(source.limits).any():
+        remarks.append("the file states no limits of some joints; an arm that is to move needs all of them (limits_deg)")
+    if not source.mass.any():
+        remarks.append("the file states no masses; effects of gravity are then less well predicted")
+    text = _text(path, source, rows, speed, name or source.name, remarks)
+    miss_mm, miss_rad = _compared(path, text, rows, source)
+    return ImportedRobot(
+        text, source.base, source.flange, tuple(source.joints), miss_mm, miss_rad, tuple(remarks), rows.T_given_base, rows.T_flange_given
+    )
+
+
+def _read(path: Path, base: str | None, flange: str | None, convention: str | None) -> ArmSource:
+    kind = path.suffix.lower()
+    if kind in (".csv", ".yaml", ".yml"):
+        if convention is None:
+            raise ConfigError(f"{path}: which convention do its rows follow? say --convention standard or --convention modified")
+        return read_dh_table(path, convention)
+    if kind in (".mjcf", ".xml") and _is_mjcf(path):
+        return read_mjcf(path, base, flange)
+    if kind in (".urdf", ".xacro", ".xml"):
+        return read_urdf(path, base, flange)
+    raise ConfigError(f"{path}: '{path.suffix}' is none of .urdf, .xacro, .mjcf, .xml, .csv, .yaml; give a description of these kinds")
+
+
+def _is_mjcf(path: Path) -> bool:
+    if path.suffix.lower() == ".mjcf":
+        return True
+    try:
+        return b"<mujoco" in path.read_bytes()[:100_000]
+    except OSError as error:
+        raise ConfigError(f"{path}: the robot description cannot be read ({error.strerror}); correct the path") from None
+
+
+def _frame_remarks(rows: ChainInFrames) -> list[str]:
+    out = []
+    for T, sentence in (
+        (rows.T_given_base, "the rows' base lies on axis 1 and differs from the file's: X Y Z A B C of it there {} (mm, deg)"),
+        (rows.T_flange_given, "the rows' flange lies on the last axis and differs from the file's: X Y Z A B C of that in it {} (mm, deg)"),
+    ):
+        if not np.array_equal(T, np.eye(4)):
+            xyz, abc = se3.to_abc(T)
+            out.append(sentence.format(" ".join(f"{v:.4f}" for v in (*xyz, *np.degrees(abc)))))
+    return out
+
+
+def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray, name: str, remarks: list[str]) -> str:
+    chain = rows.chain
+    frames = chain.frames(np.zeros((1, chain.n)))[0]
+    com = se3.apply(se3.inverse(frames[1:]), se3.apply(se3.inverse(rows.T_given_base), source.com))
+    lines = [
+        f"# Imported from {path.name}, {source.base} to {source.flange}: {', '.join(source.joints)}.",
+        "# H_i = Rz(sign*q_i + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta); q as the file counts the joints' angles.",
+        "# Centres of gravity stand in the frame of their own link (behind its row).",
+        *(f"# {remark}." for remark in remarks),
+        f"name: {yaml.safe_dump(name, width=1000).splitlines()[0]}",
+    ]
+    down = rows.T_given_base[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+    if np.abs(down - [0, 0, -1]).max() > 1e-9:
+        lines.append(f"base_to_gravity: [{', '.join(_short(v) for v in down)}]")
+    lines.append("links:")
+    for i in range(chain.n):
+        row = {"theta_deg": np.degrees(chain.theta[i]), "d_mm": chain.d[i], "a_mm": chain.a[i], "alpha_deg": np.degrees(chain.alpha[i])}
+        if abs(chain.beta[i]) > 1e-11:
+            row["beta_deg"] = np.degrees(chain.beta[i])
+        content = [f"{key}: {_short(value)}" for key, value in row.items()]
+        if not np.isnan(source.limits[i]).any():
+            content.append(f"limits_deg: [{', '.join(_short(v, 6) for v in np.degrees(source.limits[i]))}]")
+        if np.isfinite(speed[i]) and speed[i] > 0:
+            content.append(f"speed_deg_s: {_short(np.degrees(speed[i]), 6)}")
+        line = "  - {" + ", ".join(content)
+        if source.mass[i] > 0:
+            lines.append(line + ",")
+            line = f"     mass_kg: {_short(source.mass[i], 6)}, com_mm: [{', '.join(_short(v, 3) for v in com[i])}]"
+        lines.append(line + "}")
+    return "\n".join(lines) + "\n"
+
+
+def _short(value: float, digits: int = 9) -> str:
+    """As few digits as say the number to ``digits`` decimals."""
+    rounded = round(float(value), digits) + 0.0
+    return str(int(rounded)) if rounded == int(rounded) else repr(rounded)
+
+
+def _compared(path: Path, text: str, rows: ChainInFrames, source: ArmSource) -> tuple[float, float]:
+    """Largest difference (mm, rad) of the file that is written and its source. Raises ConfigError where they differ."""
+    model = RobotSpec.model_validate(yaml.safe_load(text)).model()
+    limits = np.nan_to_num(source.limits, nan=np.pi)
+    q = np.random.default_rng(0).uniform(np.minimum(*limits.T), np.maximum(*limits.T), (POSTURES, model.n))
+    made, given = rows.T_given_base @ model.chain.flange(q) @ rows.T_flange_given, source.forward(q)
+    miss_mm = float(np.abs(made[:, :3, 3] - given[:, :3, 3]).max())
+    miss_rad = float(np.abs(made[:, :3, :3] - given[:, :3, :3]).max())
+    if not (miss_mm < LARGEST_MISS_MM and miss_rad < LARGEST_MISS_RAD):
+        raise ConfigError(f"{path}: the rows made from it miss its forward kinematics by {miss_mm:.3g} mm; please report this file")
+    return miss_mm, miss_rad

@@ -1,0 +1,148 @@
+"""The example package for Universal Robots: literal bytes of RTDE, the suite every driver must pass, a dry run with its own fake."""
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import install
+
+from mbcacq.conformance import CHECKS, Channel, DriverBench, Stand, TcpProxy, check
+from mbcacq.devices import ConfigError, ConnectError, MotionLimits, SafetyStop
+from mbcacq.model import shipped
+
+PACKAGE = Path(__file__).parents[2] / "examples" / "ur_rtde_driver"
+HOME_DEG = np.array([0.0, -90, 90, -90, -90, 0])
+LIMITS = MotionLimits(*(np.radians(np.full(6, v)) for v in (60.0, 200.0, 2000.0)), settle_s=0.05)
+
+
+@pytest.fixture(autouse=True)
+def _installed(tmp_path_factory, monkeypatch):
+    site = tmp_path_factory.mktemp("ur")
+    install(site, PACKAGE)
+    monkeypatch.syspath_prepend(str(site))
+    yield
+    for name in [name for name in sys.modules if name.split(".")[0] == "mbcacq_ur_rtde"]:
+        del sys.modules[name]
+
+
+def test_packages_are_the_guide_s_bytes():
+    from mbcacq_ur_rtde import protocol
+
+    assert protocol.package(protocol.REQUEST_PROTOCOL_VERSION, b"\x00\x02") == bytes.fromhex("00 05 56 00 02")
+    assert protocol.package(protocol.START) == bytes.fromhex("00 03 53")
+    assert (
+        protocol.setup_outputs(("timestamp", "actual_q"), 125.0)
+        == bytes.fromhex("00 1d 4f 40 5f 40 00 00 00 00 00") + b"timestamp,actual_q"
+    )
+    assert protocol.setup_inputs(("input_int_register_0",)) == bytes.fromhex("00 17 49") + b"input_int_register_0"
+
+
+def test_a_data_package_is_read_by_its_recipe():
+    from mbcacq_ur_rtde import protocol
+
+    recipe = protocol.recipe(("timestamp", "runtime_state"), b"\x01DOUBLE,UINT32")
+    assert recipe.unpack(bytes.fromhex("01 40 5e dd 2f 1a 9f be 77 00 00 00 02")) == {"timestamp": 123.456, "runtime_state": 2}
+    assert recipe.pack((123.456, 2)) == bytes.fromhex("01 40 5e dd 2f 1a 9f be 77 00 00 00 02")
+    with pytest.raises(protocol.Malformed):
+        recipe.unpack(b"\x02" + bytes(12))
+    with pytest.raises(protocol.Malformed, match="speed is NOT_FOUND"):
+        protocol.recipe(("speed",), b"\x00NOT_FOUND")
+
+
+def test_packages_are_cut_where_their_length_says():
+    from mbcacq_ur_rtde import protocol
+
+    packages, stream = protocol.Packages(), bytes.fromhex("00 04 53 01 00 05 56 00 02")
+    assert packages.feed(stream[:6]) == [(83, b"\x01")]
+    assert packages.feed(stream[6:]) == [(86, b"\x00\x02")]
+    with pytest.raises(protocol.Malformed, match="a package of 1 bytes"):
+        packages.feed(b"\x00\x01\x53")
+
+
+def length(data):
+    """Where the first package of these bytes ends, 0: not yet."""
+    return int.from_bytes(data[:2], "big") if len(data) >= 2 and len(data) >= int.from_bytes(data[:2], "big") else 0
+
+
+@contextmanager
+def opened():
+    from mbcacq_ur_rtde.driver import UrRtde
+    from mbcacq_ur_rtde.fake import FakeUr
+
+    with FakeUr(start_deg=HOME_DEG) as fake, TcpProxy(Channel("rtde"), ("127.0.0.1", fake.port)) as proxy:
+        made = []
+
+        def make(**more):
+            options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0, **more}
+            made.append(UrRtde("arm", "UR10e", options))
+            return made[-1]
+
+        def use(robot):
+            target = np.radians(HOME_DEG if np.abs(np.degrees(robot.state().q) - HOME_DEG).max() > 0.5 else HOME_DEG + 2)
+            robot.move_to(target, LIMITS)
+            while not robot.state().arrived:
+                pass
+            assert np.abs(fake.q - target).max() < 2e-4, "arrived, but the arm is elsewhere"
+
+        def begin(robot):
+            robot.move_to(np.radians(HOME_DEG + 170), LIMITS)
+
+        yield Stand(
+            make, use, {"rtde": proxy}, begin=begin, at_rest=lambda: fake.at_rest, short_limits={"silence_s": 0.5, "connect_timeout_s": 1.0}
+        )
+        for robot in made:
+            robot.close()
+
+
+NO_IDENTITY = {"refuses_the_wrong_device": "RTDE does not say which model of arm answers"}
+
+
+@pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
+def test_it_passes_the_suite_every_driver_must_pass(each):
+    result = check(DriverBench("ur_rtde", "robot", opened, excused=NO_IDENTITY), each)
+    assert result.status == ("skipped" if each.__name__ in NO_IDENTITY else "passed"), str(result)
+
+
+def test_a_target_beyond_the_limits_moves_nothing():
+    with opened() as stand, stand.make(limits_deg=[[-100, 100]] * 6) as robot:
+        with pytest.raises(SafetyStop, match=r"A2 would go to -101.000 deg, beyond its limits -100..100 deg; nothing was moved"):
+            robot.move_to(np.radians([0, -101, 90, -90, -90, 0]), LIMITS)
+        assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)
+
+
+def test_without_limits_it_is_not_even_constructed():
+    with opened() as stand, pytest.raises(ConfigError, match="limits_deg of six axes are needed"):
+        stand.make(limits_deg=None)
+
+
+def test_a_controller_without_its_program_says_what_to_load():
+    from mbcacq_ur_rtde.driver import UrRtde
+    from mbcacq_ur_rtde.fake import FakeUr
+
+    with FakeUr() as fake:
+        fake.running = False
+        robot = UrRtde("arm", "", {"address": "127.0.0.1", "port": fake.port, "limits_deg": [[-360, 360]] * 6, "connect_timeout_s": 0.3})
+        with pytest.raises(ConnectError, match="no program runs; load mbcacq_ur.script"):
+            robot.connect()
+
+
+def test_a_dry_run_drives_it_through_its_own_fake(tmp_path):
+    import mbcacq
+    from mbcacq.acquisition.cell_devices import create_devices
+    from mbcacq.plan import load
+
+    folder = shipped.folder()
+    plan = yaml.safe_load((folder / "quick.yaml").read_text())
+    plan["robot"] = {"driver": "ur_rtde", "model": str(folder / "robots" / "ur10.yaml"), "options": {"address": "192.168.0.10"}}
+    plan["robot"]["home_deg"] = [0, -90, -90, -90, 90, 0]
+    plan["artefacts"] = [str(folder / a) for a in plan["artefacts"]]
+    plan["stations"][0]["pose_in_base"] = {"translation_mm": [-800, -150, 200]}
+    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:3]}]
+    path = tmp_path / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan))
+    assert type(create_devices(load(path)).robot).__name__ == "UrRtde"
+    done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
+    assert mbcacq.load_observations(done.folder).n_poses == 3
