@@ -23,6 +23,10 @@ class MotionOptions:
     held_out_parts: int = 3  # a single recording, or many of them, are held out in so many parts
     interleaved_blocks: int = 15  # of a single recording, among which effects are selected: a fold has all postures
 
+    torque_offset: float = 0.03  # prior sigma of a torque's offset, as a share of its largest: drives measure currents to 1 to 3 %
+
+    rotor_share: float = 0.05  # prior sigma of a rotor's inertia behind its gear, as a share of the arm's mass times its reach squared
+
     # forward selection
     least_gain: float = 0.02  # share of the held-out mean square of a joint that an effect removes, at least
     least_prior_gain: float = 25.0  # five sigmas: squared prior Mahalanobis distance that an effect removes to count without ``least_gain``

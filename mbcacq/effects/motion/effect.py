@@ -9,6 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from mbcacq.model.cell import RobotModel
+
 MOTOR_SIDE_EFFECTS = ("friction", "channel_latency", "torque_ripple")  # parts of a torque that never pass the gear; the rotor is another
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
 SHORT_TIME_CONSTANT = 20.0  # sampling intervals; below, a filter is oversampled
@@ -24,7 +26,7 @@ class MotionSignals:
     drive's torque at the joint, load the part of it that passes the gear (without friction); rigid the torque of the rigid-body
     simulation, gravity its static part, rigid_set the same torque along the command. direction: (T, n) -1..1, direction of rotation
     of the last motion. payload: (T, n, 10) torque by unit inertial parameters (``geometry.dynamics.INERTIAL``) of what rides on the
-    flange. load_uncertainty: (n,) relative standard deviation of the load.
+    flange. load_uncertainty: (n,) relative standard deviation of the load. robot: the arm as it is described.
     """
 
     step_s: float
@@ -46,6 +48,7 @@ class MotionSignals:
     payload: np.ndarray | None = None
     gear_ratio: np.ndarray | None = None
     load_uncertainty: np.ndarray | None = None
+    robot: RobotModel | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,8 @@ class MotionCandidate:
     channel_delay: the hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the
     remaining delay.
     follows_load: its columns follow the load, which is known better the further the torque is explained.
+    usual: so common that it starts selected and is dropped where it is not needed.
+    tested: so many leading coefficients must differ from zero; the others only follow (None: all).
     sigma: prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
     """
 
@@ -109,6 +114,8 @@ class MotionCandidate:
     channel_delay: bool = False
     follows_load: bool = False
     form: str = ""
+    usual: bool = False
+    tested: int | None = None
 
     @property
     def location(self) -> tuple[str, tuple[str, ...]]:

@@ -7,12 +7,18 @@ import numpy as np
 from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available, standard_deviations
 
 NAME = "payload"
+MASS_SHARE = 0.2  # prior sigma of an undescribed tool: robots carry up to a fifth of their own mass
+LEVER_M, RADIUS_M = 0.2, 0.15  # prior sigma of its centre of gravity, and of its radius of gyration
+LEAST_MASS_KG = 1.0
 
 
 def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "tau" or any(run.payload is None for run in runs):
         return []
-    return [MotionCandidate(NAME, ("mount",), "gravity_torque", group.joints, _columns, _report)]
+    robot = runs[0].robot
+    mass = max(LEAST_MASS_KG, MASS_SHARE * (0.0 if robot is None else float(robot.mass.sum())))
+    sigma = (mass, *[mass * LEVER_M] * 3, *[mass * RADIUS_M**2] * 6)
+    return [MotionCandidate(NAME, ("mount",), "gravity_torque", group.joints, _columns, _report, sigma=sigma, usual=True, tested=4)]
 
 
 def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
