@@ -13,6 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.stats import f as f_distribution
 
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool, all_candidates
+from mbcacq.diagnosis.motion.determination import UndeterminedEffect, resemblance
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
 from mbcacq.diagnosis.motion.noise import sandwich_covariance
@@ -260,6 +261,24 @@ class ForwardSelection:
             self.model.selected.remove(weakest)
             if weakest.candidate.channel_delay:
                 self.model.store.correct_delay(0.0)
+
+    def drop_undetermined(self, effect: SelectedEffect, spread: np.ndarray) -> list[UndeterminedEffect]:
+        """Drop an effect whose parameters are not determined. Returns it where the data ask for it: held out, its joints lose by that.
+
+        spread: covariance of the coefficients of ``chosen()``, then of hyper-parameters.
+        """
+        model, candidate = self.model, effect.candidate
+        other, correlation = resemblance(model, effect, spread)
+        weights = model.weights(model.chosen())
+        after = model.held_out_mean_square(model.chosen(), model.fold_normals(weights))
+        model.selected.remove(effect)
+        if candidate.channel_delay:
+            model.store.correct_delay(0.0)
+        before = model.held_out_mean_square(model.chosen(), model.fold_normals(model.weights(model.chosen())))
+        needed = float(np.max(1.0 - after / np.maximum(before, TINY))) > model.options.least_gain
+        if not needed or candidate.extends or correlation < model.options.not_separable:
+            return []
+        return [UndeterminedEffect(candidate.name, candidate.where, other, correlation)]
 
     def _losses(self) -> list[tuple[float, SelectedEffect]]:
         """For each effect that may be dropped, the share by which the held-out mean square of a joint grows without it."""

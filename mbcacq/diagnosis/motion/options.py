@@ -58,6 +58,9 @@ class MotionOptions:
     correlation_s: float = 1.0  # residuals further apart than that count as independent
     unexplained_load_uncertainty: float = 0.05  # relative, of a load that is the drive's torque: the rotor's part of it is not separated
 
+    determined_sigmas: float = 3.0  # standard deviations by which a parameter of an effect differs from zero, at least
+    not_separable: float = 0.9  # correlation of two estimates from which they count as one
+
     # motor currents
     current_sigmas: float = 20.0  # a joint whose current does not show the arm's torque as clearly has no torque
     current_segment: int = 125  # samples that count as one independent observation

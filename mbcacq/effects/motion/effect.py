@@ -88,6 +88,8 @@ class MotionCandidate:
     report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: values to try, or None.
     positive: physics demands a positive first coefficient. trials: number of independent hyper values tried, for the p-value.
     extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
+    hyper_parameter: name of the reported parameter that is the hyper-parameter; at the first or last value of ``hyper`` it is a bound of
+    what was tried, no estimate. no_lower_bound: the first value stands for none at all.
     form: distinguishes several forms of one effect at one location.
     continuous: the hyper-parameter is continuous and is estimated with the coefficients. shares_hyper: it is that of the effect extended.
     channel_delay: the hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the
@@ -116,6 +118,8 @@ class MotionCandidate:
     form: str = ""
     usual: bool = False
     tested: int | None = None
+    hyper_parameter: str = ""
+    no_lower_bound: bool = False
 
     @property
     def location(self) -> tuple[str, tuple[str, ...]]:
