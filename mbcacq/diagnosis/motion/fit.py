@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
+from mbcacq.diagnosis.motion.determination import UndeterminedEffect, at_bound, least_determined
 from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
-from mbcacq.diagnosis.motion.determination import UndeterminedEffect, at_bound, least_determined
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
@@ -177,7 +177,9 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
     if candidate.hyper is not None and at_bound(effect):
         del parameters[candidate.hyper_parameter]
         tried = np.sort(candidate.hyper)
-        notes = [f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {tried[0]:.3g} to {tried[-1]:.3g}"]
+        notes = [
+            f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {tried[0]:.3g} to {tried[-1]:.3g}"
+        ]
     return FittedEffect(
         candidate.name,
         candidate.where,

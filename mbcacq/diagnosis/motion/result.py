@@ -88,7 +88,18 @@ class MotionEffect:
         steps = tuple(MotionStep.from_json(s) for s in content["steps"])
         gains = _number(content["held_out_gain"]), _number(content["held_out_gain_here"])
         where, p = tuple(content["where"]), _number(content["p_value"])
-        return cls(content["name"], where, content["depends_on"], content["channel"], content["parameters"], p, *gains, alternatives, steps, tuple(content.get("notes", ())))
+        return cls(
+            content["name"],
+            where,
+            content["depends_on"],
+            content["channel"],
+            content["parameters"],
+            p,
+            *gains,
+            alternatives,
+            steps,
+            tuple(content.get("notes", ())),
+        )
 
 
 @dataclass(frozen=True)
