@@ -14,6 +14,7 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
 from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable, numbered, read_table
 from mbcacq.recording.datasets.observation_writer import write_observation_set
@@ -26,6 +27,9 @@ def read_observation_set(folder: Path | str) -> Observations:
     """Read a folder. Raises ConfigError naming file, line and column of the first fault."""
     folder = Path(folder)
     cell, text = read_cell(folder / "cell.yaml")
+    bag = None if (folder / "poses.csv").exists() else bag_of(folder)
+    if bag is not None:
+        return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
     table = read_table(folder / "poses.csv")
     separate = (folder / "centres.csv").exists()
     wide = None if separate else wide_centres(table, cell)
