@@ -2,8 +2,8 @@
 
     python benchmarks/wrong_descriptions.py ../shared/data > benchmarks/wrong_descriptions.md
 
-A mistake is made in the files' place (angles, points, orientation, cell), then sought by ``mbcacq.description`` with its quick fit. It counts
-as named when the first change offered, or one said to fit as well, undoes it; a recording as it is must be left alone.
+A mistake is made in the arrays (angles, points, orientation, cell), then sought by ``mbcacq.description`` with its quick fit. It counts as
+named when the first change offered, or one said to fit as well, undoes it; a recording as it is must be left alone.
 """
 
 from __future__ import annotations

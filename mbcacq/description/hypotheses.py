@@ -70,9 +70,8 @@ def _axes(o: Observations) -> Iterator[Hypothesis]:
         yield Hypothesis(f"the columns of A{i + 1} and A{j + 1} exchanged", "order", lambda o, p=order: replace(o, q=o.q[:, p]))
     yield Hypothesis("the columns of the axes in reverse order", "order", lambda o: replace(o, q=o.q[:, ::-1]))
     for shift, word in ((1, "left"), (-1, "right")):
-        yield Hypothesis(
-            f"the columns of the axes shifted by one to the {word}", "order", lambda o, s=shift: replace(o, q=np.roll(o.q, -s, axis=1))
-        )
+        what = f"the columns of the axes shifted by one to the {word}"
+        yield Hypothesis(what, "order", lambda o, s=shift: replace(o, q=np.roll(o.q, -s, axis=1)))
     if n >= 3:
         for sign, word in ((1, "added to"), (-1, "subtracted from")):
             coupled = np.eye(n)
@@ -98,9 +97,8 @@ def _measured(o: Observations) -> Iterator[Hypothesis]:
             yield Hypothesis(f"the columns of the measured points read as {names}", "order", lambda o, p=order: replace(o, xyz=o.xyz[:, p]))
     if o.rotation is not None:
         yield Hypothesis("the orientation inverted", "orientation", lambda o: replace(o, rotation=np.swapaxes(_rotation(o), 1, 2)))
-        yield Hypothesis(
-            "the orientation's quaternion read as x, y, z, w", "orientation", lambda o: replace(o, rotation=_requaternion(o, (3, 0, 1, 2)))
-        )
+        xyzw = "the orientation's quaternion read as x, y, z, w"
+        yield Hypothesis(xyzw, "orientation", lambda o: replace(o, rotation=_requaternion(o, (3, 0, 1, 2))))
         for k, axis in enumerate(AXES):
             mirror = np.ones(3)
             mirror[k] = -1.0

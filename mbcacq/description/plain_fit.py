@@ -19,7 +19,8 @@ from mbcacq.model.observations import Observations
 LEVER_MM = 200.0  # of the points that stand for an orientation
 MOST_POSES = 60  # a convention shows in few
 MOST_STATIONS = 6
-ROUNDS = 8  # Gauss-Newton steps; conventions differ by more than its last digit
+ROUNDS, SCREENING_ROUNDS = 8, 3  # Gauss-Newton steps; conventions differ by more than its last digit
+SETTLED = 1e-6  # relative decrease of the cost at which the fit has converged
 KEPT = 0.8  # share of the smallest squared distances that the residual counts, so that single wrong rows do not decide
 RIDGE = 1e-9  # of a scaled normal matrix
 DECLARED_SIGMA_MM = 5.0  # of a declared station pose without sigma_mm
@@ -71,14 +72,13 @@ def correspondences(o: Observations) -> Correspondences:
     return Correspondences(flange, moving, fixed, np.searchsorted(used, o.station[pose]), o.cell.T_flange_scanner, declared, sigma)
 
 
-def residual_mm(o: Observations) -> float:
-    """Root mean square distance (mm) of the ``KEPT`` closest pairs after the fit; infinite where it fails."""
+def residual_mm(o: Observations, screening: bool = False) -> float:
+    """Root mean square distance (mm) of the ``KEPT`` closest pairs after the fit; infinite where it fails. screening: from the linear start
+    alone and in few steps, enough where the description is right."""
     c = correspondences(o)
-    best = np.inf
-    for T_e in (c.hand_eye, _linear_start(c)):
-        found = _refine(c, T_e)
-        best = min(best, found) if np.isfinite(found) else best
-    return best
+    if screening:
+        return _refine(c, _linear_start(c), SCREENING_ROUNDS)
+    return min(_refine(c, T_e, ROUNDS) for T_e in (c.hand_eye, _linear_start(c)))
 
 
 def _linear_start(c: Correspondences) -> np.ndarray:
@@ -101,41 +101,42 @@ def _linear_start(c: Correspondences) -> np.ndarray:
     return se3.transform(se3.nearest_rotation(x[:9].reshape(3, 3)), x[9:12])
 
 
-def _refine(c: Correspondences, T_e: np.ndarray) -> float:
-    S = int(c.station.max()) + 1
-    T_s = _stations(c, T_e)
-    damping, best, weights = 1e-3, np.inf, np.ones(len(c.moving))
-    current = (T_e, T_s)
-    for _ in range(ROUNDS):
-        r, J, declared, J_declared = _linearized(c, *current)
-        cost = float((weights * (r**2).sum(axis=1)).sum() + (declared**2).sum())
+def _refine(c: Correspondences, T_e: np.ndarray, rounds: int) -> float:
+    """Residual (mm) after damped Gauss-Newton steps from a hand-eye transform; infinite where it diverges."""
+    current = (T_e, _stations(c, T_e))
+    damping, weights = 1e-3, np.ones(len(c.moving))
+    r, J, declared, J_declared = _linearized(c, *current)
+    for _ in range(rounds):
+        cost = _cost(weights, r, declared)
         if not np.isfinite(cost):
-            break
-        best = cost
+            return float("inf")
         w = np.sqrt(weights)[:, None]
-        A, b = (w[:, :, None] * J).reshape(-1, 6 + 6 * S), (w * r).ravel()
-        A, b = np.concatenate([A, J_declared]), np.concatenate([b, declared])
+        A = np.concatenate([(w[:, :, None] * J).reshape(3 * len(r), -1), J_declared])
+        b = np.concatenate([(w * r).ravel(), declared])
         N, g = A.T @ A, A.T @ b
         scale = 1.0 / np.sqrt(np.maximum(np.diag(N), 1e-300))
         step = -scale * np.linalg.solve(N * np.outer(scale, scale) + (RIDGE + damping) * np.eye(len(N)), scale * g)
-        trial = (
-            current[0] @ se3.exp(step[:6]),
-            np.stack([T @ se3.exp(s) for T, s in zip(current[1], step[6:].reshape(S, 6), strict=True)]),
-        )
-        r_new, _, declared_new, _ = _linearized(c, *trial)
-        if float((weights * (r_new**2).sum(axis=1)).sum() + (declared_new**2).sum()) < best:
-            current, damping = trial, damping * 0.1
+        trial = (current[0] @ se3.exp(step[:6]), current[1] @ se3.exp(step[6:].reshape(-1, 6)))
+        tried = _linearized(c, *trial)
+        drop = cost - _cost(weights, tried[0], tried[2])
+        if drop > 0:
+            current, (r, J, declared, J_declared), damping = trial, tried, damping * 0.1
         else:
             damping *= 10.0
-        weights = _huber(np.linalg.norm(_linearized(c, *current)[0], axis=1))
-    return _rms(c, *current)
+        if 0 <= drop < SETTLED * cost:
+            break
+        weights = _huber(np.linalg.norm(r, axis=1))
+    return _rms(r, declared)
 
 
-def _rms(c: Correspondences, T_e: np.ndarray, T_s: np.ndarray) -> float:
-    r, _, declared, _ = _linearized(c, T_e, T_s)
+def _cost(weights: np.ndarray, r: np.ndarray, declared: np.ndarray) -> float:
+    return float((weights * (r**2).sum(axis=1)).sum() + (declared**2).sum())
+
+
+def _rms(r: np.ndarray, declared: np.ndarray) -> float:
     squares = np.sort((r**2).sum(axis=1))
-    kept = squares[: max(int(KEPT * len(squares)), 1)]
-    return float(np.sqrt(kept.mean() + (declared**2).mean() if len(declared) else kept.mean()))
+    kept = float(squares[: max(int(KEPT * len(squares)), 1)].mean())
+    return float(np.sqrt(kept + ((declared**2).mean() if len(declared) else 0.0)))
 
 
 def _huber(distance: np.ndarray) -> np.ndarray:

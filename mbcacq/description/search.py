@@ -15,6 +15,8 @@ Fit = Callable[[Observations], float]
 
 MOST = 0.3  # share of the misfit that may remain with the change: it removes most of it
 SAME = 1.25  # factor within which two changes explain as much and cannot be told apart
+LIKELIER = ("sign", "unit", "handedness", "orientation", "order", "offset", "coupling", "frame", "rows")  # of changes that fit equally well
+SCREENED = 8  # changes of the smallest residual in a few steps that are fitted to the end
 FITTED = 3  # best changes that the caller's fit is asked for
 MOST_CHANGES = 2  # mistakes found one after the other
 
@@ -55,18 +57,22 @@ def wrong_descriptions(observations: Observations, fit: Fit | None = None) -> tu
 def _best(observations: Observations, fit: Fit | None) -> DescriptionFinding | None:
     few = subset(observations)
     before = residual_mm(few)
-    scored = sorted(((_score(few, h), i, h) for i, h in enumerate(hypotheses(few))), key=lambda s: s[:2])
+    screened = sorted(((_score(few, h, True), i, h) for i, h in enumerate(hypotheses(few))), key=lambda s: s[:2])
+    scored = sorted(((_score(few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
     near = [(score, h) for score, _, h in scored if score < MOST * before]
     if not near:
         return None
     best = near[0][0]
-    near = [(score, h) for score, h in near if score < SAME * best]
+    near = sorted(((score, h) for score, h in near if score < SAME * best), key=lambda pair: LIKELIER.index(pair[1].kind))
     if fit is None:
         return _finding(near, before)
     own_before = _own(fit, observations)
     own = sorted(((_own(fit, h.change(observations)), i, h) for i, (_, h) in enumerate(near[:FITTED])), key=lambda s: s[:2])
     judged = [(score, h) for score, _, h in own if score < MOST * own_before]
-    return _finding([(s, h) for s, h in judged if s < SAME * judged[0][0]], own_before) if judged else None
+    if not judged:
+        return None
+    same = [(s, h) for s, h in judged if s < SAME * judged[0][0]]
+    return _finding(sorted(same, key=lambda pair: LIKELIER.index(pair[1].kind)), own_before)
 
 
 def _finding(near: list[tuple[float, Hypothesis]], before: float) -> DescriptionFinding:
@@ -74,10 +80,10 @@ def _finding(near: list[tuple[float, Hypothesis]], before: float) -> Description
     return DescriptionFinding(best.what, before, score, tuple(h.what for _, h in near[1:]), best.change)
 
 
-def _score(observations: Observations, hypothesis: Hypothesis) -> float:
+def _score(observations: Observations, hypothesis: Hypothesis, screening: bool) -> float:
     """Infinite where the change leaves nothing that can be fitted."""
     try:
-        return residual_mm(hypothesis.change(observations))
+        return residual_mm(hypothesis.change(observations), screening)
     except (ValueError, np.linalg.LinAlgError):
         return float("inf")
 

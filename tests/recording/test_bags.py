@@ -55,7 +55,9 @@ def bag(request, tmp_path):
         poses = writer.add_connection("/tracker/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
         for k, (angles, i) in enumerate(zip(q, at, strict=True)):
             t = 1000.0 + STEP * k
-            message = kind["sensor_msgs/msg/JointState"](header(t), ["elbow", "shoulder"], angles[::-1].copy(), np.zeros(2), np.array([7.0, 5.0]))
+            message = kind["sensor_msgs/msg/JointState"](
+                header(t), ["elbow", "shoulder"], angles[::-1].copy(), np.zeros(2), np.array([7.0, 5.0])
+            )
             writer.write(states, int(t * 1e9), store.serialize_cdr(message, message.__msgtype__))
             if i >= 0:
                 turn = 1.0 if k % 2 else -1.0  # both quaternions of one rotation

@@ -99,8 +99,8 @@ def _moving(run: MotionSignals, fastest: np.ndarray, options: MotionOptions) -> 
 
 
 def _rotors(run: MotionSignals, robot: RobotModel, joints: tuple[int, ...], options: MotionOptions) -> np.ndarray:
-    """(T, J, n): torque of each rotor by a share of the inertia of the whole arm: behind its gear a small rotor counts as much, at the wrist
-    too."""
+    """(T, J, n): torque of each rotor by a share of the inertia of the whole arm: behind its gear a small rotor counts as much, at the
+    wrist too."""
     reach = float((np.abs(robot.chain.a) + np.abs(robot.chain.d)).sum()) * 1e-3
     scale = options.rotor_share * max(float(robot.mass.sum()), float(robot.n)) * reach**2
     return np.einsum("tj,jl->tjl", run.qdd[:, joints], np.eye(robot.n)[list(joints)] * scale)

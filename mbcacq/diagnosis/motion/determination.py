@@ -1,4 +1,7 @@
-"""Is an effect determined by the data? A value at the end of what was tried is no estimate, one within its uncertainty of zero no finding."""
+"""Is an effect determined by the data?
+
+A value at the end of what was tried is no estimate, one within its uncertainty of zero no finding.
+"""
 
 from __future__ import annotations
 

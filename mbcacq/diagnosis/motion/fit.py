@@ -32,7 +32,8 @@ class FitStep:
 class FittedEffect:
     """One effect of the catalogue at one location, with all its forms.
 
-    notes: what its parameters leave open. gain: (J,) reduction of the held-out mean square. contributions: (T,) by joint of the group and run, what it adds to the mismatch.
+    notes: what its parameters leave open. gain: (J,) reduction of the held-out mean square. contributions: (T,) by joint of the group
+    and run, what it adds to the mismatch.
     """
 
     name: str
@@ -55,8 +56,8 @@ class MotionFit:
     residual_before, residual_after: with the base alone and with all effects; used: which samples count. links: torque by which the
     links differ from their description, as fitted; load_uncertainty: (J,) relative standard deviation of the torque that passes the
     gear. undetermined: effects that the data ask for without determining them. inertial: (b, 10) parameters of the links and of the tool
-    that was found (``geometry.dynamics.INERTIAL``), None for another channel. held_out_before, held_out_after, train_before, train_after: (J,) mean squares; floor: (J,) standard deviation of the
-    channels' noise.
+    that was found (``geometry.dynamics.INERTIAL``), None for another channel. held_out_before, held_out_after, train_before,
+    train_after: (J,) mean squares; floor: (J,) standard deviation of the channels' noise.
     """
 
     group: ChannelGroup
@@ -177,9 +178,8 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
     if candidate.hyper is not None and at_bound(effect):
         del parameters[candidate.hyper_parameter]
         tried = np.sort(candidate.hyper)
-        notes = [
-            f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {tried[0]:.3g} to {tried[-1]:.3g}"
-        ]
+        limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
+        notes = [f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {limits}"]
     return FittedEffect(
         candidate.name,
         candidate.where,

@@ -221,8 +221,8 @@ class ForwardSelection:
         return out
 
     def _p_value(self, variant: Variant, ids: np.ndarray, first: int) -> float:
-        """p-value that the tested coefficients of a variant, from ``first`` on, are zero: Wald test with segments of the recording as independent, weighted by
-        the residual that the model with them leaves."""
+        """p-value that the tested coefficients of a variant, from ``first`` on, are zero: Wald test with segments of the recording as
+        independent, weighted by the residual that the model with them leaves."""
         weights = self.model.weights(ids)
         x = self.model.store.solve(self.model.store.normal(weights), ids)
         last = first + len(ids[first:][: variant.candidate.tested])

@@ -1,8 +1,8 @@
 """Inertial parameters that a body can have.
 
-A rigid body's pseudo-inertia [[S, h], [h^T, m]], with S the second moment of its mass, S = trace(I) / 2 - I, is positive semidefinite
-(Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial parameter identification, 2018). Here it is written
-as L L^T of a lower triangular L, so that the least squares of the torque are solved within that set; rotors are squares for the same reason.
+A rigid body's pseudo-inertia [[S, h], [h^T, m]], with S the second moment of its mass, S = trace(I) / 2 - I, is positive definite
+(Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial parameter identification, 2018). Here it is L L^T of
+a lower triangular L, so that the least squares of the torque are solved within that set; rotors are squares for the same reason.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def is_consistent(parameters: np.ndarray) -> np.ndarray:
 
 
 def consistent_coefficients(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The coefficients x (c,) of the columns ``chosen``, or those nearest in the least squares of the torque of which every body can exist."""
+    """The coefficients x (c,) of the columns ``chosen``, or the nearest, in the least squares of the torque, whose bodies can all exist."""
     found = bodies(model, chosen)
     if found is None:
         return x

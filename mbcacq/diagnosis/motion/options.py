@@ -61,6 +61,11 @@ class MotionOptions:
     determined_sigmas: float = 3.0  # standard deviations by which a parameter of an effect differs from zero, at least
     not_separable: float = 0.9  # correlation of two estimates from which they count as one
 
+    # description of the data
+    description_samples: int = 300  # in all, on which other readings are tried: conventions show in few
+    description_correlated: float = 10.0  # samples that count as one there
+    suspicious_ratio: float = 0.75  # product over the joints of the unexplained rms torque with another reading and without, at most
+
     # motor currents
     current_sigmas: float = 20.0  # a joint whose current does not show the arm's torque as clearly has no torque
     current_segment: int = 125  # samples that count as one independent observation

@@ -216,8 +216,8 @@ class BodyInertia:
 class MotionDiagnosis:
     """What was found in recordings of motion.
 
-    verdict: 'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'. mismatch: by falling share. effects: by falling held-out gain.
-    channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
+    verdict: 'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'. mismatch: by falling share. effects: by falling
+    held-out gain. channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
     not_separable: effects asked for that are not told apart, and advice: what to record for that. inertial: of the links and of a tool
     that was found. suspicions: what in the description of the data looks wrong, in words.
     """

@@ -1,7 +1,8 @@
 """Recordings of ROS: rosbag2 folders (SQLite or MCAP) and .mcap files as observations or trajectories.
 
 ``cell.yaml`` says under ``bag`` which topic is what. Joint angles are those of sensor_msgs/JointState; a target is a geometry_msgs
-PoseStamped, PointStamped or TransformStamped; a cloud is a sensor_msgs/PointCloud2. Needs the package rosbags (``pip install mbcacq[ros]``).
+PoseStamped, PointStamped or TransformStamped; a cloud is a sensor_msgs/PointCloud2. Needs the package rosbags:
+``pip install mbcacq[ros]``.
 """
 
 from __future__ import annotations

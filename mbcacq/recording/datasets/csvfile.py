@@ -131,17 +131,21 @@ def read_table(path: Path) -> CsvTable:
     for name in header:
         if header.count(name) > 1:
             raise ConfigError(f"{path}:1: column {name} appears twice; remove one")
+    _refuse_ragged(path, header, rows, line)
+    if not rows:
+        raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
+    if separator != ",":
+        rows = _decimal_points(path, header, rows, line)
+    return CsvTable(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
+
+
+def _refuse_ragged(path: Path, header: list[str], rows: list[list[str]], line: list[int]) -> None:
     for row, number in zip(rows, line, strict=True):
         if len(row) != len(header):
             raise ConfigError(
                 f"{path}:{number}: column {header[min(len(row), len(header) - 1)]}: the row has {len(row)} cells, "
                 f"the header {len(header)}; correct the row (decimal point and comma, or decimal comma and semicolon)"
             )
-    if not rows:
-        raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
-    if separator != ",":
-        rows = _decimal_points(path, header, rows, line)
-    return CsvTable(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
 
 
 def _separator(text: str) -> str:
