@@ -72,6 +72,8 @@ def bag(request, tmp_path):
 def test_each_standstill_is_a_pose_with_its_target(bag):
     (bag / "cell.yaml").write_text(TRACKER)
     obs = load_observations(bag)
+    assert obs.rotation is not None
+    assert obs.time_s is not None
     np.testing.assert_allclose(obs.q, POSES, atol=1e-12)
     np.testing.assert_allclose(obs.xyz, 1e3 * PLACES)
     np.testing.assert_allclose(obs.rotation[0][:2, :2], [[0.28, -0.96], [0.96, 0.28]], atol=1e-12)
@@ -81,6 +83,7 @@ def test_each_standstill_is_a_pose_with_its_target(bag):
 def test_the_joint_states_of_a_bag_are_a_motion(bag):
     (bag / "cell.yaml").write_text(MOTION)
     (motion,) = load_trajectories(bag)
+    assert motion.torque is not None
     np.testing.assert_allclose(motion.q, path()[0])
     assert motion.torque[:, 0].tolist() == [5.0] * len(motion.q)
     assert motion.time_s[-1] == pytest.approx(STEP * (len(motion.q) - 1))

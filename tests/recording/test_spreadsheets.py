@@ -63,6 +63,7 @@ def test_one_wide_table_has_joints_and_target_in_a_row(tmp_path):
     assert obs.pose_id.tolist() == [1, 2]
     assert np.degrees(obs.q[1]).tolist() == [10.5, 80.0]
     assert obs.xyz.tolist() == [[1.5, 2, 3], [4, 5, 6]]
+    assert obs.rotation is not None
     assert np.allclose(obs.rotation[1], np.diag([1, -1, -1]))
 
 

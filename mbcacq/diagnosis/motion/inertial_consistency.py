@@ -8,6 +8,7 @@ a lower triangular L, so that the least squares of the torque are solved within 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -142,7 +143,8 @@ def _solve(found: Bodies, free: np.ndarray, root: np.ndarray, target: np.ndarray
 
     start = np.linalg.cholesky(_nearest(pseudo_inertia(found.described)) + START * np.eye(4))
     first = np.concatenate([start[:, *LOWER].ravel(), np.sqrt(np.maximum(target[len(scale) :], 0.0)) + START])
-    result = least_squares(lambda y: root @ (coefficients(y) - target), first, jac=jacobian, method="trf", max_nfev=ROUNDS)
+    derivative: Any = jacobian  # scipy's stubs know only the names of its own methods
+    result = least_squares(lambda y: root @ (coefficients(y) - target), first, jac=derivative, method="trf", max_nfev=ROUNDS)
     return coefficients(result.x)
 
 

@@ -169,8 +169,9 @@ class ChannelFit:
 
     @classmethod
     def from_json(cls, content: Json) -> ChannelFit:
-        errors = (ErrorBeforeAfter(**{k: _number(v) for k, v in content[part].items()}) for part in ("train", "held_out"))
-        return cls(content["channel"], content["at"], content["unit"], _number(content["noise_floor"]), *errors, content.get("refused_rms"))
+        train, held_out = (ErrorBeforeAfter(**{k: _number(v) for k, v in content[part].items()}) for part in ("train", "held_out"))
+        floor, refused = _number(content["noise_floor"]), content.get("refused_rms")
+        return cls(content["channel"], content["at"], content["unit"], floor, train, held_out, refused)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def _complete(table: CsvTable, cell: Cell) -> None:
     if "station" not in table.columns:
         if len(cell.stations) > 1:
             raise ConfigError(f"{table.path}:1: column station is missing, and cell.yaml has {len(cell.stations)} stations; add it")
-        table.columns["station"] = (cell.stations[0].id,) * len(table)
+        table.columns["station"] = tuple(station.id for station in cell.stations) * len(table)
 
 
 def _balls(table: CsvTable, cell: Cell) -> np.ndarray:
