@@ -2,9 +2,9 @@
 
     python benchmarks/rigid_arm_fit.py ../shared/data/kr300-trajectory-a ../shared/data/kr300-trajectory-b
 
-The masses are those of cell.yaml and stay fixed; at the flange hangs a point mass 100 mm in front of it; the gas balancer of A2 is off, as its
-maker's drawing gives it (isothermal gas, two anchor points), or that with a free factor. Per joint an offset, Coulomb and viscous friction
-and the rotor are fitted by least squares on one trajectory and tested on the other.
+The masses are those of cell.yaml and stay fixed; a point mass hangs 100 mm in front of the flange; the gas balancer of A2 is off, as the
+source of the data publishes it (isothermal gas, two anchor points), or that with a free factor. Per joint an offset, Coulomb and viscous
+friction and the rotor are fitted by least squares on one trajectory and tested on the other.
 """
 
 from __future__ import annotations

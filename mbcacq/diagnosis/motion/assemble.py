@@ -30,6 +30,7 @@ from mbcacq.effects.motion.effect import MotionSignals
 from mbcacq.effects.motion.payload import NAME as PAYLOAD
 
 BETWEEN_JOINTS = "wrist_coupling"  # acts from one joint on another
+WIDE = 0.5  # share of an axis' limits from which a motion counts as wide
 MILLI = 1e3  # mm in a metre
 
 
@@ -167,15 +168,19 @@ def _not_separable(fit: MotionFit) -> list[NotSeparable]:
 
 
 def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[MotionAdvice]:
-    """How far each axis moved, where effects could not be told apart: angles that were not visited would separate them."""
-    if not not_separable:
+    """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
+    together over a small range of angles, and apart over a large one."""
+    robot = runs[0].robot
+    if not not_separable or robot is None:
         return []
     low, high = (np.degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
-    moved = ", ".join(f"A{j + 1} {a:.0f} to {b:.0f}" for j, (a, b) in enumerate(zip(low, high, strict=True)))
+    limits = np.degrees(robot.limits)
+    small = [j for j in range(1, robot.n) if high[j] - low[j] < WIDE * (limits[j, 1] - limits[j, 0])]
+    ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (
-        f"{names} cannot be told apart by motions over these angles (deg): {moved}. "
-        "`mbcacq plan design --motion` computes a motion within the limits of the arm that can"
+        f"{names} go together over the angles recorded (deg: {ranges or 'all wide'}): record a motion over as much of these ranges as the cell "
+        "allows, and the same motion once with a known weight on the flange"
     )
     return [MotionAdvice(reason)]
 
