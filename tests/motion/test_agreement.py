@@ -19,12 +19,18 @@ def poses(value, std):
 def motion(value=4.2e-6, std=1e-7, named=True):
     error = {"before_rms": 0.03, "after_rms": 0.002, "before_chi2_dof": 200.0, "after_chi2_dof": None}
     channel = {"channel": "q_joint", "at": "A2", "unit": "deg", "noise_floor": 1e-4, "train": error, "held_out": error}
+    channel |= {"refused_rms": None}
     unknown = {"name": "unknown", "where": ["A2"], "channel": "q_joint", "depends_on": "q2", "parameters": {}, "p_value": 1e-9}
     unknown |= {"held_out_gain": 0.1, "shape": {"x": [0.0, 1.0], "y": [0.2, 0.3]}, "alternatives": []}
     step = {"adds": ["A2.compliance_rad_per_Nm"], "held_out_before_rms": {"A2": 0.03}, "held_out_after_rms": {"A2": 0.002}}
     effect = {"name": "joint_compliance", "where": ["A2"], "depends_on": "tau2", "channel": "q_joint"}
     effect |= {"parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}, "p_value": 1e-12, "held_out_gain": 0.8}
-    effect |= {"held_out_gain_here": 0.9, "alternatives": [{"name": "backlash", "where": ["A2"], "held_out_gain": 0.2}], "steps": [step]}
+    effect |= {
+        "held_out_gain_here": 0.9,
+        "alternatives": [{"name": "backlash", "where": ["A2"], "held_out_gain": 0.2}],
+        "steps": [step],
+        "notes": [],
+    }
     mean = {"before_chi2_dof": 200.0, "after_chi2_dof": None}
     return {
         "format": "mbcacq-diagnosis/1",
@@ -32,8 +38,12 @@ def motion(value=4.2e-6, std=1e-7, named=True):
         "mismatch": [{"at": "A2", "channel": "q_joint", "depends_on": "tau2", "share": 0.8, "p_value": 1e-12}],
         "effects": [effect, unknown] if named else [unknown],
         "fit": {"train": mean, "held_out": mean | {"split": "trajectory"}, "channels": [channel]},
-        "not_separable": [],
-        "advice": [],
+        "not_separable": [{"effects": ["payload:mount", "arm"], "correlation": 0.98}],
+        "advice": [{"reason": "move A2 further", "poses_deg": [[0.0, -90.0]]}],
+        "inertial": [
+            {"body": "link1", "mass_kg": 3.0, "first_moment_kg_mm": [1.0, 0.0, 0.0], "tensor_kg_m2": [0.1, 0.0, 0.0, 0.1, 0.0, 0.1]}
+        ],
+        "suspicions": [],
     }
 
 

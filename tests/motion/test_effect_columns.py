@@ -182,7 +182,7 @@ def check_gravity_compensator():
     def slope(free):
         return (energy(Q[:, 1] + 1e-5, free) - energy(Q[:, 1] - 1e-5, free)) / 2e-5
 
-    first = candidate(gravity_compensator, "tau", run, ("A2",))
+    first = candidate(gravity_compensator, "tau", run, ("A2",), "series")
     found, residual = fitted(first, run, 1, slope(0.0))
     expected = {"A2.sin_Nm": k * a * b * np.cos(q0), "A2.cos_Nm": -k * a * b * np.sin(q0), "A2.sin2_Nm": 0.0, "A2.cos2_Nm": 0.0}
     assert found == pytest.approx(expected, abs=1e-2)

@@ -3,6 +3,7 @@
 The recordings do not describe the payload and the gas balancer of A2, and the masses are those of the published model.
 """
 
+import numpy as np
 import pytest
 
 from mbcacq.diagnosis.motion import diagnose_trajectories
@@ -32,20 +33,43 @@ def test_joint_side_angles_are_explained_to_five_thousandths_of_a_degree(kr300):
     assert late.parameters["latency_s"]["value"] == pytest.approx(0.003, abs=2e-4)
 
 
-@pytest.mark.parametrize(("axis", "share"), [("A1", 0.30), ("A3", 0.32), ("A4", 0.34), ("A5", 0.26), ("A6", 0.30)])
-def test_torque_is_explained_to_a_third_where_friction_is_what_is_missing(kr300, axis, share):
-    assert remaining(kr300, "tau")[axis] < share
+@pytest.mark.parametrize(("axis", "rms"), [("A1", 200), ("A2", 350), ("A3", 235), ("A4", 50), ("A5", 50), ("A6", 40)])
+def test_torque_is_explained_as_well_as_by_a_fit_that_knows_load_and_balancer(kr300, axis, rms):
+    """N m, held out; such a fit (benchmarks/rigid_arm_fit.py) leaves 187, 301, 228, 50, 50, 28."""
+    after = {c.at: c.held_out.after_rms for c in kr300.channels if c.channel == "tau"}
+    assert after[axis] < rms
 
 
-def test_torque_of_a2_is_explained_to_half_without_payload_and_balancer(kr300):
-    """With an undescribed balancer and payload 0.52 of the torque's rms remains, more than at any other joint."""
-    by_joint = remaining(kr300, "tau")
-    assert 0.45 < by_joint["A2"] < 0.55
-    assert by_joint["A2"] == max(by_joint.values())
+def test_the_load_and_the_balancer_that_nobody_described_are_found(kr300):
+    """150 kg at the flange, and a balancer whose torque is zero at -95 deg."""
+    found = {e.name: e.parameters for e in kr300.named_effects if e.name in ("payload", "gravity_compensator")}
+    load, zero = found["payload"]["added_mass_kg"], found["gravity_compensator"]["A2.zero_deg"]
+    assert abs(load["value"] - 150.0) < 3.0 * load["std"]
+    assert abs(zero["value"] + 95.0) < 3.0 * zero["std"]
+
+
+def test_no_channel_is_worse_than_without_a_model_and_no_bound_is_a_value(kr300):
+    assert all(c.held_out.after_rms <= c.held_out.before_rms for c in kr300.channels)
+    lags = [e for e in kr300.named_effects if e.name == "drive_lag"]
+    assert all(entry["value"] < 99.0 for e in lags for name, entry in e.parameters.items() if name.endswith("time_constant_s"))
+    assert any(e.notes for e in lags)
+
+
+def test_every_body_found_can_exist(kr300):
+    for body in kr300.inertial:
+        xx, xy, xz, yy, yz, zz = body.tensor_kg_m2
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moment = 1e-3 * np.array(body.first_moment_kg_mm)
+        pseudo = np.block([[np.trace(tensor) / 2 * np.eye(3) - tensor, moment[:, None]], [moment[None], np.array([[body.mass_kg]])]])
+        assert np.linalg.eigvalsh(pseudo)[0] > 0.0
+
+
+def test_the_right_description_is_not_suspected(kr300):
+    assert kr300.suspicions == ()
 
 
 @pytest.mark.parametrize(
-    ("axis", "share"), [("A1", 0.25), ("A2", 0.82), ("A3", 0.45), ("A4", 0.34), ("A5", 0.82), ("A6", 0.55)]
+    ("axis", "share"), [("A1", 0.25), ("A2", 0.85), ("A3", 0.45), ("A4", 0.34), ("A5", 0.82), ("A6", 0.55)]
 )  # fmt: skip
 def test_following_of_the_set_point_is_explained_in_part(kr300, axis, share):
     assert remaining(kr300, "q_set")[axis] < share

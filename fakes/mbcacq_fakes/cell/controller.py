@@ -74,8 +74,6 @@ def start_controller(
         from mbcacq_fakes.dynamics.online import description
 
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
-    if robot.speed is not None:
-        settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
     krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent

@@ -1,6 +1,12 @@
-"""The diagnosis of motion put together from the fits of all groups of channels."""
+"""The diagnosis of motion put together from the fits of all groups of channels.
+
+The held-out table of channels is the one truth: a joint of a channel that its model makes worse there keeps no model, and what the effects
+of a joint remove is shared out of what the table says.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,18 +14,60 @@ from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import MotionOptions
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
 from mbcacq.diagnosis.motion.result import (
+    BodyInertia,
     ChannelFit,
     ErrorBeforeAfter,
+    MotionAdvice,
     MotionAlternative,
     MotionDiagnosis,
     MotionEffect,
     MotionMismatch,
     MotionStep,
+    NotSeparable,
     UnmodelledMotionEffect,
 )
 from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.effects.motion.payload import NAME as PAYLOAD
 
 BETWEEN_JOINTS = "wrist_coupling"  # acts from one joint on another
+WIDE = 0.5  # share of an axis' limits from which a motion counts as wide
+MILLI = 1e3  # mm in a metre
+
+
+@dataclass(frozen=True)
+class HeldOutTable:
+    """Held-out mean squares (J,) of one group before and after; refused: (J,) where the model made it worse; gains: (J,) by effect."""
+
+    fit: MotionFit
+    before: np.ndarray
+    after: np.ndarray
+    refused: np.ndarray
+    gains: list[np.ndarray]
+
+    @classmethod
+    def of(cls, fit: MotionFit, cross_validated: np.ndarray | None) -> HeldOutTable:
+        """cross_validated: (2, J) mean squares, None for those by which effects were selected."""
+        before, after = (fit.held_out_before, fit.held_out_after) if cross_validated is None else cross_validated
+        refused = np.asarray(after > before)
+        removed = np.where(refused, 0.0, before - after)
+        drops = [np.where(np.isin(fit.group.joints, e.joints), np.maximum(e.gain, 0.0), 0.0) for e in fit.effects]
+        total = np.maximum(sum(drops, np.zeros(len(before))), 1e-300)
+        return cls(fit, before, np.where(refused, before, after), refused, [removed * drop / total for drop in drops])
+
+    @property
+    def excess(self) -> float:
+        """Held-out chi2 over the noise, of all joints of the group before any effect."""
+        return max(float(np.maximum(self.before / self.fit.floor**2 - 1.0, 0.0).sum()), 1e-300)
+
+    def share(self, gain: np.ndarray, at: list[int] | None = None) -> float:
+        """Share of the excess of these joints (all if None) that a gain (J,) removes."""
+        where = list(range(len(self.before))) if at is None else at
+        own = float(np.maximum(self.before[where] / self.fit.floor[where] ** 2 - 1.0, 0.0).sum())
+        return float((gain[where] / self.fit.floor[where] ** 2).sum()) / max(own, 1e-300)
+
+    def keeps(self, effect: FittedEffect) -> bool:
+        """Some joint on which the effect acts keeps its model."""
+        return not all(self.refused[self.fit.group.index(joint)] for joint in effect.joints)
 
 
 def assemble(
@@ -31,42 +79,50 @@ def assemble(
     mismatch: list[MotionMismatch] = []
     channels: list[ChannelFit] = []
     for fit in fits:
-        held_out = np.stack([fit.held_out_before, fit.held_out_after]) if cross_validated is None else cross_validated[fit.group.name]
-        excess = _excess(fit)
-        effects += [_effect(fit, e, excess) for e in fit.effects]
-        mismatch += [_mismatch(fit, e, excess) for e in fit.effects]
+        table = HeldOutTable.of(fit, None if cross_validated is None else cross_validated[fit.group.name])
+        refused_after = table.after if cross_validated is None else cross_validated[fit.group.name][1]
+        for effect, gain in zip(fit.effects, table.gains, strict=True):
+            if table.keeps(effect):
+                effects.append(_effect(table, effect, gain))
+                mismatch.append(_mismatch(table, effect, gain))
         for j in range(len(fit.group.joints)):
-            channels.append(_channel(fit, j, held_out[:, j]))
-            weight = max(float(fit.held_out_after[j]) / fit.floor[j] ** 2 - 1.0, 0.0) / excess
+            channels.append(_channel(table, j, float(refused_after[j])))
+            weight = max(float(table.after[j]) / fit.floor[j] ** 2 - 1.0, 0.0) / table.excess
             dependence, unmodelled = residual_structure(fit, j, runs, min(weight, 1.0), options)
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
+    not_separable = tuple(s for fit in fits for s in _not_separable(fit))
     return MotionDiagnosis(
-        _verdict(effects, channels, options),
+        _verdict(effects, channels, not_separable, options),
         tuple(sorted(mismatch, key=lambda m: -m.share)),
         tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
         tuple(channels),
         fits[0].split,
+        not_separable,
+        tuple(_advice(runs, not_separable)),
+        tuple(b for fit in fits for b in _inertial(fit)),
     )
 
 
-def _verdict(effects: list[MotionEffect | UnmodelledMotionEffect], channels: list[ChannelFit], options: MotionOptions) -> str:
+def _verdict(
+    effects: list[MotionEffect | UnmodelledMotionEffect],
+    channels: list[ChannelFit],
+    not_separable: tuple[NotSeparable, ...],
+    options: MotionOptions,
+) -> str:
     named = any(isinstance(e, MotionEffect) for e in effects)
     unexplained = any(c.held_out.after_chi2_dof > options.unexplained_chi2_dof for c in channels)
+    if not_separable and unexplained:
+        return "cannot_tell"
     if named:
         return "partly_explained" if unexplained else "explained"
-    return "unexplained" if any(c.held_out.before_chi2_dof > options.unexplained_chi2_dof for c in channels) else "none"
+    return "unexplained" if unexplained else "none"
 
 
-def _excess(fit: MotionFit) -> float:
-    """Held-out chi2 over the noise, of all joints of a group before any effect."""
-    return max(float(np.maximum(fit.held_out_before / fit.floor**2 - 1.0, 0.0).sum()), 1e-300)
-
-
-def _effect(fit: MotionFit, effect: FittedEffect, excess: float) -> MotionEffect:
+def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionEffect:
+    fit = table.fit
     at = [fit.group.index(joint) for joint in effect.joints]
-    own_excess = float(np.maximum(fit.held_out_before[at] / fit.floor[at] ** 2 - 1.0, 0.0).sum())
-    drop = float((effect.gain / fit.floor**2).sum())
+    share = table.share(gain)
     return MotionEffect(
         effect.name,
         effect.where,
@@ -74,10 +130,11 @@ def _effect(fit: MotionFit, effect: FittedEffect, excess: float) -> MotionEffect
         fit.group.name,
         effect.parameters,
         effect.p_value,
-        drop / max(excess, 1e-300),
-        float((effect.gain[at] / fit.floor[at] ** 2).sum()) / max(own_excess, 1e-300),
-        tuple(MotionAlternative(a.name, a.where, a.gain * drop / max(excess, 1e-300)) for a in effect.alternatives),
+        share,
+        table.share(gain, at),
+        tuple(MotionAlternative(a.name, a.where, a.gain * share) for a in effect.alternatives),
         tuple(_step(fit, step, at) for step in effect.steps),
+        tuple(effect.notes),
     )
 
 
@@ -87,13 +144,13 @@ def _step(fit: MotionFit, step: FitStep, at: list[int]) -> MotionStep:
     return MotionStep(tuple(step.adds), before, after)
 
 
-def _mismatch(fit: MotionFit, effect: FittedEffect, excess: float) -> MotionMismatch:
+def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionMismatch:
     at = effect.where[0] if len(effect.joints) == 1 and effect.name != BETWEEN_JOINTS else effect.where[-1]
-    share = float((effect.gain / fit.floor**2).sum()) / excess
-    return MotionMismatch(at, fit.group.name, effect.depends_on, share, effect.p_value)
+    return MotionMismatch(at, table.fit.group.name, effect.depends_on, table.share(gain), effect.p_value)
 
 
-def _channel(fit: MotionFit, j: int, held_out: np.ndarray) -> ChannelFit:
+def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
+    fit = table.fit
     scale, floor = _scale(fit), float(fit.floor[j])
 
     def error(before: float, after: float) -> ErrorBeforeAfter:
@@ -102,7 +159,41 @@ def _channel(fit: MotionFit, j: int, held_out: np.ndarray) -> ChannelFit:
 
     unit = "deg" if fit.group.unit == "rad" else fit.group.unit
     train = error(fit.train_before[j], fit.train_after[j])
-    return ChannelFit(fit.group.name, _axis(fit, j), unit, scale * floor, train, error(held_out[0], held_out[1]))
+    refused = scale * float(np.sqrt(refused_after)) if table.refused[j] else None
+    return ChannelFit(fit.group.name, _axis(fit, j), unit, scale * floor, train, error(table.before[j], table.after[j]), refused)
+
+
+def _not_separable(fit: MotionFit) -> list[NotSeparable]:
+    return [NotSeparable((f"{u.name}:{'+'.join(u.where)}", u.other), u.correlation) for u in fit.undetermined]
+
+
+def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[MotionAdvice]:
+    """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
+    together over a small range of angles, and apart over a large one."""
+    robot = runs[0].robot
+    if not not_separable or robot is None:
+        return []
+    low, high = (np.degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
+    limits = np.degrees(robot.limits)
+    small = [j for j in range(1, robot.n) if high[j] - low[j] < WIDE * (limits[j, 1] - limits[j, 0])]
+    ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
+    names = "; ".join(" and ".join(n.effects) for n in not_separable)
+    reason = (
+        f"{names} go together over the angles recorded (deg: {ranges or 'all wide'}): record a motion over as much of these ranges as the "
+        "cell allows, and the same motion once with a known weight on the flange"
+    )
+    return [MotionAdvice(reason)]
+
+
+def _inertial(fit: MotionFit) -> list[BodyInertia]:
+    if fit.inertial is None:
+        return []
+    tools = any(e.name == PAYLOAD for e in fit.effects)
+    links = len(fit.inertial) - tools
+    return [
+        BodyInertia(f"link{k + 1}" if k < links else "tool", float(p[0]), tuple((MILLI * p[1:4]).tolist()), tuple(p[4:].tolist()))
+        for k, p in enumerate(fit.inertial)
+    ]
 
 
 def _axis(fit: MotionFit, j: int) -> str:

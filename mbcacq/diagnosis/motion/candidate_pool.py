@@ -51,6 +51,10 @@ class CandidatePool:
             if (v.candidate.location, v.candidate.form) not in forms and (v.candidate.extends or v.candidate.location not in plain)
         ]
 
+    def open_at(self, effect: SelectedEffect) -> list[Variant]:
+        """All variants of the effect's location."""
+        return [v for v in self._variants if v.candidate.location == effect.candidate.location]
+
     def periodic(self, weights: np.ndarray, chosen: np.ndarray) -> list[Variant]:
         """Periodic components of the present residual, in columns that ``forget_step`` removes."""
         model = self._model

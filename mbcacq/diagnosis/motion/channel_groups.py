@@ -30,7 +30,7 @@ def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: t
     sigma, fastest = inertial_sigma(robot), np.max([np.abs(run.qd).max(axis=0) for run in runs], axis=0)
     known = sigma > 0
     base = tuple(
-        np.concatenate([(c * sigma)[:, joints][:, :, known], _rotors(run, robot, joints)], axis=2)
+        np.concatenate([(c * sigma)[:, joints][:, :, known], _rotors(run, robot, joints, options)], axis=2)
         for c, run in zip(inertial, runs, strict=True)
     )
     return ChannelGroup(
@@ -98,9 +98,9 @@ def _moving(run: MotionSignals, fastest: np.ndarray, options: MotionOptions) -> 
     return np.abs(run.qd) > options.standstill * fastest
 
 
-def _rotors(run: MotionSignals, robot: RobotModel, joints: tuple[int, ...]) -> np.ndarray:
-    """(T, J, n): torque of each rotor, by as much inertia as the links behind it may have about its axis."""
-    reach = np.cumsum((np.abs(robot.chain.a) + np.abs(robot.chain.d))[::-1])[::-1] * 1e-3
-    behind = np.maximum(np.cumsum(np.maximum(robot.mass, 1.0)[::-1])[::-1], 1.0)
-    scale = behind * np.maximum(reach, 0.1) ** 2
+def _rotors(run: MotionSignals, robot: RobotModel, joints: tuple[int, ...], options: MotionOptions) -> np.ndarray:
+    """(T, J, n): torque of each rotor by a share of the inertia of the whole arm: behind its gear a small rotor counts as much, at the
+    wrist too."""
+    reach = float((np.abs(robot.chain.a) + np.abs(robot.chain.d)).sum()) * 1e-3
+    scale = options.rotor_share * max(float(robot.mass.sum()), float(robot.n)) * reach**2
     return np.einsum("tj,jl->tjl", run.qdd[:, joints], np.eye(robot.n)[list(joints)] * scale)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.assemble import assemble
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
+from mbcacq.diagnosis.motion.description_check import suspicions
 from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected
 from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.motion_model import MotionModel
@@ -50,7 +51,8 @@ def diagnose_trajectories(
     """
     recordings = _Recordings(trajectories, options)
     fits, runs = recordings.explain()
-    return assemble(fits, runs, recordings.cross_validate() if cross_validation else None, options)
+    found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None, options)
+    return replace(found, suspicions=suspicions(recordings.runs, options))
 
 
 def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None, options: MotionOptions = DEFAULTS) -> list[MotionFit]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
+from mbcacq.diagnosis.motion.determination import UndeterminedEffect, at_bound, least_determined
 from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
+from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
@@ -30,7 +32,8 @@ class FitStep:
 class FittedEffect:
     """One effect of the catalogue at one location, with all its forms.
 
-    gain: (J,) reduction of the held-out mean square. contributions: (T,) by joint of the group and run, what it adds to the mismatch.
+    notes: what its parameters leave open. gain: (J,) reduction of the held-out mean square. contributions: (T,) by joint of the group
+    and run, what it adds to the mismatch.
     """
 
     name: str
@@ -43,6 +46,7 @@ class FittedEffect:
     steps: list[FitStep]
     alternatives: list[AlternativeEffect]
     contributions: ByRun
+    notes: list[str]
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,9 @@ class MotionFit:
 
     residual_before, residual_after: with the base alone and with all effects; used: which samples count. links: torque by which the
     links differ from their description, as fitted; load_uncertainty: (J,) relative standard deviation of the torque that passes the
-    gear. held_out_before, held_out_after, train_before, train_after: (J,) mean squares; floor: (J,) standard deviation of the
-    channels' noise.
+    gear. undetermined: effects that the data ask for without determining them. inertial: (b, 10) parameters of the links and of the tool
+    that was found (``geometry.dynamics.INERTIAL``), None for another channel. held_out_before, held_out_after, train_before,
+    train_after: (J,) mean squares; floor: (J,) standard deviation of the channels' noise.
     """
 
     group: ChannelGroup
@@ -68,20 +73,30 @@ class MotionFit:
     split: str
     links: ByRun
     load_uncertainty: np.ndarray
+    undetermined: list[UndeterminedEffect] = field(default_factory=list)
+    inertial: np.ndarray | None = None
 
 
 def fit_selected(selection: ForwardSelection) -> MotionFit:
-    """Fit what was selected to all data that take part."""
+    """Fit what was selected to all data that take part; effects whose parameters the data do not determine are left out."""
     model = selection.model
     store, joints = model.store, range(len(model.group.joints))
     estimate_hyperparameters(model)
     residual_before, train_before = _base_alone(model)
-    chosen = model.chosen()
-    weights = model.weights(chosen)
-    x = store.solve(store.normal(weights), chosen)
-    held_out = model.held_out_mean_square(chosen, model.fold_normals(weights))
-    spread = _covariance(model, weights, chosen, x)
+    undetermined: list[UndeterminedEffect] = []
+    while True:
+        chosen = model.chosen()
+        weights = model.weights(chosen)
+        x = consistent_coefficients(model, weights, chosen, store.solve(store.normal(weights), chosen))
+        mark = len(store.prior)
+        spread = _covariance(model, weights, chosen, x)
+        unclear = least_determined(model, x, spread)
+        if unclear is None:
+            break
+        store.forget(mark)
+        undetermined += selection.drop_undetermined(unclear, spread)
     n = np.maximum(store.count.sum(axis=0), 1.0)
+    found = bodies(model, chosen)
     result = MotionFit(
         model.group,
         _effects(model, x, spread),
@@ -89,13 +104,15 @@ def fit_selected(selection: ForwardSelection) -> MotionFit:
         _residuals(model, chosen, x),
         [[use[:, j] for use in model.group.use] for j in joints],
         selection.start,
-        held_out,
+        model.held_out_mean_square(chosen, model.fold_normals(weights)),
         train_before / n,
         store.errors(chosen, x).sum(axis=0) / n,
         model.floor,
         store.split,
         _links(model, x),
         load_uncertainty(model, chosen, x, spread),
+        undetermined,
+        None if found is None else found.parameters(x),
     )
     selection.pool.forget_step()
     return result
@@ -157,6 +174,12 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
 def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
     candidate = effect.candidate
     parameters = candidate.report(c, v, effect.variant.hyper, hyper_std)
+    notes = []
+    if candidate.hyper is not None and at_bound(effect):
+        del parameters[candidate.hyper_parameter]
+        tried = np.sort(candidate.hyper)
+        limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
+        notes = [f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {limits}"]
     return FittedEffect(
         candidate.name,
         candidate.where,
@@ -168,6 +191,7 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
         [FitStep(list(parameters), effect.before, effect.after)],
         effect.alternatives,
         _delayed(model, effect, c) if candidate.channel_delay else _contribution(model, effect, c),
+        notes,
     )
 
 
@@ -182,6 +206,7 @@ def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
         gain=first.gain + step.before - step.after,
         steps=[*first.steps, *other.steps],
         contributions=[[a + b for a, b in zip(p, q, strict=True)] for p, q in added],
+        notes=[*first.notes, *other.notes],
     )
 
 

@@ -13,6 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.stats import f as f_distribution
 
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool, all_candidates
+from mbcacq.diagnosis.motion.determination import UndeterminedEffect, resemblance
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
 from mbcacq.diagnosis.motion.noise import sandwich_covariance
@@ -59,7 +60,9 @@ class ForwardSelection:
         self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
 
     def run(self) -> None:
-        """Select effects until none gains enough, then drop those that became needless."""
+        """Start with what every arm may have, drop what is not needed; select effects until none gains enough, then drop those that became
+        needless."""
+        self._select_usual()
         while len(self.model.selected) < self.model.options.most_effects:
             self.pool.forget_step()
             chosen = self.model.chosen()
@@ -72,6 +75,74 @@ class ForwardSelection:
             self._accept(effect)
         self.pool.forget_step()
         self._eliminate()
+
+    def _select_usual(self) -> None:
+        """Effects that hide each other (friction of all joints, a tool, a balancer) start together and are dropped one by one: selected one
+        by one, each would have to stand out of the structure that the others leave."""
+        step_chosen = self.model.chosen()
+        before = self.model.held_out_mean_square(step_chosen, self.model.fold_normals(self.model.weights(step_chosen)))
+        best: dict[tuple, Variant] = {}
+        for variant in self.pool.open():
+            if variant.candidate.usual and variant.candidate.location not in best:
+                best[variant.candidate.location] = variant
+        self.model.selected += [SelectedEffect(variant, 0.0, before, before) for variant in best.values()]
+        self._choose_hypers()
+        self._drop_indistinct(len(best))
+        self._eliminate(least=0)
+        for effect in self.model.selected:
+            self.pool.extend(effect)
+        self._record_gains()
+
+    def _choose_hypers(self) -> None:
+        """Give each selected effect the value of its hyper-parameter that fits best, one effect after the other."""
+        for effect in self.model.selected:
+            same = [v for v in self.pool.open_at(effect) if v.candidate is effect.candidate]
+            if len(same) > 1:
+                effect.variant = min(same, key=lambda v: self._deviance_with(effect, v))
+
+    def _deviance_with(self, effect: SelectedEffect, variant: Variant) -> float:
+        store, now = self.model.store, effect.variant
+        effect.variant = variant
+        chosen = self.model.chosen()
+        weights = self.model.weights(chosen)
+        effect.variant = now
+        return -float(store.count.sum(axis=0) @ np.log(weights))
+
+    def _drop_indistinct(self, tests: int) -> None:
+        """Drop effects that are zero within their uncertainty or have the wrong sign, the least certain first."""
+        while self.model.selected:
+            chosen = self.model.chosen()
+            weights = self.model.weights(chosen)
+            x = self.model.store.solve(self.model.store.normal(weights), chosen)
+            v = sandwich_covariance(self.model.store, weights, chosen, x)
+            position = {int(c): i for i, c in enumerate(chosen)}
+            p = [self._indistinct(e, x, v, position) * tests for e in self.model.selected]
+            worst = int(np.argmax(p))
+            if p[worst] < self.model.options.significance:
+                return
+            del self.model.selected[worst]
+
+    def _indistinct(self, effect: SelectedEffect, x: np.ndarray, v: np.ndarray, position: dict[int, int]) -> float:
+        at = [position[int(i)] for i in effect.variant.ids][: effect.candidate.tested]
+        if effect.candidate.positive and x[at[0]] <= 0:
+            return np.inf
+        return self._wald(x[at], v[np.ix_(at, at)])
+
+    def _record_gains(self) -> None:
+        """p-values, and held-out mean squares without and with each effect that started: all others there."""
+        model = self.model
+        if not model.selected:
+            return
+        chosen = model.chosen()
+        weights = model.weights(chosen)
+        normals = model.fold_normals(weights)
+        x = model.store.solve(model.store.normal(weights), chosen)
+        v = sandwich_covariance(model.store, weights, chosen, x)
+        position = {int(c): i for i, c in enumerate(chosen)}
+        after = model.held_out_mean_square(chosen, normals)
+        for effect in model.selected:
+            effect.before, effect.after = self._mean_square_without(effect, weights, normals), after
+            effect.p_value = min(self._indistinct(effect, x, v, position) * len(model.selected), 1.0)
 
     def _accept(self, effect: SelectedEffect) -> None:
         effect.variant = self.pool.keep(effect.variant)
@@ -144,15 +215,22 @@ class ForwardSelection:
                 break
             if t.share < options.least_gain:
                 continue
-            p = self._p_value(step.weights, t.ids, t.x, len(step.chosen)) * tests * t.variant.candidate.trials
+            p = self._p_value(t.variant, t.ids, len(step.chosen)) * tests * t.variant.candidate.trials
             if p < options.significance:
                 out.append((t, p))
         return out
 
-    def _p_value(self, weights: np.ndarray, ids: np.ndarray, x: np.ndarray, first: int) -> float:
-        """p-value that the coefficients from ``first`` on are zero: Wald test with segments of the recording as independent."""
-        v = sandwich_covariance(self.model.store, weights, ids, x)[first:, first:]
-        c, k = x[first:], len(ids) - first
+    def _p_value(self, variant: Variant, ids: np.ndarray, first: int) -> float:
+        """p-value that the tested coefficients of a variant, from ``first`` on, are zero: Wald test with segments of the recording as
+        independent, weighted by the residual that the model with them leaves."""
+        weights = self.model.weights(ids)
+        x = self.model.store.solve(self.model.store.normal(weights), ids)
+        last = first + len(ids[first:][: variant.candidate.tested])
+        return self._wald(x[first:last], sandwich_covariance(self.model.store, weights, ids, x)[first:last, first:last])
+
+    def _wald(self, c: np.ndarray, v: np.ndarray) -> float:
+        """p-value that coefficients c with covariance v are zero (Hotelling: the covariance is estimated from the segments)."""
+        k = len(c)
         d = np.sqrt(np.maximum(np.diag(v), TINY))
         values, vectors = np.linalg.eigh(v / np.outer(d, d))
         good = values > SMALLEST_EIGENVALUE
@@ -170,19 +248,37 @@ class ForwardSelection:
             and t.gain > options.alternative_gain * best.gain
         ][: options.most_alternatives]
 
-    def _eliminate(self) -> None:
-        """Drop effects that the others have made needless, weakest first."""
+    def _eliminate(self, least: int = 1) -> None:
+        """Drop effects that the others have made needless, weakest first, until ``least`` remain."""
         options = self.model.options
-        while len(self.model.selected) > 1:
+        while len(self.model.selected) > least:
             losses = self._losses()
             if not losses:
                 return
-            least, weakest = min(losses, key=lambda e: e[0])
-            if least >= options.elimination * options.least_gain:
+            loss, weakest = min(losses, key=lambda e: e[0])
+            if loss >= options.elimination * options.least_gain:
                 return
             self.model.selected.remove(weakest)
             if weakest.candidate.channel_delay:
                 self.model.store.correct_delay(0.0)
+
+    def drop_undetermined(self, effect: SelectedEffect, spread: np.ndarray) -> list[UndeterminedEffect]:
+        """Drop an effect whose parameters are not determined. Returns it where the data ask for it: held out, its joints lose by that.
+
+        spread: covariance of the coefficients of ``chosen()``, then of hyper-parameters.
+        """
+        model, candidate = self.model, effect.candidate
+        other, correlation = resemblance(model, effect, spread)
+        weights = model.weights(model.chosen())
+        after = model.held_out_mean_square(model.chosen(), model.fold_normals(weights))
+        model.selected.remove(effect)
+        if candidate.channel_delay:
+            model.store.correct_delay(0.0)
+        before = model.held_out_mean_square(model.chosen(), model.fold_normals(model.weights(model.chosen())))
+        needed = float(np.max(1.0 - after / np.maximum(before, TINY))) > model.options.least_gain
+        if not needed or candidate.extends or correlation < model.options.not_separable:
+            return []
+        return [UndeterminedEffect(candidate.name, candidate.where, other, correlation)]
 
     def _losses(self) -> list[tuple[float, SelectedEffect]]:
         """For each effect that may be dropped, the share by which the held-out mean square of a joint grows without it."""

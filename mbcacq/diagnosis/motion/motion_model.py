@@ -108,13 +108,14 @@ class MotionModel:
         return np.concatenate([self.store.base, *(e.variant.ids for e in self.selected if e is not without)]).astype(int)
 
     def weights(self, chosen: np.ndarray) -> np.ndarray:
-        """One over the mean square (J,) of the residual of these columns, joint by joint; weights and coefficients in turn."""
+        """What a sample of each joint (J,) counts: one over the mean square of the residual of these columns and over the number of samples
+        that say the same, so that a residual with structure does not outvote what is known of the arm. Weights and coefficients in turn."""
         store = self.store
         count = np.maximum(store.count.sum(axis=0), 1.0)
         weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), 1e-300)
         for _ in range(self.options.weight_rounds):
             x = store.solve(store.normal(weights), chosen)
-            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0), 1e-300)
+            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * store.correlated_samples(chosen, x), 1e-300)
         return weights
 
     def coefficients(self) -> np.ndarray:

@@ -52,12 +52,20 @@ class NormalStore:
         self.products = [self._segment_products(z, z) for z in self.matrix]
         self._sums: list[tuple[np.ndarray, dict[int, np.ndarray]] | None] = [None for _ in joints]
         self.prior: list[float] = []
-        offsets = [self.add([j], [np.ones((len(self.matrix[j]), 1))]) for j in joints]
+        offsets = [self.add([j], [np.ones((len(self.matrix[j]), 1))], self._offset_prior(j, options)) for j in joints]
         self.offset = [int(o[0]) for o in offsets]
         self.base = np.array(self.offset)
         if group.base[0].shape[2]:
             columns = [np.concatenate([b[:, j] for b in group.base]) for j in joints]
             self.base = np.concatenate([self.base, self.add(list(joints), columns, group.prior)])
+
+    def _offset_prior(self, j: int, options: MotionOptions) -> np.ndarray | None:
+        """An offset of an angle is a convention; that of a torque is an error of its measurement, or friction that differs by direction,
+        and small: free, it would stand for a balancer or a mass wherever a joint moves little."""
+        if self.group.refit or not self.group.signal:
+            return None
+        largest = max(float(np.abs(s[:, j]).max()) for s in self.group.signal)
+        return np.array([options.torque_offset * max(largest, 1e-12)])
 
     # columns
 
@@ -188,6 +196,19 @@ class NormalStore:
                 first = int(np.flatnonzero(numbers[own] == self.offset[j])[0])
                 _remove_means(square, Gv[:, first], self.count[take, j], self._run[take])
             out[:, j] = np.maximum(square, 0.0)
+        return out
+
+    def correlated_samples(self, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """(J,) by how much the sum of the residual over a segment varies more than that of white noise: the number of samples that count
+        as one, at least 1."""
+        position = self.positions(chosen)
+        out = np.ones(len(self.numbers))
+        for j, numbers in enumerate(self.numbers):
+            own = np.flatnonzero((numbers == MISMATCH) | (position[numbers] >= 0))
+            v = np.array([1.0 if i == MISMATCH else -x[position[i]] for i in numbers[own]])
+            Gv = _times(self.products[j], own, v)
+            first = int(np.flatnonzero(numbers[own] == self.offset[j])[0])
+            out[j] = max(float((Gv[:, first] ** 2).sum()) / max(float((Gv @ v).sum()), 1e-300), 1.0)
         return out
 
     def held_out(self, chosen: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:

@@ -23,6 +23,10 @@ class MotionOptions:
     held_out_parts: int = 3  # a single recording, or many of them, are held out in so many parts
     interleaved_blocks: int = 15  # of a single recording, among which effects are selected: a fold has all postures
 
+    torque_offset: float = 0.03  # prior sigma of a torque's offset, as a share of its largest: drives measure currents to 1 to 3 %
+
+    rotor_share: float = 0.05  # prior sigma of a rotor's inertia behind its gear, as a share of the arm's mass times its reach squared
+
     # forward selection
     least_gain: float = 0.02  # share of the held-out mean square of a joint that an effect removes, at least
     least_prior_gain: float = 25.0  # five sigmas: squared prior Mahalanobis distance that an effect removes to count without ``least_gain``
@@ -53,6 +57,14 @@ class MotionOptions:
     # uncertainty
     correlation_s: float = 1.0  # residuals further apart than that count as independent
     unexplained_load_uncertainty: float = 0.05  # relative, of a load that is the drive's torque: the rotor's part of it is not separated
+
+    determined_sigmas: float = 3.0  # standard deviations by which a parameter of an effect differs from zero, at least
+    not_separable: float = 0.9  # correlation of two estimates from which they count as one
+
+    # description of the data
+    description_samples: int = 300  # in all, on which other readings are tried: conventions show in few
+    description_correlated: float = 10.0  # samples that count as one there
+    suspicious_ratio: float = 0.75  # product over the joints of the unexplained rms torque with another reading and without, at most
 
     # motor currents
     current_sigmas: float = 20.0  # a joint whose current does not show the arm's torque as clearly has no torque

@@ -63,7 +63,8 @@ class MotionEffect:
     """A parametric effect that was found.
 
     parameters: name (its unit is the ending) -> ``{"value": .., "std": ..}``, numbers or lists of numbers. held_out_gain: share of the
-    excess of its kind of mismatch over the noise that it removes on held-out data; held_out_gain_here: of that of its own joints.
+    excess of its kind of mismatch over the noise that it removes on held-out data; held_out_gain_here: of that of its own joints. Together
+    the effects of a joint remove what the table of channels says. notes: what its parameters leave open.
     """
 
     name: str
@@ -76,6 +77,7 @@ class MotionEffect:
     held_out_gain_here: float
     alternatives: tuple[MotionAlternative, ...]
     steps: tuple[MotionStep, ...]
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> Json:
         return asdict(self)
@@ -86,7 +88,18 @@ class MotionEffect:
         steps = tuple(MotionStep.from_json(s) for s in content["steps"])
         gains = _number(content["held_out_gain"]), _number(content["held_out_gain_here"])
         where, p = tuple(content["where"]), _number(content["p_value"])
-        return cls(content["name"], where, content["depends_on"], content["channel"], content["parameters"], p, *gains, alternatives, steps)
+        return cls(
+            content["name"],
+            where,
+            content["depends_on"],
+            content["channel"],
+            content["parameters"],
+            p,
+            *gains,
+            alternatives,
+            steps,
+            tuple(content.get("notes", ())),
+        )
 
 
 @dataclass(frozen=True)
@@ -140,7 +153,11 @@ class ErrorBeforeAfter:
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """How well one joint of one channel is explained. unit: 'deg' or 'N m', also of noise_floor (one standard deviation)."""
+    """How well one joint of one channel is explained. unit: 'deg' or 'N m', also of noise_floor (one standard deviation).
+
+    refused_rms: held-out rms of a model that made this joint worse and is refused there (then ``held_out`` is the same before and after);
+    None where the model is kept.
+    """
 
     channel: str
     at: str
@@ -148,19 +165,62 @@ class ChannelFit:
     noise_floor: float
     train: ErrorBeforeAfter
     held_out: ErrorBeforeAfter
+    refused_rms: float | None = None
 
     @classmethod
     def from_json(cls, content: Json) -> ChannelFit:
-        errors = (ErrorBeforeAfter(**{k: _number(v) for k, v in content[part].items()}) for part in ("train", "held_out"))
-        return cls(content["channel"], content["at"], content["unit"], _number(content["noise_floor"]), *errors)
+        train, held_out = (ErrorBeforeAfter(**{k: _number(v) for k, v in content[part].items()}) for part in ("train", "held_out"))
+        floor, refused = _number(content["noise_floor"]), content.get("refused_rms")
+        return cls(content["channel"], content["at"], content["unit"], floor, train, held_out, refused)
+
+
+@dataclass(frozen=True)
+class NotSeparable:
+    """Effects that the recordings ask for without telling them apart. correlation: of their estimates."""
+
+    effects: tuple[str, ...]
+    correlation: float
+
+    @classmethod
+    def from_json(cls, content: Json) -> NotSeparable:
+        return cls(tuple(content["effects"]), _number(content["correlation"]))
+
+
+@dataclass(frozen=True)
+class MotionAdvice:
+    """What to record next. reason: in words; poses_deg: (k, n) postures between which to move, if any."""
+
+    reason: str
+    poses_deg: tuple[tuple[float, ...], ...] = ()
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionAdvice:
+        return cls(content["reason"], tuple(tuple(pose) for pose in content["poses_deg"]))
+
+
+@dataclass(frozen=True)
+class BodyInertia:
+    """Inertial parameters of a link in its own frame, as found: of a rigid body that can exist. tensor: Ixx, Ixy, Ixz, Iyy, Iyz, Izz about
+    the origin of the frame."""
+
+    body: str
+    mass_kg: float
+    first_moment_kg_mm: tuple[float, ...]
+    tensor_kg_m2: tuple[float, ...]
+
+    @classmethod
+    def from_json(cls, content: Json) -> BodyInertia:
+        return cls(content["body"], content["mass_kg"], tuple(content["first_moment_kg_mm"]), tuple(content["tensor_kg_m2"]))
 
 
 @dataclass(frozen=True, repr=False)
 class MotionDiagnosis:
     """What was found in recordings of motion.
 
-    verdict: 'none', 'explained', 'partly_explained' or 'unexplained'. mismatch: by falling share. effects: by falling held-out gain.
-    channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
+    verdict: 'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'. mismatch: by falling share. effects: by falling
+    held-out gain. channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
+    not_separable: effects asked for that are not told apart, and advice: what to record for that. inertial: of the links and of a tool
+    that was found. suspicions: what in the description of the data looks wrong, in words.
     """
 
     verdict: str
@@ -168,6 +228,10 @@ class MotionDiagnosis:
     effects: tuple[MotionEffect | UnmodelledMotionEffect, ...]
     channels: tuple[ChannelFit, ...]
     split: str
+    not_separable: tuple[NotSeparable, ...] = ()
+    advice: tuple[MotionAdvice, ...] = ()
+    inertial: tuple[BodyInertia, ...] = ()
+    suspicions: tuple[str, ...] = ()
 
     @property
     def named_effects(self) -> tuple[MotionEffect, ...]:
@@ -187,8 +251,10 @@ class MotionDiagnosis:
                     "held_out": _mean([c.held_out for c in self.channels]) | {"split": self.split},
                     "channels": [asdict(c) for c in self.channels],
                 },
-                "not_separable": [],
-                "advice": [],
+                "not_separable": [asdict(n) for n in self.not_separable],
+                "advice": [asdict(a) for a in self.advice],
+                "inertial": [asdict(b) for b in self.inertial],
+                "suspicions": list(self.suspicions),
             }
         )
 
@@ -201,7 +267,17 @@ class MotionDiagnosis:
         kinds = ((e, UnmodelledMotionEffect if e["name"] == UnmodelledMotionEffect.name else MotionEffect) for e in content["effects"])
         channels = tuple(ChannelFit.from_json(c) for c in content["fit"]["channels"])
         effects = tuple(kind.from_json(e) for e, kind in kinds)
-        return cls(content["verdict"], mismatch, effects, channels, content["fit"]["held_out"]["split"])
+        return cls(
+            content["verdict"],
+            mismatch,
+            effects,
+            channels,
+            content["fit"]["held_out"]["split"],
+            tuple(NotSeparable.from_json(n) for n in content["not_separable"]),
+            tuple(MotionAdvice.from_json(a) for a in content["advice"]),
+            tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
+            tuple(content.get("suspicions", ())),
+        )
 
     def __repr__(self) -> str:
         lines = [f"MotionDiagnosis: {self.verdict}, {len(self.effects)} effects"]

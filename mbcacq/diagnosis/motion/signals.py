@@ -60,6 +60,7 @@ def prepare(trajectory: Trajectory, options: MotionOptions = DEFAULTS) -> tuple[
         rigid_set,
         payload,
         robot.gear_ratio,
+        robot=robot,
     )
     return signals, inertial
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
+from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect
 from mbcacq.diagnosis.output.text import VERDICTS, number
 
 CHANNELS = {
@@ -13,12 +13,15 @@ CHANNELS = {
     "q_set": "actual angle against set point",
     "tau": "torque against the rigid arm",
 }
+CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be told apart."
 MOST_ROWS = 12  # of the mismatch
 
 
 def motion_text(diagnosis: MotionDiagnosis) -> str:
     """Verdict, mismatch, effects with their parameters, and residuals on held-out data, in lines."""
-    lines = [VERDICTS[diagnosis.verdict], ""]
+    lines = [CANNOT_TELL if diagnosis.verdict == "cannot_tell" else VERDICTS[diagnosis.verdict], ""]
+    lines += [f"The description of the data looks wrong: {s}" for s in diagnosis.suspicions]
+    lines += [""] if diagnosis.suspicions else []
     if diagnosis.mismatch:
         lines.append("Where model and data disagree:")
         for m in diagnosis.mismatch[:MOST_ROWS]:
@@ -29,13 +32,23 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
         where = ", ".join(effect.where)
         lines.append(f"{effect.name} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
         lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
+        lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
+    for pair in diagnosis.not_separable:
+        lines.append(f"Not told apart: {' and '.join(pair.effects)} (correlation of the estimates {pair.correlation:.3f})")
+    lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
-        held_out = c.held_out
-        lines.append(f"  {c.at} {CHANNELS[c.channel]}: {held_out.before_rms:.4g} {c.unit} before, {held_out.after_rms:.4g} after")
+        lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
     return "\n".join(lines)
 
 
 def _values(parameter: Mapping[str, Any]) -> str:
     values, stds = (x if isinstance(x, list) else [x] for x in (parameter["value"], parameter["std"]))
     return ", ".join(f"{number(v)} +- {number(s)}" for v, s in zip(values, stds, strict=True))
+
+
+def _held_out(c: ChannelFit) -> str:
+    before = f"{c.held_out.before_rms:.4g} {c.unit} before"
+    if c.refused_rms is not None:
+        return f"{before}; the model found elsewhere makes it {c.refused_rms:.4g} and is refused here"
+    return f"{before}, {c.held_out.after_rms:.4g} after"

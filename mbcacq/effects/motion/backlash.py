@@ -26,11 +26,8 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
         out.append(MotionCandidate(NAME, (axis,), f"direction_{j + 1}", (j,), _by_direction, by_direction, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):
             by_load = plain_report(width, scale=degrees, hyper_name=f"{axis}.crossing_s")
-            out.append(
-                MotionCandidate(
-                    NAME, (axis,), f"tau{j + 1}", (j,), _by_load, by_load, hyper=CROSSING_S, trials=2.0, positive=True, form="load"
-                )
-            )
+            hyper = {"hyper": CROSSING_S, "hyper_parameter": f"{axis}.crossing_s", "trials": 2.0}
+            out.append(MotionCandidate(NAME, (axis,), f"tau{j + 1}", (j,), _by_load, by_load, positive=True, form="load", **hyper))
     return out
 
 

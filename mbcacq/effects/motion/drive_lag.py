@@ -43,12 +43,11 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
     for j in group.joints:
         axis = f"A{j + 1}"
         here = ((axis,), f"qd{j + 1}", (j,))
-        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), hyper=LAGS_S, trials=4.0, positive=True, form="fast"))
-        out.append(
-            MotionCandidate(
-                NAME, *here, _loop, _loop_report(axis), hyper=LOOPS_S, trials=4.0, continuous=False, form="slow", sigma=LOOP_SIGMA
-            )
-        )
+        lag = {"hyper": LAGS_S, "positive": True, "form": "fast", "no_lower_bound": True}
+        loop = {"hyper": LOOPS_S, "continuous": False, "form": "slow", "sigma": LOOP_SIGMA}
+        common = {"trials": 4.0, "hyper_parameter": f"{axis}.time_constant_s"}
+        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), **lag, **common))
+        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), **loop, **common))
         for name, columns, unit in _disturbances(runs):
             report = plain_report(f"{axis}.{name}_push_{unit}")
             out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, continuous=False, form=name))

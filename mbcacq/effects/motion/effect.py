@@ -9,6 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from mbcacq.model.cell import RobotModel
+
 MOTOR_SIDE_EFFECTS = ("friction", "channel_latency", "torque_ripple")  # parts of a torque that never pass the gear; the rotor is another
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
 SHORT_TIME_CONSTANT = 20.0  # sampling intervals; below, a filter is oversampled
@@ -24,7 +26,7 @@ class MotionSignals:
     drive's torque at the joint, load the part of it that passes the gear (without friction); rigid the torque of the rigid-body
     simulation, gravity its static part, rigid_set the same torque along the command. direction: (T, n) -1..1, direction of rotation
     of the last motion. payload: (T, n, 10) torque by unit inertial parameters (``geometry.dynamics.INERTIAL``) of what rides on the
-    flange. load_uncertainty: (n,) relative standard deviation of the load.
+    flange. load_uncertainty: (n,) relative standard deviation of the load. robot: the arm as it is described.
     """
 
     step_s: float
@@ -46,6 +48,7 @@ class MotionSignals:
     payload: np.ndarray | None = None
     gear_ratio: np.ndarray | None = None
     load_uncertainty: np.ndarray | None = None
+    robot: RobotModel | None = None
 
 
 @dataclass(frozen=True)
@@ -85,11 +88,15 @@ class MotionCandidate:
     report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: values to try, or None.
     positive: physics demands a positive first coefficient. trials: number of independent hyper values tried, for the p-value.
     extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
+    hyper_parameter: name of the reported parameter that is the hyper-parameter; at the first or last value of ``hyper`` it is a bound of
+    what was tried, no estimate. no_lower_bound: the first value stands for none at all.
     form: distinguishes several forms of one effect at one location.
     continuous: the hyper-parameter is continuous and is estimated with the coefficients. shares_hyper: it is that of the effect extended.
     channel_delay: the hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the
     remaining delay.
     follows_load: its columns follow the load, which is known better the further the torque is explained.
+    usual: so common that it starts selected and is dropped where it is not needed.
+    tested: so many leading coefficients must differ from zero; the others only follow (None: all).
     sigma: prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
     """
 
@@ -109,6 +116,10 @@ class MotionCandidate:
     channel_delay: bool = False
     follows_load: bool = False
     form: str = ""
+    usual: bool = False
+    tested: int | None = None
+    hyper_parameter: str = ""
+    no_lower_bound: bool = False
 
     @property
     def location(self) -> tuple[str, tuple[str, ...]]:

@@ -36,8 +36,18 @@ def _of_joint(j: int, fastest: float, with_load: bool) -> list[MotionCandidate]:
     load = plain_report(f"{axis}.load_dependent")
     speeds = STRIBECK_SPEEDS * fastest
     out = [
-        MotionCandidate(NAME, *here, _plain, plain, positive=True),
-        MotionCandidate(NAME, *here, _stribeck, stribeck, hyper=speeds, trials=3.0, extends=True, form="stribeck"),
+        MotionCandidate(NAME, *here, _plain, plain, positive=True, usual=True),
+        MotionCandidate(
+            NAME,
+            *here,
+            _stribeck,
+            stribeck,
+            hyper=speeds,
+            hyper_parameter=f"{axis}.stribeck_speed_rad_per_s",
+            trials=3.0,
+            extends=True,
+            form="stribeck",
+        ),
         MotionCandidate(NAME, *here, _uneven, uneven, extends=True, form="direction"),
     ]
     if with_load:

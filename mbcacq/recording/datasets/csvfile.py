@@ -1,9 +1,14 @@
-"""CSV tables (RFC 4180, header, '.' as decimal point) column by column, with file, line and column in every error message."""
+"""CSV tables (RFC 4180, with a header) column by column, with file, line and column in every error message.
+
+The separator is the comma; the semicolon or the tab of a spreadsheet that writes decimal commas is read as well: then '1,5' is a number,
+and a cell with a point beside such cells is refused, since the point may separate thousands.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,12 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.recording.datasets import angles
+from mbcacq.recording.datasets import angles, quaternions
 from mbcacq.recording.datasets.synced_files import write_synced
 
 MAX_BYTES = 1 << 30
 XYZ = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
+SEPARATORS = (",", ";", "\t")
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+_WITH_POINT = re.compile(r"\s*[+-]?[\d.,]*\.[\d.,]*([eE][+-]?\d+)?\s*")
 
 
 @dataclass
@@ -40,10 +48,7 @@ class CsvTable:
     def require(self, names: Sequence[str]) -> None:
         missing = [name for name in names if name not in self.columns]
         if missing:
-            raise ConfigError(
-                f"{self.path}:1: column {', '.join(missing)} is missing (the header has: {', '.join(self.columns)}); "
-                "add it, the separator must be a comma"
-            )
+            raise ConfigError(f"{self.path}:1: column {', '.join(missing)} is missing (the header has: {', '.join(self.columns)}); add it")
 
     def text(self, name: str) -> tuple[str, ...]:
         self.require([name])
@@ -78,6 +83,16 @@ class CsvTable:
         """(rows, len(names)) of several columns."""
         return np.stack([self.radians(name) if angle else self.number(name) for name in names], axis=1)
 
+    def rotations(self) -> np.ndarray:
+        """(rows, 3, 3) from the columns ``QUATERNION``. Raises ConfigError at the first whose length is not 1."""
+        q = self.group(QUATERNION)
+        length = np.linalg.norm(q, axis=1)
+        bad = np.abs(length - 1) > 0.01
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise ConfigError(f"{self.where(row, 'qw')}: qw, qx, qy, qz have length {length[row]:.4g}, not 1; correct the quaternion")
+        return quaternions.to_matrix(q)
+
     def rest(self) -> dict[str, np.ndarray]:
         """The columns that were not read, as text."""
         return {name: np.array(cells, dtype=np.str_) for name, cells in self.columns.items() if name not in self.taken}
@@ -99,7 +114,9 @@ class CsvTable:
 
 def read_table(path: Path) -> CsvTable:
     """Read a CSV file. Raises ConfigError if it is absent, empty, not UTF-8, or a row has more or fewer cells than the header."""
-    reader = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
+    text = _text(path)
+    separator = _separator(text)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     rows, line = [], []
     try:
         header = [name.strip() for name in next(reader, [])]
@@ -114,15 +131,41 @@ def read_table(path: Path) -> CsvTable:
     for name in header:
         if header.count(name) > 1:
             raise ConfigError(f"{path}:1: column {name} appears twice; remove one")
+    _refuse_ragged(path, header, rows, line)
+    if not rows:
+        raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
+    if separator != ",":
+        rows = _decimal_points(path, header, rows, line)
+    return CsvTable(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
+
+
+def _refuse_ragged(path: Path, header: list[str], rows: list[list[str]], line: list[int]) -> None:
     for row, number in zip(rows, line, strict=True):
         if len(row) != len(header):
             raise ConfigError(
                 f"{path}:{number}: column {header[min(len(row), len(header) - 1)]}: the row has {len(row)} cells, "
-                f"the header {len(header)}; correct the row (decimal point '.', separator ',')"
+                f"the header {len(header)}; correct the row (decimal point and comma, or decimal comma and semicolon)"
             )
-    if not rows:
-        raise ConfigError(f"{path}:2: there are no rows below the header; at least one is needed")
-    return CsvTable(path, dict(zip(header, zip(*rows, strict=True), strict=True)), line)
+
+
+def _separator(text: str) -> str:
+    """The one of ``SEPARATORS`` that the header has most of."""
+    header = text.split("\n", 1)[0]
+    return max(SEPARATORS, key=header.count)
+
+
+def _decimal_points(path: Path, header: list[str], rows: list[list[str]], line: list[int]) -> list[list[str]]:
+    """The rows with decimal points, where they have decimal commas. Raises ConfigError where a number has a point beside decimal commas."""
+    if not any(_DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row):
+        return rows
+    for row, number in zip(rows, line, strict=True):
+        for name, cell in zip(header, row, strict=True):
+            if _WITH_POINT.fullmatch(cell):
+                raise ConfigError(
+                    f"{path}:{number}: column {name}: '{_short(cell)}' has a point in a file with decimal commas; "
+                    "save it without separators of thousands, with one kind of decimal mark"
+                )
+    return [[cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row] for row in rows]
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[str]]) -> None:

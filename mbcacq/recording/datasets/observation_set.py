@@ -14,10 +14,11 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
-from mbcacq.recording.datasets import quaternions
+from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
 from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable, numbered, read_table
 from mbcacq.recording.datasets.observation_writer import write_observation_set
+from mbcacq.recording.datasets.wide_table import wide_centres
 
 __all__ = ["read_observation_set", "write_observation_set"]
 
@@ -26,16 +27,27 @@ def read_observation_set(folder: Path | str) -> Observations:
     """Read a folder. Raises ConfigError naming file, line and column of the first fault."""
     folder = Path(folder)
     cell, text = read_cell(folder / "cell.yaml")
-    poses = _read_poses(read_table(folder / "poses.csv"), cell)
+    bag = None if (folder / "poses.csv").exists() else bag_of(folder)
+    if bag is not None:
+        return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
+    table = read_table(folder / "poses.csv")
+    separate = (folder / "centres.csv").exists()
+    wide = None if separate else wide_centres(table, cell)
+    poses = _read_poses(table, cell)
     centres: dict[str, Any]
-    if (folder / "centres.csv").exists():
+    if wide is not None:
+        centres = wide
+    elif separate:
         centres = _read_centres(read_table(folder / "centres.csv"), cell, poses)
     elif (folder / "scans").is_dir():
         from mbcacq.recording.datasets.scan_folder import centres_from_scans
 
         centres = centres_from_scans(folder, cell, poses["pose_id"], poses["station"])
     else:
-        raise ConfigError(f"{folder}: there is neither centres.csv nor a folder scans with clouds; add one of them")
+        raise ConfigError(
+            f"{folder}: there is neither centres.csv nor a folder scans with clouds, and poses.csv has no columns x_mm, y_mm, z_mm; "
+            "add one of them"
+        )
     extra = {**poses.pop("extra"), **centres.pop("extra", {})}
     return Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
 
@@ -96,22 +108,12 @@ def _read_centres(table: CsvTable, cell: Cell, poses: dict[str, Any]) -> dict[st
         table.require(QUATERNION)
         # The text is kept as well: a matrix does not remember the digits of its quaternion.
         extra = {name: np.array(table.columns[name], dtype=np.str_) for name in QUATERNION}
-        out["rotation"] = _rotation(table)
+        out["rotation"] = table.rotations()
     extra |= table.rest()
     order = np.argsort(pose, kind="stable")
     out = {name: values[order] for name, values in out.items()}
     out["extra"] = {f"centres.{name}": cells[order] for name, cells in extra.items()}
     return out
-
-
-def _rotation(table: CsvTable) -> np.ndarray:
-    q = table.group(QUATERNION)
-    length = np.linalg.norm(q, axis=1)
-    bad = np.abs(length - 1) > 0.01
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise ConfigError(f"{table.where(row, 'qw')}: qw, qx, qy, qz have length {length[row]:.4g}, not 1; correct the quaternion")
-    return quaternions.to_matrix(q)
 
 
 def _direction(table: CsvTable, name: str) -> np.ndarray:

@@ -15,6 +15,7 @@ from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, V
 from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.recording.datasets import angles
+from mbcacq.recording.datasets.bag import bag_of, trajectory_columns
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
 from mbcacq.recording.datasets.csvfile import CsvTable, numbered, numbers, read_table, write_table, write_text
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
@@ -43,9 +44,11 @@ class _TrajectorySpec(Strict):
 
 
 def is_trajectory_set(folder: Path | str) -> bool:
-    """Whether a folder has the two files of a trajectory set."""
+    """Whether a folder has the files of a trajectory set: cell.yaml and trajectory.csv, or a cell.yaml of that format that names a bag."""
     folder = Path(folder)
-    return (folder / "cell.yaml").is_file() and (folder / "trajectory.csv").is_file()
+    if not (folder / "cell.yaml").is_file():
+        return False
+    return (folder / "trajectory.csv").is_file() or (FORMAT in read_yaml_text(folder / "cell.yaml") and bag_of(folder) is not None)
 
 
 def read_trajectory_set(folder: Path | str) -> Trajectory:
@@ -55,6 +58,9 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     data, node = load_yaml(read_yaml_text(path), str(path))
     spec = validate(_TrajectorySpec, data, node, str(path))
     robot = _robot(spec.robot, str(path))
+    bag = None if (folder / "trajectory.csv").exists() else bag_of(folder)
+    if bag is not None:
+        return Trajectory(robot, **trajectory_columns(folder, bag, robot.n), name=str(folder), simulated=spec.simulated)
     table = read_table(folder / "trajectory.csv")
     table.require(["time_s", *numbered("q{}_deg", robot.n)])
     unit = "percent" if "i1_percent" in table.columns and "i1_A" not in table.columns else "A"

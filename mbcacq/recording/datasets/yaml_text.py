@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -13,6 +15,9 @@ from mbcacq.errors import ConfigError
 MAX_BYTES = 16 << 20
 Spec = TypeVar("Spec", bound=BaseModel)
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+RESEMBLES = 0.8  # similarity of two words from which one is taken for a slip of the other
 
 
 def read_yaml_text(path: Path) -> str:
@@ -68,8 +73,11 @@ def _refuse_repeated_keys(root: yaml.Node | None, name: str) -> None:
 def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str) -> Spec:
     """The data checked against a pydantic model; the first fault becomes a ConfigError with its line.
 
-    Keys that the model does not know are left out, at every level: these are open formats, and other programs add what they need.
+    Keys that the model does not know are left out, at every level: these are open formats, and other programs add what they need. One
+    that resembles a known key which is not there is taken for a slip and refused.
     """
+    for path, key, meant in misspelt(model, data):
+        raise ConfigError(f"{name}:{line_of(node, (*path, key))}: the key '{key}' is not known; '{meant}' is meant? correct it")
     try:
         return model.model_validate(known_only(model, data))
     except ValidationError as error:
@@ -90,6 +98,40 @@ def known_only(kind: Any, data: Any) -> Any:
     if isinstance(data, list) and parts:
         return [known_only(parts[0], entry) for entry in data]
     return known_only(parts[0], data) if len(parts) == 1 and isinstance(data, dict) else data
+
+
+def misspelt(kind: Any, data: Any, path: tuple[int | str, ...] = ()) -> Iterator[tuple[tuple[int | str, ...], str, str]]:
+    """(path, key, known key that it resembles) of the keys that a pydantic model does not know and that look like one it lacks here."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if not isinstance(data, dict):
+            return
+        fields = kind.model_fields
+        missing = [field for field in fields if field not in data]
+        for key, value in data.items():
+            if key in fields:
+                yield from misspelt(fields[key].annotation, value, (*path, key))
+            elif meant := _resembled(str(key), missing):
+                yield path, str(key), meant
+        return
+    parts = [part for part in get_args(kind) if part is not type(None)]
+    if isinstance(data, list) and parts:
+        for i, entry in enumerate(data):
+            yield from misspelt(parts[0], entry, (*path, i))
+    elif len(parts) == 1 and isinstance(data, dict):
+        yield from misspelt(parts[0], data, path)
+
+
+def _resembled(key: str, known: list[str]) -> str | None:
+    """The known key of which this one is a slip: letters, capitals, or the unit are different."""
+    plain = {name.lower().replace("-", "_"): name for name in known}
+    lower = key.lower().replace("-", "_").replace(" ", "_")
+    if lower in plain:
+        return plain[lower]
+    by_stem = {name.rsplit("_", 1)[0]: name for name in known if "_" in name}
+    if lower in by_stem:
+        return by_stem[lower]
+    close = difflib.get_close_matches(lower, list(plain), 1, cutoff=RESEMBLES)
+    return plain[close[0]] if close else None
 
 
 def line_of(node: yaml.Node, path: tuple[int | str, ...]) -> int:

@@ -1,0 +1,201 @@
+"""Simple mistakes in describing a recording of poses, each as the change that undoes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+
+import numpy as np
+
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import Station
+from mbcacq.model.observations import Observations
+
+Change = Callable[[Observations], Observations]
+
+AXES = "xyz"
+QUARTER = np.pi / 2
+LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer in m: rows below it may be metres
+RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
+INCH_MM = 25.4
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """what: the change in words, to be read after 'with'; kind: of which several hold apart from it, they are the same mistake."""
+
+    what: str
+    kind: str
+    change: Change
+
+
+def hypotheses(o: Observations) -> Iterator[Hypothesis]:
+    """Every simple change of convention that these observations allow."""
+    yield from _units(o)
+    yield from _axes(o)
+    yield from _measured(o)
+    yield from _certified(o)
+    yield from _frames(o)
+    yield from _columns(o)
+
+
+def _units(o: Observations) -> Iterator[Hypothesis]:
+    if np.degrees(np.abs(o.q)).max() < RADIANS:
+        yield Hypothesis("the angles read as radians, not degrees", "unit", lambda o: replace(o, q=np.degrees(o.q)))
+    lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
+    if lengths.max() < LONGEST_ROW_M:
+        yield Hypothesis("the robot's a and d read as metres, not millimetres", "unit", lambda o: _with_chain(o, _scaled_lengths))
+    alpha = np.abs(o.cell.robot.chain.alpha)
+    if np.degrees(alpha).max() < RADIANS and alpha.any():
+        yield Hypothesis("the robot's alpha and theta read as radians, not degrees", "unit", lambda o: _with_chain(o, _scaled_angles))
+    for what, factor in (("metres", 1e3), ("inches", INCH_MM), ("micrometres", 1e-3)):
+        yield Hypothesis(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
+        if np.any(o.cell.ball_centres):
+            yield Hypothesis(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
+
+
+def _axes(o: Observations) -> Iterator[Hypothesis]:
+    n = o.cell.robot.n
+    for j in range(n):
+        yield Hypothesis(f"A{j + 1} reversed", "sign", lambda o, j=j: _angles(o, np.eye(n) - 2 * np.diag(np.eye(n)[j])))
+        for quarter in (1, -1, 2):
+            offset = quarter * QUARTER * np.eye(n)[j]
+            yield Hypothesis(f"{90 * quarter:+d} deg added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
+    yield Hypothesis("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
+    for i, j in combinations(range(n), 2):
+        order = np.arange(n)
+        order[[i, j]] = j, i
+        yield Hypothesis(f"the columns of A{i + 1} and A{j + 1} exchanged", "order", lambda o, p=order: replace(o, q=o.q[:, p]))
+    yield Hypothesis("the columns of the axes in reverse order", "order", lambda o: replace(o, q=o.q[:, ::-1]))
+    for shift, word in ((1, "left"), (-1, "right")):
+        what = f"the columns of the axes shifted by one to the {word}"
+        yield Hypothesis(what, "order", lambda o, s=shift: replace(o, q=np.roll(o.q, -s, axis=1)))
+    if n >= 3:
+        for sign, word in ((1, "added to"), (-1, "subtracted from")):
+            coupled = np.eye(n)
+            coupled[2, 1] = sign
+            yield Hypothesis(f"A2 {word} A3, which is counted from the horizontal", "coupling", lambda o, m=coupled: _angles(o, m))
+
+
+def _measured(o: Observations) -> Iterator[Hypothesis]:
+    for k, axis in enumerate(AXES):
+        mirror = np.ones(3)
+        mirror[k] = -1.0
+        yield Hypothesis(f"{axis} of the measured points reversed", "handedness", lambda o, m=mirror: replace(o, xyz=o.xyz * m))
+        if o.rotation is not None:
+            # The reflection of a rotation is D R D.
+            yield Hypothesis(
+                f"{axis} of the measured points reversed, in the orientation too",
+                "handedness",
+                lambda o, m=mirror: replace(o, xyz=o.xyz * m, rotation=m[:, None] * _rotation(o) * m),
+            )
+    for order in permutations(range(3)):
+        if order != (0, 1, 2):
+            names = ", ".join(AXES[k] for k in order)
+            yield Hypothesis(f"the columns of the measured points read as {names}", "order", lambda o, p=order: replace(o, xyz=o.xyz[:, p]))
+    if o.rotation is not None:
+        yield Hypothesis("the orientation inverted", "orientation", lambda o: replace(o, rotation=np.swapaxes(_rotation(o), 1, 2)))
+        xyzw = "the orientation's quaternion read as x, y, z, w"
+        yield Hypothesis(xyzw, "orientation", lambda o: replace(o, rotation=_requaternion(o, (3, 0, 1, 2))))
+        for k, axis in enumerate(AXES):
+            mirror = np.ones(3)
+            mirror[k] = -1.0
+            yield Hypothesis(
+                f"the orientation mirrored along {axis} (left-handed)",
+                "orientation",
+                lambda o, m=mirror: replace(o, rotation=m[:, None] * _rotation(o) * m),
+            )
+
+
+def _certified(o: Observations) -> Iterator[Hypothesis]:
+    if len(o.cell.ball_ids) < 2:
+        return
+    for k, axis in enumerate(AXES):
+        mirror = np.ones(3)
+        mirror[k] = -1.0
+        if np.ptp(o.cell.ball_centres[:, k]) > 0:
+            yield Hypothesis(f"{axis} of the certified centres reversed", "handedness", lambda o, m=mirror: _certified_times(o, m))
+    for order in permutations(range(3)):
+        if order != (0, 1, 2):
+            names = ", ".join(AXES[k] for k in order)
+            yield Hypothesis(f"the columns of the certified centres read as {names}", "order", lambda o, p=order: _certified_order(o, p))
+
+
+def _frames(o: Observations) -> Iterator[Hypothesis]:
+    if o.cell.measurement == "target_in_base":
+        yield Hypothesis("the measured points taken in the scanner's frame (measurement: artefact_in_scanner)", "frame", _other_measurement)
+    if all(s.T_base_station is None for s in o.cell.stations):
+        return
+    yield Hypothesis("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
+    for quarter in (1, -1, 2):
+        turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, quarter * QUARTER]))
+        yield Hypothesis(f"the base turned by {90 * quarter:+d} deg about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+    for k, axis in enumerate("xy"):
+        turn = se3.exp(np.r_[np.zeros(3), np.pi * np.eye(3)[k]])
+        yield Hypothesis(f"the base turned by 180 deg about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+
+
+def _columns(o: Observations) -> Iterator[Hypothesis]:
+    for shift in (1, -1):
+        word = "next" if shift == 1 else "previous"
+        yield Hypothesis(f"each measurement belonging to the {word} pose", "rows", lambda o, s=shift: _shifted(o, s))
+
+
+def _angles(o: Observations, matrix: np.ndarray) -> Observations:
+    return replace(o, q=o.q @ matrix.T)
+
+
+def _with_chain(o: Observations, change: Callable[[Chain], Chain]) -> Observations:
+    robot = replace(o.cell.robot, chain=change(o.cell.robot.chain))
+    return replace(o, cell=replace(o.cell, robot=robot))
+
+
+def _scaled_lengths(c: Chain) -> Chain:
+    return Chain(c.sign, c.theta, 1e3 * c.d, 1e3 * c.a, c.alpha, c.beta)
+
+
+def _scaled_angles(c: Chain) -> Chain:
+    return Chain(c.sign, np.degrees(c.theta), c.d, c.a, np.degrees(c.alpha), np.degrees(c.beta))
+
+
+def _certified_times(o: Observations, factor: float | np.ndarray) -> Observations:
+    artefacts = tuple(replace(a, centres=a.centres * factor) for a in o.cell.artefacts)
+    return replace(o, cell=replace(o.cell, artefacts=artefacts))
+
+
+def _certified_order(o: Observations, order: tuple[int, ...]) -> Observations:
+    artefacts = tuple(replace(a, centres=a.centres[:, order]) for a in o.cell.artefacts)
+    return replace(o, cell=replace(o.cell, artefacts=artefacts))
+
+
+def _stations(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
+    def changed(s: Station) -> Station:
+        return s if s.T_base_station is None else replace(s, T_base_station=change(s.T_base_station))
+
+    return replace(o, cell=replace(o.cell, stations=tuple(changed(s) for s in o.cell.stations)))
+
+
+def _other_measurement(o: Observations) -> Observations:
+    return replace(o, rotation=None, cell=replace(o.cell, measurement="artefact_in_scanner"))
+
+
+def _shifted(o: Observations, shift: int) -> Observations:
+    """The angles of the next or previous pose for each measurement; the pose at the end keeps its own."""
+    at = np.clip(np.arange(o.n_poses) + shift, 0, o.n_poses - 1)
+    return replace(o, q=o.q[at])
+
+
+def _rotation(o: Observations) -> np.ndarray:
+    assert o.rotation is not None, "offered only where an orientation was measured"
+    return o.rotation
+
+
+def _requaternion(o: Observations, order: tuple[int, ...]) -> np.ndarray:
+    """The rotations whose quaternions were read with w first though w is elsewhere: columns in another order."""
+    from scipy.spatial.transform import Rotation
+
+    xyzw = Rotation.from_matrix(_rotation(o)).as_quat()
+    wxyz = np.concatenate([xyzw[:, 3:], xyzw[:, :3]], axis=1)[:, order]
+    return Rotation.from_quat(np.concatenate([wxyz[:, 1:], wxyz[:, :1]], axis=1)).as_matrix()

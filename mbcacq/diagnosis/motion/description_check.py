@@ -1,0 +1,170 @@
+"""Does another reading of the angles, torques or gravity explain the torque better than the description does?
+
+Signs, offsets of quarter turns (a robot counted from another pose), radians, exchanged columns and the direction of gravity are tried on a
+few hundred samples. The model is that of the diagnosis in short: the described arm, its masses free within their prior, a tool, a balancer,
+friction, rotors and small offsets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.effects.motion.payload import prior_sigma
+from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor
+from mbcacq.model.cell import RobotModel
+
+QUARTER = np.pi / 2
+FEW_RADIANS = 7.0  # deg; angles that stay below may be in radians
+DOWN = {
+    "up, as for an arm on the ceiling": (0.0, 0.0, 1.0),
+    "along +x": (1.0, 0.0, 0.0),
+    "along -x": (-1.0, 0.0, 0.0),
+    "along +y": (0.0, 1.0, 0.0),
+    "along -y": (0.0, -1.0, 0.0),
+}
+FRICTION_SPEED = 0.02  # share of a joint's fastest speed over which friction changes its sign here
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Of all recordings: q, qd, qdd, torque, moving (N, n); moving: where friction is not that of standstill."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    torque: np.ndarray
+    moving: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Another reading of the recording: q read as ``sign * scale * q[:, order] + offset``, torques with ``torque_sign`` and in
+    ``torque_order``. what: in words."""
+
+    what: str
+    sign: np.ndarray
+    offset: np.ndarray
+    torque_sign: np.ndarray
+    torque_order: np.ndarray
+    order: np.ndarray
+    scale: float = 1.0
+    gravity: tuple[float, ...] | None = None
+
+
+def suspicions(runs: tuple[MotionSignals, ...], options: MotionOptions) -> tuple[str, ...]:
+    """The reading that explains the torque much better than the description, in words; none where the description is the best, or no
+    torque or no masses are known."""
+    robot = runs[0].robot
+    if robot is None or not robot.mass.any() or any(run.torque is None or not np.isfinite(run.torque).all() for run in runs):
+        return ()
+    samples = _samples(runs, options)
+    before = _residual(samples, robot, options)
+    best, after = None, before
+    for reading in _readings(robot, samples):
+        rms = _residual(_read(samples, reading), _turned(robot, reading), options)
+        if float(np.log(rms).sum()) < float(np.log(after).sum()):
+            best, after = reading, rms
+    if best is None:
+        return ()
+    ratio = after / before
+    if float(np.prod(ratio)) > options.suspicious_ratio:
+        return ()
+    j = int(np.argmin(ratio))
+    return (f"with {best.what} the torque that is not explained falls from {before[j]:.0f} to {after[j]:.0f} N m at A{j + 1}",)
+
+
+def _samples(runs: tuple[MotionSignals, ...], options: MotionOptions) -> Samples:
+    each = max(options.description_samples // len(runs), 1)
+    columns: list[list[np.ndarray]] = [[] for _ in range(4)]
+    for run in runs:
+        edge = int(np.ceil(options.edge_s / run.step_s))
+        at = np.linspace(edge, len(run.q) - 1 - edge, min(each, len(run.q) - 2 * edge)).astype(int)
+        for column, signal in zip(columns, (run.smooth, run.qd, run.qdd, run.torque), strict=True):
+            column.append(np.asarray(signal)[at])
+    q, qd, qdd, torque = (np.concatenate(c) for c in columns)
+    return Samples(q, qd, qdd, torque, np.abs(qd) > options.standstill * np.abs(qd).max(axis=0))
+
+
+def _readings(robot: RobotModel, samples: Samples) -> Iterator[Reading]:
+    n = robot.n
+    one, zero, straight = np.ones(n), np.zeros(n), np.arange(n)
+    flips = [np.where(straight == j, -1.0, 1.0) for j in range(n)]
+    for j, flip in enumerate(flips):
+        yield Reading(f"A{j + 1} reversed", flip, zero, one, straight, straight)
+        yield Reading(f"the torque of A{j + 1} reversed", one, zero, flip, straight, straight)
+        yield Reading(f"A{j + 1} and its torque reversed", flip, zero, flip, straight, straight)
+    yield Reading("all axes reversed", -one, zero, one, straight, straight)
+    yield Reading("all torques reversed", one, zero, -one, straight, straight)
+    yield Reading("all axes and torques reversed", -one, zero, -one, straight, straight)
+    for j in range(n):
+        for quarter in (1, -1, 2):
+            yield Reading(f"{90 * quarter:+d} deg added to A{j + 1}", one, quarter * QUARTER * np.eye(n)[j], one, straight, straight)
+    for a, b in product((1, -1), (1, -1)) if n >= 3 else ():
+        offset = QUARTER * (a * np.eye(n)[1] + b * np.eye(n)[2])
+        yield Reading(f"{90 * a:+d} deg added to A2 and {90 * b:+d} deg to A3", one, offset, one, straight, straight)
+    for i, j in combinations(range(n), 2):
+        order = straight.copy()
+        order[[i, j]] = j, i
+        yield Reading(f"the columns of A{i + 1} and A{j + 1} exchanged", one, zero, one, order, order)
+        yield Reading(f"the torques of A{i + 1} and A{j + 1} exchanged", one, zero, one, order, straight)
+    if np.degrees(np.abs(samples.q)).max() < FEW_RADIANS:
+        yield Reading("the angles read as radians, not degrees", one, zero, one, straight, straight, scale=float(np.degrees(1)))
+    for what, down in DOWN.items():
+        yield Reading(f"gravity {what}", one, zero, one, straight, straight, gravity=down)
+
+
+def _read(s: Samples, reading: Reading) -> Samples:
+    def angles(signal: np.ndarray) -> np.ndarray:
+        return reading.sign * reading.scale * signal[:, reading.order]
+
+    torque = reading.torque_sign * s.torque[:, reading.torque_order]
+    return Samples(angles(s.q) + reading.offset, angles(s.qd), angles(s.qdd), torque, s.moving[:, reading.order])
+
+
+def _turned(robot: RobotModel, reading: Reading) -> RobotModel:
+    return robot if reading.gravity is None else replace(robot, gravity=np.array(reading.gravity))
+
+
+def _residual(s: Samples, robot: RobotModel, options: MotionOptions) -> np.ndarray:
+    """(n,) rms of the torque that a regularised least-squares fit of the arm leaves."""
+    N, n = s.q.shape
+    unit = regressor(robot.chain, s.q, s.qd, s.qdd, robot.gravity)
+    nominal = nominal_parameters(robot.mass, robot.com, robot.payload_mass, robot.payload_com)
+    mismatch = s.torque - np.einsum("tjlk,lk->tj", unit, nominal)
+    sigma = inertial_sigma(robot)
+    common = np.concatenate([(unit * sigma)[:, :, sigma > 0], unit[:, :, -1] * np.array(prior_sigma(robot))], axis=2)
+    largest = np.maximum(np.abs(s.torque).max(axis=0), 1e-12)
+    fastest = np.maximum(np.abs(s.qd).max(axis=0), 1e-9)
+    own = np.zeros((N, n, 6))
+    own[:, :, 0] = options.torque_offset * largest
+    own[:, :, 1], own[:, :, 2] = largest * np.tanh(s.qd / (FRICTION_SPEED * fastest)), largest * s.qd / fastest
+    own[:, :, 3] = largest * s.qdd / np.maximum(np.abs(s.qdd).max(axis=0), 1e-9)
+    own[:, 1, 4], own[:, 1, 5] = largest[1] * np.sin(s.q[:, 1]), largest[1] * np.cos(s.q[:, 1])  # a balancer
+    weight = 1.0 / np.maximum(mismatch.std(axis=0), 1e-9)
+    rms = mismatch.std(axis=0)
+    for _ in range(options.weight_rounds):
+        rms = _fit(mismatch, common, own, s.moving, weight / np.sqrt(options.description_correlated))
+        weight = 1.0 / np.maximum(rms, 1e-9)
+    return rms
+
+
+def _fit(mismatch: np.ndarray, common: np.ndarray, own: np.ndarray, moving: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(n,) rms after a fit of common columns (N, n, c) and each joint's own (N, n, k), all with prior sigma 1; weight: (n,)."""
+    n, c, k = mismatch.shape[1], common.shape[2], own.shape[2]
+    A, g = np.eye(c + n * k), np.zeros(c + n * k)
+    blocks = []
+    for j in range(n):
+        use = moving[:, j]
+        at = np.r_[np.arange(c), c + k * j + np.arange(k)]
+        Z = np.concatenate([common[use, j], own[use, j]], axis=1)
+        A[np.ix_(at, at)] += weight[j] ** 2 * Z.T @ Z
+        g[at] += weight[j] ** 2 * Z.T @ mismatch[use, j]
+        blocks.append((Z, at, use))
+    x = np.linalg.solve(A, g)
+    return np.array([float(np.sqrt(np.mean((mismatch[use, j] - Z @ x[at]) ** 2))) for j, (Z, at, use) in enumerate(blocks)])

@@ -1,0 +1,269 @@
+"""Recordings of ROS: rosbag2 folders (SQLite or MCAP) and .mcap files as observations or trajectories.
+
+``cell.yaml`` says under ``bag`` which topic is what. Joint angles are those of sensor_msgs/JointState; a target is a geometry_msgs
+PoseStamped, PointStamped or TransformStamped; a cloud is a sensor_msgs/PointCloud2. Needs the package rosbags:
+``pip install mbcacq[ros]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from mbcacq.errors import ConfigError, DeviceFault
+from mbcacq.model.cell import Cell
+from mbcacq.model.cell_schema import Strict
+from mbcacq.recording.datasets import quaternions
+from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+
+MM_IN_M = 1e3  # ROS says lengths in metres
+NS = 1e-9
+FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
+
+
+class StandstillSpec(Strict):
+    """An arm stands still where every joint is slower than ``speed_deg_s`` for ``seconds``."""
+
+    speed_deg_s: float = Field(default=0.2, gt=0)
+    seconds: float = Field(default=0.5, gt=0)
+
+
+class BagSpec(Strict):
+    """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes, as in the message if not given."""
+
+    file: str
+    joint_states: str = "/joint_states"
+    joints: tuple[str, ...] = ()
+    set_points: str | None = None
+    target: str | None = None
+    point_cloud: str | None = None
+    standstill: StandstillSpec = StandstillSpec()
+
+
+@dataclass(frozen=True)
+class JointStates:
+    """time_s: (T,); position, effort: (T, n) rad and N m, effort None where the messages have none."""
+
+    time_s: np.ndarray
+    position: np.ndarray
+    effort: np.ndarray | None
+
+
+def bag_of(folder: Path) -> BagSpec | None:
+    """What cell.yaml says under ``bag``; None where it says nothing. Raises ConfigError."""
+    path = folder / "cell.yaml"
+    if not path.is_file():
+        return None
+    text = read_yaml_text(path)
+    if "bag" not in text:
+        return None
+    data, node = load_yaml(text, str(path))
+    if not isinstance(data.get("bag"), dict):
+        return None
+    inner = next(value for key, value in node.value if key.value == "bag")
+    return validate(BagSpec, data["bag"], inner, str(path))
+
+
+class Bag:
+    """The messages of one bag, by topic. Raises ConfigError where the bag cannot be read, or a topic is missing or of another type."""
+
+    def __init__(self, folder: Path, spec: BagSpec) -> None:
+        try:
+            from rosbags.highlevel import AnyReader, AnyReaderError
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            raise ConfigError(f"{folder / spec.file}: reading bags needs the package rosbags: pip install 'mbcacq[ros]'") from None
+        self.path = folder / spec.file
+        if not self.path.exists():
+            raise ConfigError(f"{folder / 'cell.yaml'}: bag: {self.path} does not exist; correct file")
+        self._open: Callable[[], Any] = lambda: AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        self._failure = AnyReaderError
+
+    def messages(self, topic: str, types: tuple[str, ...]) -> Iterator[tuple[float, Any]]:
+        """(time in s, message) of a topic, in the order of recording."""
+        try:
+            with self._open() as reader:
+                connections = [c for c in reader.connections if c.topic == topic]
+                self._check(topic, types, {c.msgtype for c in connections}, sorted({c.topic for c in reader.connections}))
+                for connection, stamp, raw in reader.messages(connections):
+                    yield stamp * NS, reader.deserialize(raw, connection.msgtype)
+        except (self._failure, OSError, ValueError) as error:
+            raise ConfigError(f"{self.path}: the bag cannot be read ({error}); check it with `ros2 bag info`") from None
+
+    def _check(self, topic: str, types: tuple[str, ...], found: set[str], known: list[str]) -> None:
+        if not found:
+            raise ConfigError(f"{self.path}: the topic {topic} is not in the bag (there: {', '.join(known) or 'none'}); correct cell.yaml")
+        wrong = sorted(kind for kind in found if kind not in types)
+        if wrong:
+            raise ConfigError(f"{self.path}: the topic {topic} holds {wrong[0]}, not {' or '.join(types)}; correct cell.yaml")
+
+    def joint_states(self, topic: str, names: tuple[str, ...], n: int) -> JointStates:
+        times, positions, efforts = [], [], []
+        for time, message in self.messages(topic, ("sensor_msgs/msg/JointState",)):
+            at = self._columns(topic, list(message.name), names, n)
+            times.append(_stamp(message, time))
+            positions.append(np.asarray(message.position, dtype=float)[at])
+            effort = np.asarray(message.effort, dtype=float)
+            efforts.append(effort[at] if len(effort) == len(message.position) else np.full(n, np.nan))
+        time_s, effort = np.array(times), np.array(efforts)
+        rising = np.r_[True, np.diff(time_s) > 0]
+        measured = effort[rising] if np.isfinite(effort).all() and np.any(effort) else None
+        return JointStates(time_s[rising], np.array(positions)[rising], measured)
+
+    def _columns(self, topic: str, present: list[str], names: tuple[str, ...], n: int) -> list[int]:
+        wanted = list(names) or present
+        missing = [name for name in wanted if name not in present]
+        if missing or len(wanted) != n:
+            raise ConfigError(
+                f"{self.path}: the topic {topic} has the joints {', '.join(present)}, the robot {n} axes; "
+                "list the joints in the order of the axes under bag: joints"
+            )
+        return [present.index(name) for name in wanted]
+
+
+def trajectory_columns(folder: Path, spec: BagSpec, n: int) -> dict[str, Any]:
+    """time_s, q, q_set and torque of ``Trajectory`` from a bag. Set points are those last sent at each time."""
+    bag = Bag(folder, spec)
+    actual = bag.joint_states(spec.joint_states, spec.joints, n)
+    if len(actual.time_s) < 2:
+        raise ConfigError(f"{bag.path}: the topic {spec.joint_states} holds fewer than two messages")
+    out: dict[str, Any] = {"time_s": actual.time_s - actual.time_s[0], "q": actual.position, "torque": actual.effort}
+    if spec.set_points is not None:
+        sent = bag.joint_states(spec.set_points, spec.joints, n)
+        out["q_set"] = np.stack([np.interp(actual.time_s, sent.time_s, column) for column in sent.position.T], axis=1)
+    return out
+
+
+def observation_columns(folder: Path, spec: BagSpec, cell: Cell) -> dict[str, Any]:
+    """Columns of ``Observations`` from a bag: one pose for each standstill of the arm at which something was measured."""
+    if len(cell.stations) != 1:
+        raise ConfigError(f"{folder / 'cell.yaml'}: a bag is read as one station, cell.yaml has {len(cell.stations)}; make a set of each")
+    bag = Bag(folder, spec)
+    states = bag.joint_states(spec.joint_states, spec.joints, cell.robot.n)
+    windows = standstills(states, spec.standstill)
+    if not windows:
+        raise ConfigError(f"{bag.path}: the arm never stands still for {spec.standstill.seconds:g} s; change bag: standstill")
+    measured = _targets(bag, spec, states, windows) if spec.target is not None else _clouds(bag, spec, cell, states, windows)
+    seen = np.unique(measured["pose"])
+    if not len(seen):
+        raise ConfigError(f"{bag.path}: nothing was measured while the arm stood still; check the topics under bag:")
+    q = np.stack([states.position[w].mean(axis=0) for w in windows])[seen]
+    time_s = np.array([states.time_s[w].mean() for w in windows])[seen]
+    measured["pose"] = np.searchsorted(seen, measured["pose"])
+    return {"pose_id": np.arange(1, len(seen) + 1), "station": np.zeros(len(seen), dtype=np.int64), "q": q, "time_s": time_s, **measured}
+
+
+def standstills(states: JointStates, spec: StandstillSpec) -> list[slice]:
+    """The stretches of samples over which no joint moves."""
+    speed = np.abs(np.gradient(states.position, states.time_s, axis=0)).max(axis=1)
+    still = np.r_[0, (speed < np.radians(spec.speed_deg_s)).astype(int), 0]
+    edges = np.flatnonzero(np.diff(still))
+    stretches = [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [s for s in stretches if states.time_s[s.stop - 1] - states.time_s[s.start] >= spec.seconds]
+
+
+def _window_of(time: float, states: JointStates, windows: list[slice]) -> int | None:
+    for i, w in enumerate(windows):
+        if states.time_s[w.start] <= time <= states.time_s[w.stop - 1]:
+            return i
+    return None
+
+
+def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice]) -> dict[str, Any]:
+    """Mean position, and orientation where there is one, of the target over each standstill."""
+    points: dict[int, list[np.ndarray]] = {}
+    turns: dict[int, list[np.ndarray]] = {}
+    kinds = tuple(f"geometry_msgs/msg/{kind}" for kind in ("PoseStamped", "PointStamped", "TransformStamped"))
+    for time, message in bag.messages(str(spec.target), kinds):
+        at = _window_of(_stamp(message, time), states, windows)
+        if at is not None:
+            point, turn = _target(message)
+            points.setdefault(at, []).append(point)
+            if turn is not None:
+                turns.setdefault(at, []).append(turn)
+    pose = np.array(sorted(points), dtype=np.int64)
+    out: dict[str, Any] = {"pose": pose, "ball": np.zeros(len(pose), dtype=np.int64)}
+    out["xyz"] = MM_IN_M * np.array([np.mean(points[p], axis=0) for p in pose.tolist()]).reshape(-1, 3)
+    if len(turns) == len(points) and turns:
+        out["rotation"] = quaternions.to_matrix(np.array([_mean_turn(turns[p]) for p in pose.tolist()]))
+    return out
+
+
+def _target(message: Any) -> tuple[np.ndarray, np.ndarray | None]:
+    """Position (3,) m and quaternion (4,) w, x, y, z of a stamped point, pose or transform."""
+    if hasattr(message, "point"):
+        return _vector(message.point), None
+    if hasattr(message, "pose"):
+        return _vector(message.pose.position), _quaternion(message.pose.orientation)
+    return _vector(message.transform.translation), _quaternion(message.transform.rotation)
+
+
+def _vector(v: Any) -> np.ndarray:
+    return np.array([v.x, v.y, v.z], dtype=float)
+
+
+def _quaternion(q: Any) -> np.ndarray:
+    return np.array([q.w, q.x, q.y, q.z], dtype=float)
+
+
+def _mean_turn(turns: list[np.ndarray]) -> np.ndarray:
+    """Mean of nearly equal quaternions, whose signs are arbitrary."""
+    return np.mean([q if q @ turns[0] >= 0 else -q for q in turns], axis=0)
+
+
+def _clouds(bag: Bag, spec: BagSpec, cell: Cell, states: JointStates, windows: list[slice]) -> dict[str, Any]:
+    """Centres of the balls in the last cloud of each standstill."""
+    from mbcacq.spheres import find_spheres
+
+    if spec.point_cloud is None:
+        raise ConfigError(f"{bag.path}: cell.yaml names neither a target nor a point_cloud under bag:; add the topic that was measured")
+    last: dict[int, np.ndarray] = {}
+    for time, message in bag.messages(spec.point_cloud, ("sensor_msgs/msg/PointCloud2",)):
+        at = _window_of(_stamp(message, time), states, windows)
+        if at is not None:
+            last[at] = MM_IN_M * _points(bag, spec.point_cloud, message)
+    index = {ball: i for i, ball in enumerate(cell.ball_ids)}
+    artefact = cell.artefact(cell.stations[0].artefact)
+    pose, ball, xyz = [], [], []
+    for at in sorted(last):
+        try:
+            found = find_spheres(last[at], artefact)
+        except DeviceFault as error:
+            time_s = states.time_s[windows[at].start]
+            raise ConfigError(f"{bag.path}: cloud of the standstill at {time_s:.3f} s: {error}") from None
+        pose += [at] * len(found.ball)
+        ball += [index[b] for b in found.ball.tolist()]
+        xyz.append(found.xyz)
+    centres = np.concatenate(xyz) if xyz else np.zeros((0, 3))
+    return {"pose": np.array(pose, dtype=np.int64), "ball": np.array(ball, dtype=np.int64), "xyz": centres}
+
+
+def _points(bag: Bag, topic: str, message: Any) -> np.ndarray:
+    """(N, 3) m, the finite points of a cloud."""
+    fields = {f.name: f for f in message.fields}
+    if not all(axis in fields and fields[axis].datatype in FLOATS for axis in "xyz"):
+        raise ConfigError(f"{bag.path}: the clouds of {topic} have no x, y, z of floating point; record them as such")
+    order = ">" if message.is_bigendian else "<"
+    dtype = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [order + FLOATS[fields[a].datatype] for a in "xyz"],
+            "offsets": [fields[a].offset for a in "xyz"],
+            "itemsize": message.point_step,
+        }
+    )
+    cloud = np.frombuffer(np.asarray(message.data, dtype=np.uint8).tobytes(), dtype=dtype, count=message.width * message.height)
+    points = np.stack([cloud[a].astype(float) for a in "xyz"], axis=1)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _stamp(message: Any, received: float) -> float:
+    """Time (s) at which it was measured; that of its recording where the sender gave none."""
+    stamp = message.header.stamp
+    sent = stamp.sec + NS * stamp.nanosec
+    return sent if sent > 0 else received

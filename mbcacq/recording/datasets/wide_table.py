@@ -1,0 +1,83 @@
+"""``poses.csv`` as one wide table: joint angles and what was measured in one row.
+
+One ball or target has the columns x_mm, y_mm, z_mm (and qw, qx, qy, qz); several balls have x1_mm, y1_mm, z1_mm with the ball's number, and
+a row that does not show one of them leaves its cells empty. ``pose`` may be missing (rows are numbered from 1), ``station`` where the
+cell has only one, ``ball`` where the cell has only one ball.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.model.cell import Cell
+from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable
+
+
+def wide_centres(table: CsvTable, cell: Cell) -> dict[str, Any] | None:
+    """Centre columns of ``Observations`` from the rows of poses.csv, which gets the columns pose and station where it lacks them; None
+    where it holds no measured points. Raises ConfigError."""
+    several = [ball for ball in cell.ball_ids if table.has(_names(ball))]
+    if not table.has(XYZ) and not several:
+        return None
+    _complete(table, cell)
+    if several:
+        return _several(table, cell, several)
+    rows = np.arange(len(table))
+    out: dict[str, Any] = {"pose": rows, "ball": _balls(table, cell), "xyz": table.group(XYZ)}
+    extra: dict[str, np.ndarray] = {}
+    if any(name in table.columns for name in QUATERNION):
+        table.require(QUATERNION)
+        out["rotation"] = table.rotations()
+        extra = {f"centres.{name}": np.array(table.columns[name], dtype=np.str_) for name in QUATERNION}
+    return out | {"extra": extra}
+
+
+def _names(ball: int) -> tuple[str, str, str]:
+    return f"x{ball}_mm", f"y{ball}_mm", f"z{ball}_mm"
+
+
+def _complete(table: CsvTable, cell: Cell) -> None:
+    if "pose" not in table.columns:
+        table.columns["pose"] = tuple(str(i + 1) for i in range(len(table)))
+    if "station" not in table.columns:
+        if len(cell.stations) > 1:
+            raise ConfigError(f"{table.path}:1: column station is missing, and cell.yaml has {len(cell.stations)} stations; add it")
+        table.columns["station"] = tuple(station.id for station in cell.stations) * len(table)
+
+
+def _balls(table: CsvTable, cell: Cell) -> np.ndarray:
+    """(rows,) index of the ball that each row shows."""
+    if "ball" not in table.columns:
+        if len(cell.ball_ids) > 1:
+            raise ConfigError(f"{table.path}:1: column ball is missing, and cell.yaml has {len(cell.ball_ids)} balls; add it")
+        return np.zeros(len(table), dtype=np.int64)
+    index = {ball: i for i, ball in enumerate(cell.ball_ids)}
+    ids = table.integer("ball").tolist()
+    for row, ball in enumerate(ids):
+        if ball not in index:
+            raise ConfigError(f"{table.where(row, 'ball')}: ball {ball} is on no artefact of cell.yaml; correct it")
+    return np.array([index[ball] for ball in ids], dtype=np.int64)
+
+
+def _several(table: CsvTable, cell: Cell, balls: list[int]) -> dict[str, Any]:
+    pose, ball, xyz = [], [], []
+    for number in balls:
+        names = _names(number)
+        seen = np.array([any(cells[row].strip() for cells in (table.columns[n] for n in names)) for row in range(len(table))])
+        part = CsvTable(
+            table.path,
+            {n: tuple(c for c, s in zip(table.columns[n], seen, strict=True) if s) for n in names},
+            [line for line, s in zip(table.line, seen, strict=True) if s],
+        )
+        table.taken |= set(names)
+        pose.append(np.flatnonzero(seen))
+        ball.append(np.full(int(seen.sum()), cell.ball_ids.index(number)))
+        xyz.append(part.group(names))
+    at = np.concatenate(pose)
+    order = np.argsort(at, kind="stable")
+    if not len(order):
+        raise ConfigError(f"{table.path}:2: no row shows a ball; fill the columns {', '.join(_names(balls[0]))}")
+    return {"pose": at[order], "ball": np.concatenate(ball)[order], "xyz": np.concatenate(xyz)[order]}

@@ -1,0 +1,105 @@
+"""Recordings of ROS: what was written into a bag message by message comes back as poses and as a motion."""
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from mbcacq.errors import ConfigError
+from mbcacq.recording import load_observations, load_trajectories
+
+ROBOT = """
+robot:
+  name: two axes
+  links:
+    - {theta_deg: 0, d_mm: 100, a_mm: 0, alpha_deg: 90, mass_kg: 5}
+    - {theta_deg: 0, d_mm: 0, a_mm: 300, alpha_deg: 0, mass_kg: 3}
+"""
+TRACKER = f"""format: mbcacq-observation-set/1
+measurement: target_in_base
+{ROBOT}
+artefacts: [{{id: target, balls: [{{id: 1, centre_mm: [0, 0, 0]}}]}}]
+stations: [{{id: tracker, artefact: target}}]
+bag: {{file: run, joints: [shoulder, elbow], target: /tracker/pose}}
+"""
+MOTION = f"""format: mbcacq-trajectory-set/1
+{ROBOT}
+bag: {{file: run, joints: [shoulder, elbow]}}
+"""
+STEP, STILL, MOVE = 0.01, 100, 50  # s, samples at rest and on the way
+POSES = np.array([[0.1, -0.4], [0.5, 0.2], [-0.3, 0.7]])
+PLACES = np.array([[0.5, 0.25, 1.0], [0.4, 0.1, 0.9], [0.6, -0.2, 1.1]])  # m
+
+
+def path():
+    """Angles (T, 2) that rest at each pose, and the number of the pose at rest, -1 on the way."""
+    q, at = [], []
+    for i, pose in enumerate(POSES):
+        if i:
+            s = np.linspace(0, 1, MOVE)[:, None]
+            q.append(POSES[i - 1] * (1 - s) + pose * s)
+            at.append(np.full(MOVE, -1))
+        q.append(np.tile(pose, (STILL, 1)))
+        at.append(np.full(STILL, i))
+    return np.concatenate(q), np.concatenate(at)
+
+
+@pytest.fixture(params=[StoragePlugin.SQLITE3, StoragePlugin.MCAP], ids=["sqlite", "mcap"])
+def bag(request, tmp_path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = store.types
+    header = lambda t: kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](int(t), int(round(t % 1 * 1e9))), "base")  # noqa: E731
+    q, at = path()
+    with Writer(tmp_path / "run", version=9, storage_plugin=request.param) as writer:
+        states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        poses = writer.add_connection("/tracker/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
+        for k, (angles, i) in enumerate(zip(q, at, strict=True)):
+            t = 1000.0 + STEP * k
+            message = kind["sensor_msgs/msg/JointState"](
+                header(t), ["elbow", "shoulder"], angles[::-1].copy(), np.zeros(2), np.array([7.0, 5.0])
+            )
+            writer.write(states, int(t * 1e9), store.serialize_cdr(message, message.__msgtype__))
+            if i >= 0:
+                turn = 1.0 if k % 2 else -1.0  # both quaternions of one rotation
+                pose = kind["geometry_msgs/msg/Pose"](
+                    kind["geometry_msgs/msg/Point"](*PLACES[i]), kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, turn * 0.6, turn * 0.8)
+                )
+                message = kind["geometry_msgs/msg/PoseStamped"](header(t), pose)
+                writer.write(poses, int(t * 1e9), store.serialize_cdr(message, message.__msgtype__))
+    return tmp_path
+
+
+def test_each_standstill_is_a_pose_with_its_target(bag):
+    (bag / "cell.yaml").write_text(TRACKER)
+    obs = load_observations(bag)
+    assert obs.rotation is not None
+    assert obs.time_s is not None
+    np.testing.assert_allclose(obs.q, POSES, atol=1e-12)
+    np.testing.assert_allclose(obs.xyz, 1e3 * PLACES)
+    np.testing.assert_allclose(obs.rotation[0][:2, :2], [[0.28, -0.96], [0.96, 0.28]], atol=1e-12)
+    assert obs.time_s[1] - obs.time_s[0] == pytest.approx(STEP * (STILL + MOVE), abs=1e-3)
+
+
+def test_the_joint_states_of_a_bag_are_a_motion(bag):
+    (bag / "cell.yaml").write_text(MOTION)
+    (motion,) = load_trajectories(bag)
+    assert motion.torque is not None
+    np.testing.assert_allclose(motion.q, path()[0])
+    assert motion.torque[:, 0].tolist() == [5.0] * len(motion.q)
+    assert motion.time_s[-1] == pytest.approx(STEP * (len(motion.q) - 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("/tracker/pose", "/tracker/position", r"the topic /tracker/position is not in the bag \(there: /joint_states, /tracker/pose\)"),
+        ("/tracker/pose", "/joint_states", r"holds sensor_msgs/msg/JointState, not geometry_msgs"),
+        ("[shoulder, elbow]", "[shoulder, wrist]", r"has the joints elbow, shoulder, the robot 2 axes"),
+        ("file: run", "file: walk", r"walk does not exist"),
+        ("target: /tracker/pose", "standstill: {seconds: 5}, target: /tracker/pose", r"never stands still for 5 s"),
+    ],
+)
+def test_a_bag_that_is_not_as_described_is_refused_with_the_reason(bag, old, new, message):
+    (bag / "cell.yaml").write_text(TRACKER.replace(old, new))
+    with pytest.raises(ConfigError, match=message):
+        load_observations(bag)
