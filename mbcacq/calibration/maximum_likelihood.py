@@ -55,7 +55,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         return result
     obs = select_phases(observations, options)
     refuse_insufficient(obs, options)
-    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
+    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not (options.terms or options.displaced) else None
     fitted = adjust(obs, options, first)
     result = Calibration.of(
         obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found

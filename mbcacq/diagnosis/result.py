@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 
 FORMAT = "mbcacq-diagnosis/1"
@@ -103,8 +104,9 @@ class Diagnosis:
     """The result of ``diagnose``.
 
     verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
-    effects that were not considered, with what the recording lacks for them. notes: further sentences for people. plot_data: an
-    ``output.plot_data.PlotData`` from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.
+    effects that were not considered, with what the recording lacks for them. notes: further sentences for people. model: the effects as
+    terms that a calibration takes; None where there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures are drawn; it
+    is no part of the JSON object, so None after ``from_json``.
     """
 
     verdict: str
@@ -115,11 +117,13 @@ class Diagnosis:
     advice: tuple[Advice, ...] = ()
     dropped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    model: EffectModel | None = field(default=None, compare=False)
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
-        return {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "plot_data"}
+        content = {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in ("plot_data", "model")}
+        return content | {"model": plain(self.model.to_dict()) if self.model else None}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:
@@ -187,6 +191,7 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
         advice=tuple(Advice(a["reason"], tuple(tuple(_number(v) for v in q) for q in a["poses_deg"])) for a in content["advice"]),
         dropped=dict(content.get("dropped", {})),
         notes=tuple(content.get("notes", ())),
+        model=EffectModel.from_dict(content["model"]) if content.get("model") else None,
     )
 
 

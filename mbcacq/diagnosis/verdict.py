@@ -12,6 +12,7 @@ from mbcacq.diagnosis.output import next_measurements
 from mbcacq.diagnosis.output.alternatives import Alternatives, Unobservable, alternatives, unobservable
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
+from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
@@ -60,6 +61,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         advice=tuple(advice),
         dropped=setup.dropped,
         notes=tuple(notes(setup, full)),
+        model=kept_model(setup, full, judged.effects) or None,
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )
 

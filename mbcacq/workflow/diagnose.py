@@ -10,6 +10,7 @@ from typing import Any
 
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
 from mbcacq.diagnosis.result import FORMAT, Diagnosis, EffectFound
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
@@ -36,6 +37,11 @@ class DiagnosisResult:
         if found is None:
             raise ConfigError("this diagnosis is of nothing; diagnose a recording with mbcacq.diagnose")
         return found
+
+    @property
+    def model(self) -> EffectModel | None:
+        """The effects found in the poses as terms that :func:`mbcacq.calibrate` takes; None where there are none."""
+        return self.poses.model if self.poses is not None else None
 
     @property
     def verdict(self) -> str:
@@ -165,7 +171,26 @@ def diagnose_poses(observations: Observations, progress: Callable[[str], None], 
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
-    return DiagnosisResult(room.diagnose(observations, progress=progress, workers=workers or cores()), observations=observations)
+    found = room.diagnose(observations, progress=progress, workers=workers or cores())
+    return DiagnosisResult(with_fitted_model(found, observations, progress), observations=observations)
+
+
+def with_fitted_model(found: Diagnosis, observations: Observations, progress: Callable[[str], None]) -> Diagnosis:
+    """The diagnosis with the effects of its model fitted together with the cell, as a calibration would fit them. Where the recording
+    does not determine the cell with them, they stay as the diagnosis had them.
+    """
+    from mbcacq.calibration.with_effects import calibrate_with_effects
+    from mbcacq.errors import CalibrationError
+    from mbcacq.estimation.options import CalibrationOptions
+
+    if not found.model:
+        return found
+    progress("fitting the cell with its effects")
+    try:
+        fitted = calibrate_with_effects(observations, CalibrationOptions(refuse=False), found.model)
+    except CalibrationError as reason:
+        return replace(found, notes=(*found.notes, f"the effects could not be fitted with the cell: {reason}"))
+    return replace(found, model=fitted.effects)
 
 
 def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:
