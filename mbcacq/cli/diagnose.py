@@ -23,7 +23,23 @@ from mbcacq.cli.terminal import echo
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
-def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None, rrd: Path | None, workers: int | None) -> None:
+@click.option(
+    "--check",
+    multiple=True,
+    type=RunPath(),
+    metavar="OTHER",
+    help="Try what was learnt on this recording of the same arm (repeatable): its base, tool and stations are fitted, nothing else.",
+)
+@click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
+def command(
+    data: tuple[Path, ...],
+    json_file: Path | None,
+    report: Path | None,
+    rrd: Path | None,
+    workers: int | None,
+    check: tuple[Path, ...],
+    place: str,
+) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
     In the folder of a run the diagnosis is kept (diagnosis.json, diagnosis.rrd): mbcacq report and mbcacq view show it from then on.
@@ -32,11 +48,12 @@ def command(data: tuple[Path, ...], json_file: Path | None, report: Path | None,
     Examples:
       mbcacq diagnose latest
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
+      mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --json diagnosis.json
     """
     import mbcacq
     from mbcacq.workflow.load import is_run_folder
 
-    found = mbcacq.diagnose(data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers)
+    found = mbcacq.diagnose(data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, check=check, place=place)
     if found.poses is not None:
         if report is not None:
             found.write_html(report)

@@ -14,6 +14,7 @@ from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.plot_data import plot_data
+from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.beam_search import BeamSearch
@@ -48,10 +49,12 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable += tuple(_absorbed(m) for m in missed if m.even_strong)
         if any(m.even_strong for m in missed):
             verdict = "cannot_tell"
+    reported = [replace(e, alternatives=found.by_name.get(e.name, ())) for e in with_significance(judged.effects, setup, full)]
+    effects, mismatch = with_classes(reported, judged.mismatch, classes(full.geometry_only.linear.obs, not_separable))
     return Diagnosis(
         verdict=verdict,
-        mismatch=tuple(judged.mismatch),
-        effects=tuple(replace(e, alternatives=found.by_name.get(e.name, ())) for e in judged.effects),
+        mismatch=tuple(mismatch),
+        effects=tuple(effects),
         fit=FitSummary(
             train=FitFigures(*_figures(before, after)),
             held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),

@@ -13,6 +13,7 @@ from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
+from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import Observations
@@ -64,6 +65,25 @@ def verify(
     if isinstance(calibration, Path | str):
         calibration = room.CalibratedCell.from_json(Path(calibration))
     return room.verify(as_observations(data), calibration, before=before, limit_mm=limit_mm)
+
+
+def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | Path | str, *, place: str = "fitted") -> Transfer:
+    """A calibrated arm, with its effects, on a recording that took no part: both stay as they were learnt.
+
+    place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is). Raises ConfigError where the
+    recording is of another arm, CalibrationError where it does not determine its own places.
+    """
+    from mbcacq.calibration.result_io import chain_of
+
+    cell = room.CalibratedCell.from_json(Path(calibration)) if isinstance(calibration, Path | str) else calibration
+    content = cell.content if isinstance(cell, room.CalibratedCell) else getattr(cell, "extra", {})
+    alone = content.get("geometry_alone")
+    chain = None
+    if alone:
+        sign = cell.state.chain.sign.tolist()
+        chain = chain_of({"robot": {"sign": sign, "calibrated": alone["calibrated"]}}, "calibrated")
+    name = str(data) if isinstance(data, Path | str) else ""
+    return check_transfer(as_observations(data), cell, chain, place=place, recording=name)
 
 
 def compare(data: Observations | Path | str, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
