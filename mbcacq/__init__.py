@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
     from mbcacq.workflow.calibrate import calibrate, compare, verify, verify_elsewhere
+    from mbcacq.workflow.correct import correct
     from mbcacq.workflow.diagnose import DiagnosisResult, diagnose
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
@@ -61,6 +62,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "compare",
+    "correct",
     "diagnose",
     "export",
     "load_observations",
@@ -84,6 +86,7 @@ _MODULES = {
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
     "workflow.calibrate": ("calibrate", "compare", "verify", "verify_elsewhere"),
+    "workflow.correct": ("correct",),
     "workflow.diagnose": ("DiagnosisResult", "diagnose"),
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),

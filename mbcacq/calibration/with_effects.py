@@ -28,9 +28,10 @@ from mbcacq.model.observations import Observations
 class GroupSizeOptions:
     """Of the size of each group of unmodelled effects."""
 
-    turns: int = 3  # of size, step and noise; geometry and effects no longer move by then
+    turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
     rounds: int = 60  # of the fixed point in each
     converged: float = 0.05  # change of a logarithm of a variance
+    least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
     smallest: float = 1e-4  # of a group's prior size: it is dropped below
     largest: float = 10.0  # times a group's prior size: no group is believed to be larger
     fixed_units: tuple[str, ...] = ("rad/Nm",)  # physical priors, whose size is not estimated
@@ -52,7 +53,7 @@ def calibrate_with_effects(
         raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
     refuse_other_arm(observations, model)
     obs = select_phases(observations, options)
-    alone = calibrate(obs, options)
+    alone = calibrate(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))
         return _beside(alone, replace(calibrate(obs, replace(options, displaced=known)), effects=model))
@@ -97,8 +98,8 @@ def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric
     prior = noise_prior(fitted.cell, first_noise(fitted.cell), options.noise)
     stage = _Stage.first(fitted, options, parametric, unmodelled)
     noise, at = fitted.noise, stage.system(fitted.noise)
-    for _ in range(OPTIONS.turns):
-        stage = stage.sized(at)
+    for turn in range(OPTIONS.turns):
+        stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
         at = stage.system(noise)
         for _ in range(2):
             noise, _ = reml_step(at, noise, prior)
@@ -156,8 +157,11 @@ class _Stage:
         """The normal equations at the estimate."""
         return system(self.lineariser, self.estimate, noise, self.fitted.weights)
 
-    def sized(self, at: Solution) -> _Stage:
-        """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem."""
+    def sized(self, at: Solution, last: bool) -> _Stage:
+        """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.
+
+        Groups that it does not ask for are dropped in the last turn only: at first the noise still contains what they would explain.
+        """
         layout, normal = self.layout, at.normal
         first = layout.size - sum(g.k for g in self.groups)
         now = np.concatenate([np.zeros(first), *self.estimate.coefficients[len(self.named) :]])
@@ -166,6 +170,7 @@ class _Stage:
         information = normal.information - np.diag(weight)  # of the data, and of the priors of everything else
         right = normal.gradient + weight * now + information @ now  # for the groups' coefficients themselves, not their changes
         scale = group_scales(information, right, first, self.groups, self.scale)
+        scale = scale if last else np.maximum(scale, OPTIONS.least_before_last)
         prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
         size = np.concatenate([layout.gather("scale")[:first], prior])
         solved = size * np.linalg.solve(

@@ -127,10 +127,9 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
     """A joint by the torque about it, a link, base or mount by the moment of the weight behind it."""
     place, index, _ = keys[0]
     if place == "joint":
-        parts = [DescribedPart("joint", index, 0, (linear(f"gravity_torque_{index + 1}"),))]
-        return _term(
-            here, (location,), covariate, parts, np.array([OPTIONS.compliance_rad_per_Nm]), "rad/Nm", (f"gravity_torque_{index + 1}",)
-        )
+        own = f"gravity_torque_{index + 1}"
+        parts = [DescribedPart("joint", index, 0, (linear(own),))]
+        return _term(here, ((location,), covariate), parts, np.array([OPTIONS.compliance_rad_per_Nm]), "rad/Nm", (own,))
     if place != "frame" or len(keys) < 6:
         return None
     names = [f"gravity_moment_{index}_{axis}" for axis in "xyz"]

