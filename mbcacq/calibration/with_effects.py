@@ -10,6 +10,9 @@ import numpy as np
 
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import Calibration
+from mbcacq.effects import unmodelled as groups
+from mbcacq.effects.common_pattern import Curve, find_common_pattern
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
@@ -61,7 +64,42 @@ def calibrate_with_effects(
     fitted = calibrate(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
-    return _beside(alone, with_unmodelled(fitted, options, parametric, unmodelled))
+    found = with_unmodelled(fitted, options, parametric, unmodelled)
+    shared = with_common_pattern(found, unmodelled)
+    if shared is not None:
+        found = with_unmodelled(fitted, options, parametric, shared)
+    return _beside(alone, found)
+
+
+def with_common_pattern(found: Calibration, unmodelled: EffectModel) -> EffectModel | None:
+    """The groups with one pattern for the joints whose own errors are the same function of their angle, and small deviations of each from
+    it; None where there is no such pattern, where the recording is too short to tell, or where the groups have one.
+    """
+    obs = found.observations
+    assert found.effects is not None, "the groups were fitted"
+    known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
+    if known or obs.n_poses < groups.OPTIONS.many_poses:
+        return None
+    curves = {}
+    for t in found.effects.terms:
+        joint = own_joint(t)
+        if joint is not None and t.k == 2 * groups.OPTIONS.own_order:
+            orders = np.arange(1, groups.OPTIONS.own_order + 1)
+            curves[joint] = Curve.of(obs.q[:, joint], orders, t.coefficients[: len(orders)], t.coefficients[len(orders) :])
+    pattern = find_common_pattern(curves)
+    if pattern is None:
+        return None
+    here = Covariates(obs)
+    shared = groups.common_pattern(here, pattern.offset, pattern.direction, pattern.joints)
+    others = [t for t in unmodelled.terms if own_joint(t) not in pattern.joints]
+    return replace(unmodelled, terms=(shared, *(groups.deviation(here, i) for i in pattern.joints), *others))
+
+
+def own_joint(t: EffectTerm) -> int | None:
+    """The joint of which a group is the own error, by its own angle; None for another group."""
+    if t.name != UNKNOWN or t.variant or len(t.where) != 1 or t.depends_on != f"q{t.where[0][1:]}" or t.where[0][0] != "A":
+        return None
+    return int(t.where[0][1:]) - 1
 
 
 def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
@@ -192,20 +230,25 @@ class _Stage:
         )
 
 
-def group_scales(information: np.ndarray, right: np.ndarray, first: int, groups: Sequence[EffectTerm], start: np.ndarray) -> np.ndarray:
+def group_scales(information: np.ndarray, right: np.ndarray, first: int, several: Sequence[EffectTerm], start: np.ndarray) -> np.ndarray:
     """(G,) size of each group in its prior size, zero where the data do not ask for it.
 
     information (g, g), right (g,): normal equations without the groups' priors, whose columns begin at ``first``.
     """
-    sigma = np.concatenate([g.sigma for g in groups])
-    ends = np.cumsum([0] + [g.k for g in groups])
+    sigma = np.concatenate([g.sigma for g in several])
+    ends = np.cumsum([0] + [g.k for g in several])
     slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     scale0 = 1 / np.sqrt(np.maximum(np.diag(information)[:first], 1e-300))
     root = np.linalg.cholesky(scale0[:, None] * information[:first, :first] * scale0 + 1e-12 * np.eye(first))
     taken = np.linalg.solve(root, scale0[:, None] * np.c_[information[:first, first:] * sigma, right[:first]])
     S = sigma[:, None] * information[first:, first:] * sigma - taken[:, :-1].T @ taken[:, :-1]
     b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
-    return fixed_point(S, b, slices, start, np.array([g.units[0] in OPTIONS.fixed_units for g in groups]))
+    return fixed_point(S, b, slices, start, np.array([given_size(g) for g in several]))
+
+
+def given_size(t: EffectTerm) -> bool:
+    """Whether a group's prior size is physical, and not estimated."""
+    return t.units[0] in OPTIONS.fixed_units or t.variant == groups.DEVIATION
 
 
 def fixed_point(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], start: np.ndarray, fixed: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, is_angle, learnt_ranges
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, sine
 
-COMMON_PATTERN = "common pattern"
+COMMON_PATTERN, DEVIATION = "common pattern", "deviation"
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class UnmodelledOptions:
     clock_functions: int = 6  # cosines over the duration of the recording
     compliance_rad_per_Nm: float = 4.5e-5  # thirty times a typical gearbox's: no joint is softer
     tilt_rad_per_Nm: float = 3e-6  # of a link or a pedestal
-    temperature_sigma: float = 1.0
+    slow_deviation_rad: float = 3e-5  # orders 1 and 2 of a joint beside a common pattern: a typical error of a gear
+    deviation_rad: float = 3e-6  # of each further order: a larger one would take the place of the pattern (ur10-tracker-a, -c)
 
 
 OPTIONS = UnmodelledOptions()
@@ -88,6 +89,14 @@ def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequenc
     hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
     hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
     return _term(here, (where, f"q{joints[0] + 1}"), parts, np.tile(order_weight(orders), 2), "rad", (), COMMON_PATTERN, hyper)
+
+
+def deviation(here: Covariates, joint: int) -> EffectTerm:
+    """What a joint's own error differs from a common pattern by."""
+    orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{joint + 1}"
+    sigma = np.tile(np.where(orders <= 2, OPTIONS.slow_deviation_rad, OPTIONS.deviation_rad), 2)
+    part = DescribedPart("joint", joint, 0, (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders)))
+    return _term(here, ((f"A{joint + 1}",), name), [part], sigma, "rad", (), DEVIATION)
 
 
 def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:

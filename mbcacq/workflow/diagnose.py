@@ -220,6 +220,20 @@ def diagnose(
     return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
 
 
+def thinned(observations: Observations) -> Observations:
+    """At most as many poses as a diagnosis uses, evenly at random."""
+    import numpy as np
+
+    from mbcacq.diagnosis.options import OPTIONS
+
+    if observations.n_poses <= OPTIONS.most_poses:
+        return observations
+    keep = np.zeros(observations.n_poses, bool)
+    rng = np.random.default_rng(0)
+    keep[[rng.choice(part) for part in np.array_split(np.arange(observations.n_poses), OPTIONS.most_poses)]] = True
+    return observations.select(keep)
+
+
 def checked(
     learnt: Observations, found: DiagnosisResult, other: Observations | Path | str, place: str, progress: Callable[[str], None]
 ) -> Transfer:
@@ -231,6 +245,7 @@ def checked(
     name = "" if isinstance(other, Observations) else str(other)
     progress(f"trying it on {name or 'the other recording'}")
     options = CalibrationOptions(refuse=False)
+    learnt = thinned(learnt)
     cell = calibrate_with_effects(learnt, options, found.model) if found.model else calibrate(learnt, options)
     alone = cell if not found.model else calibrate(learnt, options)
     return check_transfer(as_observations(other), cell, alone.state.chain, place=place, recording=name)
@@ -300,7 +315,7 @@ def with_fitted_model(found: Diagnosis, observations: Observations, progress: Ca
         return found
     progress("fitting the cell with its effects")
     try:
-        fitted = calibrate_with_effects(observations, CalibrationOptions(refuse=False), found.model)
+        fitted = calibrate_with_effects(thinned(observations), CalibrationOptions(refuse=False), found.model)
     except CalibrationError as reason:
         return replace(found, notes=(*found.notes, f"the effects could not be fitted with the cell: {reason}"))
     return replace(found, model=fitted.effects)

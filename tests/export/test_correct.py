@@ -15,6 +15,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
 from mbcacq.effects.functions import DescribedPart, cosine, linear, sine
 from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import RobotModel
 from mbcacq.workflow.correct import correct
@@ -93,10 +94,12 @@ def test_a_krl_program_is_corrected_and_nothing_else_changes(tmp_path):
     text = done.file.read_bytes().decode("latin-1")
     assert done.file.name == "weld_corrected.dat"
     assert done.names == ("XP1", "XP3")
-    assert done.found.reached.all() and done.before_mm.min() > 0.1
+    assert done.found.reached.all()
+    assert done.before_mm.min() > 0.1
     old, new = PROGRAM.splitlines(), text.splitlines()
     assert [i for i, (a, b) in enumerate(zip(old, new, strict=True)) if a != b] == [2, 6]
-    assert new[2].endswith(",E1 0.0,E2 0.0}") and text.count("\r\n") == PROGRAM.count("\r\n")
+    assert new[2].endswith(",E1 0.0,E2 0.0}")
+    assert text.count("\r\n") == PROGRAM.count("\r\n")
 
 
 def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
@@ -115,13 +118,17 @@ def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
 
 def test_poses_without_angles_find_some(tmp_path):
     program = tmp_path / "poses.csv"
-    program.write_text("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n900,100,900,10,80,5\n5000,0,0,0,0,0\n")
+    xyz, abc = se3.to_abc(goals_of([20, -80, 70, 30, 40, -50]))
+    near = ",".join(repr(float(v)) for v in (*xyz[0], *np.degrees(abc[0])))
+    program.write_text(f"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n{near}\n5000,0,0,0,0,0\n")
     done = correct(program, result())
     assert done.found.reached.tolist() == [True, False]
     content = json.loads(json.dumps(done.to_dict()))
-    assert content["points"][1]["reason"] and content["points"][1]["residual_mm"] > 1000
+    assert content["points"][1]["reason"]
+    assert content["points"][1]["residual_mm"] > 1000
     last = (tmp_path / "poses_corrected.csv").read_text().splitlines()[-1]
-    assert last.split(",")[6:12] == [""] * 6 and ",false," in last
+    assert last.split(",")[6:12] == [""] * 6
+    assert ",false," in last
 
 
 def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
@@ -134,7 +141,8 @@ def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
     if done.found.reached[0]:  # the offset went the other way: mirror it
         broken["robot"]["calibrated"]["theta"][0] = 0.05
         done = correct(program, broken, force=True)
-    assert not done.found.reached[0] and "A1" in done.found.reasons[0]
+    assert not done.found.reached[0]
+    assert "A1" in done.found.reasons[0]
     assert done.file.read_text() == program_text
 
 
