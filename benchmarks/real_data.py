@@ -18,11 +18,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np  # noqa: E402
+from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
 from real_data_figures import bars, spectrum  # noqa: E402
 
-from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
-from mbcacq.estimation.linear_problem import LinearProblem  # noqa: E402
 from mbcacq.effects.context import Context  # noqa: E402
+from mbcacq.estimation.linear_problem import LinearProblem  # noqa: E402
 from mbcacq.recording import load_observations  # noqa: E402
 
 SETS = ("ur5-tracker", "ur10-tracker-c", "ur10-tracker-a", "panda-sockets", "iiwa14-sockets")

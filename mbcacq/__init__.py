@@ -7,6 +7,8 @@
     data = mbcacq.load_observations("ur5-tracker")        # a run folder, a .rrd, an observation set
     cell = mbcacq.calibrate(data)                         # cell.errors (n, 5), cell.covariance (g, g), cell.to_base(q, xyz)
     mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
+    better = mbcacq.calibrate(data, effects=mbcacq.diagnose(data))   # the same cell with the effects that were found
+    mbcacq.verify_elsewhere("another-day", better)        # that arm and its effects on another recording
     mbcacq.compare(data)                                  # the methods of calibration on the same data
     found = mbcacq.diagnose(data)                         # found.verdict, found.effects, found.write_html("diagnosis.html")
     twin = mbcacq.simulate(plan, cell)                    # what that cell would record
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
-    from mbcacq.workflow.calibrate import calibrate, compare, verify
+    from mbcacq.workflow.calibrate import calibrate, compare, verify, verify_elsewhere
+    from mbcacq.workflow.correct import correct
     from mbcacq.workflow.diagnose import DiagnosisResult, diagnose
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
@@ -59,6 +62,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "compare",
+    "correct",
     "diagnose",
     "export",
     "load_observations",
@@ -67,6 +71,7 @@ __all__ = [
     "run",
     "simulate",
     "verify",
+    "verify_elsewhere",
     "write_report",
 ]
 
@@ -80,7 +85,8 @@ _MODULES = {
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
-    "workflow.calibrate": ("calibrate", "compare", "verify"),
+    "workflow.calibrate": ("calibrate", "compare", "verify", "verify_elsewhere"),
+    "workflow.correct": ("correct",),
     "workflow.diagnose": ("DiagnosisResult", "diagnose"),
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
@@ -17,6 +18,7 @@ class Calibrated(Protocol):
 
     state: chain with its errors, T_flange_scanner (4, 4), stations, balls. preliminary: nominal arm, hand-eye fitted alone. layout: names
     and freedom of the parameters; covariance: (g, g) of the free ones, in the order of ``layout.names``. noise: of a centre and the joints.
+    effects: what the arm does beyond its geometry, or None.
     """
 
     @property
@@ -33,6 +35,9 @@ class Calibrated(Protocol):
 
     @property
     def noise(self) -> Noise: ...
+
+    @property
+    def effects(self) -> EffectModel | None: ...
 
     def took_part(self, observations: Observations) -> bool | None:
         """Whether any of these poses took part in the calibration; None where that is not known."""

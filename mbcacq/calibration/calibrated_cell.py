@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.calibration import result_io
 from mbcacq.calibration.cell_methods import CalibratedCellMethods
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
@@ -21,7 +22,7 @@ from mbcacq.model.observations import Observations
 @dataclass(frozen=True, repr=False)
 class CalibratedCell(CalibratedCellMethods):
     """What :class:`mbcacq.calibration.calibrated.Calibrated` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
-    those of ``state.balls`` (K, 3) mm. content: the whole of result.json, as it was read."""
+    those of ``state.balls`` (K, 3) mm. content: the whole of result.json, as it was read. effects: as terms of the cell, or None."""
 
     robot: str
     state: CellState
@@ -32,6 +33,7 @@ class CalibratedCell(CalibratedCellMethods):
     stations: tuple[str, ...]
     ball_ids: tuple[int, ...]
     content: dict[str, Any] = field(default_factory=dict)
+    effects: EffectModel | None = None
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> CalibratedCell:
@@ -49,7 +51,8 @@ class CalibratedCell(CalibratedCellMethods):
             ) from error
         first = CellState(nominal, T, state.T_base_station, state.balls)
         stations = tuple(str(s["id"]) for s in content["stations"])
-        return cls(robot, state, first, layout, covariance, noise, stations, tuple(b["id"] for b in content["balls"]), content)
+        effects = result_io.effects_of(content)
+        return cls(robot, state, first, layout, covariance, noise, stations, tuple(b["id"] for b in content["balls"]), content, effects)
 
     @classmethod
     def from_json(cls, source: str | Path) -> CalibratedCell:

@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
@@ -52,6 +53,7 @@ class CalibrationFit:
     them (hand-eye as local twist mm, rad). station_covariance: (S, 6, 6) of the stations' local twists, zero where unused.
     used: which poses (P,) of ``observations`` and centres took part. residual: (M, R) mm (and rad), measured minus predicted; whitened:
     (M, R) of unit variance. rank: of the free parameters and stations together. correlated: pairs that the data can hardly separate.
+    effects: what the arm does beyond its geometry, free or held; None where the cell is geometry alone.
     """
 
     observations: Observations
@@ -74,6 +76,7 @@ class CalibrationFit:
     rejected: tuple[Rejected, ...] = ()
     correlated: tuple[tuple[str, str, float], ...] = ()
     extra: dict = field(default_factory=dict)
+    effects: EffectModel | None = None
 
     @classmethod
     def of(

@@ -5,14 +5,23 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from mbcacq.calibration import notebook, result_io
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter, Rejected
 from mbcacq.calibration.cell_methods import CalibratedCellMethods
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.errors import ConfigError
 
 __all__ = ["Calibration", "Parameter", "Rejected"]
+
+
+class HasModel(Protocol):
+    """A diagnosis: what it found, as a model of effects."""
+
+    @property
+    def model(self) -> EffectModel | None: ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,6 +35,17 @@ class Calibration(CalibrationFit, CalibratedCellMethods):
     def to_json(self) -> str:
         """:meth:`to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=1)
+
+    def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> Calibration:
+        """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.
+        hold: keep their coefficients as they are. Raises ConfigError where there are none, or they are of another arm.
+        """
+        from mbcacq.calibration.with_effects import calibrate_with_effects
+
+        model = found if isinstance(found, EffectModel) else found.model
+        if not model:
+            raise ConfigError("this diagnosis found no effects that a calibration could take")
+        return calibrate_with_effects(self.observations, self.options, model, hold=hold)
 
     @staticmethod
     def from_json(source: str | Path) -> CalibratedCell:

@@ -17,6 +17,7 @@ from mbcacq.calibration import notebook
 from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.uncertainty import expected_accuracy
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
@@ -96,8 +97,14 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
         "held": c.held,
         "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in c.correlated],
         "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in c.rejected],
+        **({"effects": c.effects.to_dict()} if c.effects else {}),
         **c.extra,
     }
+
+
+def effects_of(result: Mapping[str, Any]) -> EffectModel | None:
+    """The effects of a result; None where it is geometry alone. Raises ConfigError where they are damaged."""
+    return EffectModel.from_dict(result["effects"]) if result.get("effects") else None
 
 
 def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellState:

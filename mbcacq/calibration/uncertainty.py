@@ -2,23 +2,73 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import identifiability
 from mbcacq.geometry import se3
 
 
+def frames(calibration: Calibrated, q: np.ndarray) -> np.ndarray:
+    """(P, n+1, 4, 4) frames of the calibrated arm, with its effects, at joint angles q (P, n) rad as the controller reports them."""
+    chain, effects = calibration.state.chain, calibration.effects
+    return effects.frames(chain, q) if effects else chain.frames(q)
+
+
 def to_base(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """Scanner points xyz (P, 3) mm seen from postures q (P, n) rad, in the base frame (P, 3)."""
-    state = calibration.state
-    return se3.apply(state.chain.flange(q) @ state.T_flange_scanner, xyz)
+    T = frames(calibration, q)[:, -1] @ calibration.state.T_flange_scanner
+    return se3.apply(T, corrected_points(calibration, q, xyz))
+
+
+def corrected_points(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    """Scanner points xyz (P, 3) mm without what effects of the scanner add to them. The bias is taken at the measured point: it changes
+    by a millionth of itself over its own size.
+    """
+    effects = calibration.effects
+    if not effects:
+        return xyz
+    one = effects.poses(q)
+    index = np.arange(len(q))
+    moved = effects.displacements(replace(one, pose=index, ball=np.zeros(len(q), dtype=int), xyz=np.asarray(xyz, dtype=float)))
+    return xyz if moved is None or moved.point is None else xyz - moved.point
 
 
 def point_columns(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-    """Derivative (P, 3, g) of the base position of xyz (P, 3), seen from q (P, n), by the free parameters."""
-    return identifiability.base_columns(calibration.layout, calibration.state, q, xyz[:, None])[0]
+    """Derivative (P, 3, g) of the base position of xyz (P, 3), seen from q (P, n), by the free parameters, effects included."""
+    A = identifiability.base_columns(calibration.layout, calibration.state, q, xyz[:, None])[0]
+    if calibration.effects:
+        _fill_effects(calibration, calibration.effects, q, xyz, A)
+    return A
+
+
+def _fill_effects(calibration: Calibrated, effects: EffectModel, q: np.ndarray, xyz: np.ndarray, A: np.ndarray) -> None:
+    """Derivatives by the coefficients of the effects, into their columns of A (P, 3, g)."""
+    position = {name: j for j, name in enumerate(calibration.layout.names)}
+    index = np.arange(len(q))
+    obs = replace(effects.poses(q), pose=index, ball=np.zeros(len(q), dtype=int), xyz=np.asarray(xyz, dtype=float))
+    here = Covariates(obs)
+    F = calibration.state.chain.frames(q)
+    T = F[:, -1] @ calibration.state.T_flange_scanner
+    point = se3.apply(T, xyz)
+    joints = calibration.state.chain.joint_twists(F)
+    for one in effects.terms:
+        if one.names[0] not in position:
+            continue  # held
+        columns = np.zeros((len(q), 3, one.k))
+        for part in one.parts_at(here, effects.learnt):
+            if part.place in ("joint", "frame"):
+                twist = joints[:, part.index] if part.place == "joint" else se3.adjoint(F[:, part.index])[:, :, part.component]
+                moved = twist[:, :3] + np.cross(twist[:, 3:], point)
+                columns += moved[:, :, None] * part.basis[:, None, :]
+            elif part.place == "point":
+                columns -= T[:, :3, part.component, None] * part.basis[:, None, :]
+        A[:, :, [position[name] for name in one.names]] = columns
 
 
 def measuring_covariance(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:

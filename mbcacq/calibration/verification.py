@@ -18,6 +18,7 @@ import numpy as np
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.uncertainty import distance_uncertainty
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
@@ -110,7 +111,7 @@ def verify(
     state = calibration if isinstance(calibration, CellState) else calibration.state
     first = (before or state) if fitted is None else fitted.preliminary
     places = []
-    after, ends = ball_positions(obs, state)
+    after, ends = ball_positions(obs, state, None if fitted is None else fitted.effects)
     start, _ = ball_positions(obs, first)
     certified = dict(zip(obs.cell.ball_ids, obs.cell.ball_centres, strict=True))
     for station, a, b in _pairs(obs, after):
@@ -140,11 +141,19 @@ def verification_poses(obs: Observations) -> Observations:
     return obs.select(keep if not keep.all() else np.zeros(obs.n_poses, bool))
 
 
-def ball_positions(obs: Observations, state: CellState):
+def points_in_base(obs: Observations, state: CellState, effects: EffectModel | None = None) -> np.ndarray:
+    """(M, 3) mm: the measured points in the base, with the effects of arm and scanner taken into account where there are any."""
+    moved = effects.displacements(obs) if effects else None
+    q = obs.q if moved is None or moved.joint is None else obs.q + moved.joint
+    T = state.chain.frames(q, None if moved is None else moved.frame)[:, -1] @ state.T_flange_scanner
+    xyz = obs.xyz if moved is None or moved.point is None else obs.xyz - moved.point
+    return se3.apply(T[obs.pose], xyz)
+
+
+def ball_positions(obs: Observations, state: CellState, effects: EffectModel | None = None):
     """Where each ball of each station was found in the base, mean over poses: {(station, ball id): (3,) mm}; and the pose nearest to
     that mean with the number of poses, {(station, ball id): (q (1, n), xyz (1, 3), count)}."""
-    T = state.chain.flange(obs.q) @ state.T_flange_scanner
-    base = se3.apply(T[obs.pose], obs.xyz)
+    base = points_in_base(obs, state, effects)
     station = obs.station[obs.pose]
     where, ends = {}, {}
     for s, b in np.unique(np.stack([station, obs.ball], axis=1), axis=0):
@@ -234,8 +243,7 @@ def certificate_sigma(obs: Observations) -> float | None:
 
 def single_lengths(obs: Observations, calibration: Calibrated) -> np.ndarray:
     """(K,) mm errors of the distance of two different balls of a station, for every pair of single measurements."""
-    state = calibration.state
-    base = se3.apply((state.chain.flange(obs.q) @ state.T_flange_scanner)[obs.pose], obs.xyz)
+    base = points_in_base(obs, calibration.state, calibration.effects)
     station, certified = obs.station[obs.pose], obs.cell.ball_centres
     out = []
     for s in np.unique(station):

@@ -23,6 +23,8 @@ COMMANDS = {
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",
+    "verify": "try a calibrated arm with its effects on a recording that took no part",
+    "correct": "joint angles that reach the nominal places with the calibrated arm",
     "simulate": "write what the calibrated model says a plan would record",
     "challenge": "inject effects into the fake cell, diagnose without knowing them, score",
     "report": "write the report of a run: one HTML page",
@@ -35,6 +37,7 @@ COMMANDS = {
     "doctor": "say what is missing for a run, and what to do about it",
     "drivers": "list the installed drivers",
     "schema": "print the JSON Schema of a plan",
+    "diagnosis-schema": "print the JSON Schema of a diagnosis",
 }
 
 

@@ -48,6 +48,14 @@ from mbcacq.cli.terminal import echo
 )
 @click.option("--keep-outliers", is_flag=True, help="Do not reject gross outliers.")
 @click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
+@click.option(
+    "--effects",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="DIAGNOSIS.json",
+    help="Fit the effects of this diagnosis (or result.json) with everything else (repeatable).",
+)
+@click.option("--hold-effects", is_flag=True, help="With --effects: keep their coefficients as they are.")
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
@@ -67,6 +75,8 @@ def command(
     noise: str,
     keep_outliers: bool,
     even_if_undetermined: bool,
+    effects: tuple[Path, ...],
+    hold_effects: bool,
     with_map: bool,
     l_curve: Path | None,
     out: Path | None,
@@ -78,6 +88,7 @@ def command(
     Examples:
       mbcacq calibrate latest
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
+      mbcacq calibrate latest --effects diagnosis.json --out result.json
     """
     import mbcacq
     from mbcacq.errors import ConfigError
@@ -95,7 +106,10 @@ def command(
         refuse=not even_if_undetermined,
     )
     split = HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
-    result = calibration_content(data, options, held_out=split, with_map=with_map)
+    if hold_effects and not effects:
+        raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
+    known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
+    result = calibration_content(data, options, held_out=split, with_map=with_map, **known)
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:

@@ -26,6 +26,14 @@ from mbcacq.cli.terminal import echo
 @click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
 @click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
 @click.option("--free", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable).")
+@click.option(
+    "--check",
+    multiple=True,
+    type=RunPath(),
+    metavar="OTHER",
+    help="Try what was learnt on this recording of the same arm (repeatable): its base, tool and stations are fitted, nothing else.",
+)
+@click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
 def command(
     data: tuple[Path, ...],
     json_file: Path | None,
@@ -35,6 +43,8 @@ def command(
     phases: tuple[str, ...],
     hold: tuple[str, ...],
     free: tuple[str, ...],
+    check: tuple[Path, ...],
+    place: str,
 ) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
@@ -44,12 +54,15 @@ def command(
     Examples:
       mbcacq diagnose latest
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
+      mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --json diagnosis.json
     """
     import mbcacq
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    found = mbcacq.diagnose(data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, options=options)
+    found = mbcacq.diagnose(
+        data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, options=options, check=check, place=place
+    )
     if found.poses is not None:
         if report is not None:
             found.write_html(report)

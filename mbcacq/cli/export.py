@@ -91,5 +91,8 @@ def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> 
     from mbcacq.model.cell import SIMULATED
 
     if results is not None:
-        return caveats(load_result(run))
+        from mbcacq.exports.marks import geometry_alone
+
+        result = load_result(run)
+        return [*caveats(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []

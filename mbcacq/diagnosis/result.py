@@ -1,4 +1,4 @@
-"""The diagnosis as typed objects, and as the JSON object (``mbcacq-diagnosis/1``) that other programs read.
+"""The diagnosis as typed objects, and as the JSON object (``mbcacq-diagnosis/2``) that other programs read; version 1 is read too.
 
 Every class here is plain data: it pickles, and its fields are the keys of the JSON object, in their order.
 """
@@ -13,19 +13,25 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 
-FORMAT = "mbcacq-diagnosis/1"
+FORMAT_1, FORMAT = "mbcacq-diagnosis/1", "mbcacq-diagnosis/2"
+READABLE = (FORMAT_1, FORMAT)
 
 
 @dataclass(frozen=True)
 class MismatchEntry:
-    """A location and covariate at which recording and simulation differ. share: of the excess of chi2 over the noise, 0 to 1."""
+    """A location and covariate at which recording and simulation differ. share: of the excess of chi2 over the noise, 0 to 1.
+
+    equivalent: other locations that move these centres alike, so that these data cannot tell which it is.
+    """
 
     at: str
     depends_on: str
     share: float
     p_value: float
+    equivalent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -44,8 +50,11 @@ class Alternative:
 class EffectFound:
     """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
 
-    parameters: by name, with the unit as its suffix. p_value: of the likelihood ratio on all data. held_out_gain: share of the
-    held-out excess over the noise floor that the effect removes, 0 to 1.
+    parameters: by name, with the unit as its suffix. p_value: as in version 1 of the format: p_local of a parametric effect, exp(-log Bayes
+    factor) of an unmodelled one. held_out_gain: share of the held-out excess over the noise floor that the effect removes, 0 to 1.
+    p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
+    that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
+    unmodelled effect against none. equivalent: other locations that act alike on these data.
     """
 
     name: str
@@ -55,6 +64,10 @@ class EffectFound:
     held_out_gain: float
     alternatives: tuple[Alternative, ...] = ()
     depends_on: str = ""
+    p_local: float | None = None
+    p_corrected: float | None = None
+    log_bayes_factor: float | None = None
+    equivalent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,8 +140,9 @@ class Diagnosis:
 
     verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
     effects that were not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of
-    all effects that were not found, those with the largest error first. plot_data: an
-    ``output.plot_data.PlotData`` from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.
+    all effects that were not found, those with the largest error first. model: the effects as terms that a calibration takes; None where
+    there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures are drawn; it is no part of the JSON object, so None
+    after ``from_json``.
     """
 
     verdict: str
@@ -140,11 +154,13 @@ class Diagnosis:
     dropped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     exclusion_limits: tuple[ExclusionLimit, ...] = ()
+    model: EffectModel | None = field(default=None, compare=False)
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
-        return {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "plot_data"}
+        content = {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in ("plot_data", "model")}
+        return content | {"model": plain(self.model.to_dict()) if self.model else None}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:
@@ -152,7 +168,7 @@ class Diagnosis:
 
         Raises ConfigError where the object has another format or lacks a key.
         """
-        if content.get("format") != FORMAT:
+        if content.get("format") not in READABLE:
             raise ConfigError(f"this is no diagnosis: its format is {content.get('format')!r}, and should be {FORMAT!r}")
         try:
             return _read_diagnosis(content)
@@ -201,7 +217,10 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
     fit = content["fit"]
     return Diagnosis(
         verdict=content["verdict"],
-        mismatch=tuple(MismatchEntry(m["at"], m["depends_on"], _number(m["share"]), _number(m["p_value"])) for m in content["mismatch"]),
+        mismatch=tuple(
+            MismatchEntry(m["at"], m["depends_on"], _number(m["share"]), _number(m["p_value"]), tuple(m.get("equivalent", ())))
+            for m in content["mismatch"]
+        ),
         effects=tuple(_read_effect(e) for e in content["effects"]),
         fit=FitSummary(
             FitFigures(*_figures(fit["train"])),
@@ -213,6 +232,7 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
         dropped=dict(content.get("dropped", {})),
         notes=tuple(content.get("notes", ())),
         exclusion_limits=tuple(_read_limit(e) for e in content.get("exclusion_limits", ())),
+        model=EffectModel.from_dict(content["model"]) if content.get("model") else None,
     )
 
 
@@ -231,6 +251,10 @@ def _read_effect(e: Mapping[str, Any]) -> EffectFound:
             Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"]), a.get("odds")) for a in e["alternatives"]
         ),
         depends_on=e.get("depends_on", ""),
+        p_local=e.get("p_local"),
+        p_corrected=e.get("p_corrected"),
+        log_bayes_factor=e.get("log_bayes_factor"),
+        equivalent=tuple(e.get("equivalent", ())),
     )
 
 

@@ -15,10 +15,12 @@ from mbcacq.diagnosis.output import interruptions, next_measurements
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
 from mbcacq.diagnosis.output.observability import Unobservable, unobservable
 from mbcacq.diagnosis.output.plot_data import plot_data
+from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.beam_search import BeamSearch
@@ -54,10 +56,12 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
             verdict = "cannot_tell"
             more = tuple(f"{max(m.poses, setup.linear.obs.n_poses + 1)} poses like these" for m in missed if m.poses < MOST_POSES)
             enough = tuple(f"about {poses} would show an elastic joint, were it soft" for poses in more)
+    reported = with_significance(judged.effects, setup, full)
+    effects, mismatch = with_classes(reported, judged.mismatch, classes(full.geometry_only.linear.obs, not_separable))
     return Diagnosis(
         verdict=verdict,
-        mismatch=tuple(judged.mismatch),
-        effects=tuple(judged.effects),
+        mismatch=tuple(mismatch),
+        effects=tuple(effects),
         fit=FitSummary(
             train=FitFigures(*_figures(before, after)),
             held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),
@@ -68,6 +72,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         dropped=setup.dropped,
         notes=(*notes(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
         exclusion_limits=exclusion_limits(setup, full),
+        model=kept_model(setup, full, judged.effects) or None,
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )
 

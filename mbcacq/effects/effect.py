@@ -12,11 +12,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.effects.functions import DescribedPart
 from mbcacq.estimation.terms import Part
 
 __all__ = [
-    "Candidate", "Hyperparameter", "Missing", "ParameterEstimate", "Parameters", "Part", "number", "scalar_report", "vector"
-]  # fmt: skip
+    "Candidate",
+    "DescribedPart",
+    "Hyperparameter",
+    "Missing",
+    "ParameterEstimate",
+    "Parameters",
+    "Part",
+    "number",
+    "scalar_report",
+    "vector",
+]
 
 
 class Missing(Exception):
@@ -72,6 +82,8 @@ class Candidate:
     several: one location may have the effect several times, each with its own value of the hyper-parameter (several orders).
     variant: tells candidates of one effect at one location apart, of which at most one is selected.
     detectability: how well these poses observe an effect of typical size here, relative to the same effect at other locations; 1 is best.
+    described: the same parts as ``build`` gives, written down as functions of covariates, so that the effect can be kept and evaluated at
+    any other pose; None for an effect that cannot be kept.
     """
 
     name: str
@@ -87,6 +99,7 @@ class Candidate:
     several: bool = False
     variant: str = ""
     detectability: float = 1.0
+    described: Callable[[float | None], list[DescribedPart]] | None = None
 
     @property
     def k(self) -> int:

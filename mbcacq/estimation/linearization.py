@@ -38,8 +38,10 @@ class Lineariser:
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
         """Prediction and residual (M, R) at an estimate."""
         moved = None
-        if self.options.terms:
-            moved = terms.accumulate(self.obs, self.options.terms, estimate.coefficients)
+        if self.options.terms or self.options.displaced:
+            known = self.options.displaced
+            every = (*self.options.terms, *(term for term, _ in known))
+            moved = terms.accumulate(self.obs, every, (*estimate.coefficients, *(values for _, values in known)))
         prediction = forward_model.predict(self.obs, estimate.state, moved)
         return prediction, forward_model.residual(self.obs, prediction)
 

@@ -29,7 +29,8 @@ class CalibrationOptions:
     noise: 'auto' (a stated scanner noise is a prior of 30 %, joint repeatability is estimated), 'given' (stated figures are
     exact; joint repeatability from repeatability_mm), 'estimate' (stated figures are ignored).
     robust: reject gross outliers (centres and poses).
-    terms: effects to estimate with everything else. start: state to start from, instead of a closed form.
+    terms: effects to estimate with everything else. displaced: effects that are known, with their coefficients.
+    start: state to start from, instead of a closed form.
     refuse: raise CalibrationError where the data leave undetermined what another recording could determine; otherwise such parameters
     are held, and named.
     """
@@ -44,6 +45,7 @@ class CalibrationOptions:
     noise: str = "auto"
     robust: bool = True
     terms: tuple[Term, ...] = ()
+    displaced: tuple[tuple[Term, np.ndarray], ...] = ()
     start: CellState | None = None
     refuse: bool = True
 

@@ -7,13 +7,23 @@ from pathlib import PurePath
 from typing import Any
 
 from mbcacq.calibration.caveats import caveats
+from mbcacq.calibration.result_io import effects_of
 
 COMMENT = {"tool_data.txt": ";", ".calib": "#", ".py": "#", ".sh": "#", ".diff": "#"}  # by name or ending; patch passes over such lines
 
 
 def comments(result: Mapping[str, Any]) -> list[str]:
     """The lines for a result: 'simulated: true' first where it is, then the sentences."""
-    return [*(["simulated: true"] if result.get("simulated") else []), *caveats(result)]
+    return [*(["simulated: true"] if result.get("simulated") else []), *caveats(result), *geometry_alone(result)]
+
+
+def geometry_alone(result: Mapping[str, Any]) -> list[str]:
+    """One sentence on the effects that a description of the geometry cannot express; none where the result has no effects."""
+    effects = effects_of(result)
+    if not effects:
+        return []
+    names = ", ".join(dict.fromkeys(f"{t.name} at {'+'.join(t.where)}" for t in effects.terms))
+    return [f"geometry alone: this format cannot express {names}; mbcacq correct and mbcacq apply take these effects into account"]
 
 
 def with_comments(name: str, content: str, lines: list[str]) -> str:

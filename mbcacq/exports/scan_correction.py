@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import state_from_dict
+from mbcacq.calibration import CalibratedCell, uncertainty
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
-from mbcacq.geometry.chain import PARAMETERS, Chain
 
-_HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
 CHUNK = 200_000
 ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit when it stands on it
 
@@ -39,21 +36,25 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
 
     Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result has them), or a damaged result.
     """
-    state = state_from_dict(dict(result))
+    cell = CalibratedCell.from_dict(dict(result))
+    state = cell.state
     q = np.asarray(q, dtype=float)
     if q.shape != (state.chain.n,):
         raise ConfigError(f"the arm has {state.chain.n} axes, {q.size} joint angles were given; give one for each axis, in degrees")
     if not np.isfinite(q).all():
         raise ConfigError("a joint angle is not a finite number; give one for each axis, in degrees")
     _within_limits(result, q)
-    T = state.chain.flange(q[None])[0] @ state.T_flange_scanner
+    T = uncertainty.frames(cell, q[None])[0, -1] @ state.T_flange_scanner
     out = np.empty((len(points), 3))
     for start in range(0, len(points), CHUNK):
-        out[start : start + CHUNK] = points[start : start + CHUNK].astype(float) @ T[:3, :3].T + T[:3, 3]
+        some = points[start : start + CHUNK].astype(float)
+        if cell.effects:
+            some = uncertainty.corrected_points(cell, np.broadcast_to(q, (len(some), len(q))), some)
+        out[start : start + CHUNK] = some @ T[:3, :3].T + T[:3, 3]
     low, high = (out.min(axis=0), out.max(axis=0)) if len(out) else (T[:3, 3], T[:3, 3])
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     points_in_base = np.concatenate([[(low + high) / 2], corners])
-    known, joints = base_covariance(result, state.chain, state.T_flange_scanner, q, points_in_base)
+    known, joints = base_covariance(cell, q, points_in_base)
     total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
     of_parameters, of_joints, of_both = (np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints))
     return out, ScanPlacement(T, of_parameters, of_joints, of_both, float(total[0]), float(total.max()))
@@ -71,26 +72,14 @@ def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
             )
 
 
-def base_covariance(
-    result: Mapping[str, Any], chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def base_covariance(cell: CalibratedCell, q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariances (P, 3, 3) mm^2 of points (P, 3) in the base, measured at q (n,): of the parameters, and of the joints' repeatability."""
-    frames = chain.frames(q[None])
-    by_row = chain.parameter_twists(frames, q[None])[0]
-    local = se3.adjoint(frames[0, -1] @ T_flange_scanner)
-    twists, index = [], []
-    for i, name in enumerate(result["names"]):
-        if match := re.fullmatch(r"(theta|d|a|alpha|beta)_(\d+)", name):
-            twists.append(by_row[int(match.group(2)) - 1, PARAMETERS.index(match.group(1))])
-        elif name.startswith("hand_eye.") and name[9:] in _HAND_EYE:
-            twists.append(local[:, _HAND_EYE.index(name[9:])])
-        else:
-            continue
-        index.append(i)
-    C = np.array(result["covariance"], dtype=float).reshape(len(result["names"]), -1)[np.ix_(index, index)]
-    A = _moved(np.array(twists).reshape(-1, 6), points)
-    B = _moved(chain.joint_twists(frames)[0] * np.asarray(result["noise"]["joint_rad"])[:, None], points)
-    return A @ C @ np.swapaxes(A, 1, 2), B @ np.swapaxes(B, 1, 2)
+    postures = np.broadcast_to(q, (len(points), len(q)))
+    T = cell.state.chain.flange(q[None])[0] @ cell.state.T_flange_scanner
+    known = uncertainty.point_covariance(cell, postures, se3.apply(se3.inverse(T), points))
+    chain = cell.state.chain
+    B = _moved(chain.joint_twists(chain.frames(q[None]))[0] * cell.noise.joint[:, None], points)
+    return known, B @ np.swapaxes(B, 1, 2)
 
 
 def _moved(twists: np.ndarray, points: np.ndarray) -> np.ndarray:

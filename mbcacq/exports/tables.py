@@ -35,12 +35,15 @@ def verification_csv(result: Mapping[str, Any]) -> str:
 def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     """Measured minus predicted of every centre of the calibrated poses, in the scanner frame."""
     from mbcacq.calibration import state_from_dict
+    from mbcacq.calibration.result_io import effects_of
     from mbcacq.report.sources.measured import calibrated_poses, residuals
 
     used = calibrated_poses(observations, dict(result))
     rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
     noise = result["noise"]
-    found = residuals(used, state_from_dict(dict(result), observations.cell), noise["scanner_mm"], noise["joint_rad"], rejected)
+    found = residuals(
+        used, state_from_dict(dict(result), observations.cell), noise["scanner_mm"], noise["joint_rad"], rejected, effects_of(result)
+    )
     assert found.weighted is not None, "a result has noise, by which the residuals are weighted"
     assert found.outlier is not None, "residuals of observations say which are rejected"
     rows = zip(found.pose, found.phase, found.ball, found.xyz, found.weighted, found.outlier, strict=True)

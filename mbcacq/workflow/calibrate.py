@@ -13,8 +13,11 @@ from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
+from mbcacq.calibration.transfer import Transfer, check_transfer
+from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import Observations
+from mbcacq.workflow.effects import Effects, as_effects
 from mbcacq.workflow.load import as_observations
 
 
@@ -28,13 +31,23 @@ class HeldOutOptions:
     seed: int = 0
 
 
-def calibrate(data: Observations | Path | str, options: CalibrationOptions | None = None) -> Calibration:
+def calibrate(
+    data: Observations | Path | str,
+    options: CalibrationOptions | None = None,
+    *,
+    effects: Effects | None = None,
+    hold_effects: bool = False,
+) -> Calibration:
     """Identify the cell: errors of the arm's MD-H parameters (n, 5) in rad and mm, T_flange_scanner (4, 4), stations, ball centres, noise.
 
     data: observations, or where they are (see :func:`mbcacq.load_observations`). Poses of phase 'verification' are kept apart.
-    Raises CalibrationError naming what the poses leave undetermined, ConfigError for options that do not fit.
+    effects: what :func:`mbcacq.diagnose` found (or its JSON file, or a list of these): they become terms of the cell, their coefficients
+    fitted with everything else or, with ``hold_effects``, kept as they are. Raises CalibrationError naming what the poses leave
+    undetermined, ConfigError for options that do not fit.
     """
-    return room.calibrate(as_observations(data), options)
+    if effects is None:
+        return room.calibrate(as_observations(data), options)
+    return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
 
 
 def verify(
@@ -54,6 +67,25 @@ def verify(
     return room.verify(as_observations(data), calibration, before=before, limit_mm=limit_mm)
 
 
+def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | Path | str, *, place: str = "fitted") -> Transfer:
+    """A calibrated arm, with its effects, on a recording that took no part: both stay as they were learnt.
+
+    place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is). Raises ConfigError where the
+    recording is of another arm, CalibrationError where it does not determine its own places.
+    """
+    from mbcacq.calibration.result_io import chain_of
+
+    cell = room.CalibratedCell.from_json(Path(calibration)) if isinstance(calibration, Path | str) else calibration
+    content = cell.content if isinstance(cell, room.CalibratedCell) else getattr(cell, "extra", {})
+    alone = content.get("geometry_alone")
+    chain = None
+    if alone:
+        sign = cell.state.chain.sign.tolist()
+        chain = chain_of({"robot": {"sign": sign, "calibrated": alone["calibrated"]}}, "calibrated")
+    name = str(data) if isinstance(data, Path | str) else ""
+    return check_transfer(as_observations(data), cell, chain, place=place, recording=name)
+
+
 def compare(data: Observations | Path | str, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
     """One row for each method of calibration (all, or those named): fit, sphere spacing error, held-out error, all in mm.
 
@@ -63,7 +95,13 @@ def compare(data: Observations | Path | str, methods: Iterable[str] | None = Non
 
 
 def calibration_content(
-    data: Path, options: CalibrationOptions, *, held_out: HeldOutOptions | None = None, with_map: bool = False
+    data: Path,
+    options: CalibrationOptions,
+    *,
+    held_out: HeldOutOptions | None = None,
+    with_map: bool = False,
+    effects: Effects | None = None,
+    hold_effects: bool = False,
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
     where asked for. Of a plan without phase 'position' it is what its run calibrates (``options_for``).
@@ -76,7 +114,7 @@ def calibration_content(
 
     observations = as_observations(data)
     asked, options = options, options_for(observations, options)
-    calibration = room.calibrate(observations, options)
+    calibration = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
     content = calibration.to_dict()
     content["verification"] = room.verify(observations, calibration).to_dict()
     content["gaps"] = find_gaps(data)

@@ -1,4 +1,4 @@
-"""Simulation: what a calibrated cell would record if it executed a plan, without any other effect."""
+"""Simulation: what a calibrated cell, with the effects in its result, would record if it executed a plan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import CalibratedCell, Calibration
-from mbcacq.calibration.result_io import state_from_dict
+from mbcacq.calibration.result_io import effects_of, state_from_dict
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
@@ -60,10 +61,20 @@ def simulate_poses(
     rng = np.random.default_rng(seed)
     scatter = _noise(loaded, poses, result) if noise else None
     scattered = blank if scatter is None else replace(blank, q=blank.q + scatter.joint * rng.standard_normal(blank.q.shape))
-    xyz = forward_model.predict(scattered, state).xyz
+    xyz = predicted(scattered, state, effects_of(result) if result else None)
     if scatter is not None:
         xyz = xyz + scatter.point * rng.standard_normal(xyz.shape)
     return replace(blank, cell=replace(solver_cell(loaded), noise_mm=_noise(loaded, poses, result).point, simulated=True), xyz=xyz)
+
+
+def predicted(obs: Observations, state: CellState, effects: EffectModel | None) -> np.ndarray:
+    """(M, 3) mm where the model, with its effects, puts the balls in the scanner; what is measured of them in ``obs`` does not matter."""
+    xyz = forward_model.predict(obs, state).xyz
+    if effects:
+        for _ in range(2):  # a bias of the scanner depends on the place in its field of view, which it changes in the second order
+            here = replace(obs, xyz=xyz)
+            xyz = forward_model.predict(here, state, effects.displacements(here)).xyz
+    return xyz
 
 
 def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:

@@ -17,7 +17,7 @@ VERDICTS = {"none", "explained", "partly_explained", "unexplained", "cannot_tell
 
 
 def check_contract(d: dict) -> None:
-    assert d["format"] == "mbcacq-diagnosis/1"
+    assert d["format"] == "mbcacq-diagnosis/2"
     assert d["verdict"] in VERDICTS
     shares = [m["share"] for m in d["mismatch"]]
     assert shares == sorted(shares, reverse=True)
@@ -35,6 +35,8 @@ def check_contract(d: dict) -> None:
             assert set(parameter) == {"value", "std"}
         for a in e["alternatives"]:
             assert {"name", "where", "held_out_gain"} <= set(a)
+        assert 0 <= e["p_corrected"] <= 1
+        assert e["p_local"] is None or e["p_local"] <= e["p_corrected"]
     for part in ("train", "held_out"):
         for key in ("before_rms_mm", "after_rms_mm", "before_chi2_dof", "after_chi2_dof"):
             assert d["fit"][part][key] > 0

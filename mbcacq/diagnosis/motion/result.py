@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.result import FORMAT, plain
+from mbcacq.diagnosis.result import FORMAT_1 as FORMAT
+from mbcacq.diagnosis.result import plain
 from mbcacq.errors import ConfigError
 
 Json = dict[str, Any]

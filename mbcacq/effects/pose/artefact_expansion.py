@@ -3,7 +3,9 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, number
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "artefact_expansion"
 
@@ -19,17 +21,17 @@ def candidates(context: Context) -> list[Candidate]:
         if len(mine) < 2 or not np.any(np.isin(context.obs.ball, mine)):
             continue
         from_mean = centres - centres[mine].mean(axis=0)
-        here = np.isin(context.obs.ball, mine)[:, None]
-        bias = np.where(here, from_mean[context.obs.ball], 0.0) * 1e-6
-        parts = [Part("ball", 0, c, bias[:, c : c + 1]) for c in range(3)]
+        grown = [tuple(one for k in mine for one in of("ball", "is", cell.ball_ids[k], factor=1e-6 * from_mean[k, c])) for c in range(3)]
+        parts = [DescribedPart("ball", 0, c, (grown[c],)) for c in range(3)]
         out.append(
             Candidate(
                 NAME,
                 (artefact.id,),
                 "x",
-                lambda _, p=parts: p,
+                built(context, parts),
                 lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))},
                 np.array([100.0]),
+                described=lambda _, d=parts: d,
             )
         )
     if not out:

@@ -3,7 +3,9 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Part, Report, number
+from mbcacq.effects.described import built, evaluated
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, number
+from mbcacq.effects.functions import DescribedPart, linear, of
 
 NAME = "backlash"
 FEWEST, LEAST = 4, 0.005  # poses, and share of them, at which the torque must have the rarer sign
@@ -18,33 +20,35 @@ def candidates(context: Context) -> list[Candidate]:
     out, direction = [], context.obs.direction
     if direction is not None:
         moved = [i for i in range(context.n) if np.ptp(direction[:, i]) > 0]
-        out += [by_direction(i, direction[:, i].astype(float)) for i in moved]
+        out += [by_direction(context, i) for i in moved]
     if context.masses_known:
         torque = context.gravity_torque
         fewest = max(FEWEST, LEAST * context.obs.n_poses)
         changes = [i for i in range(context.n) if min(np.sum(torque[:, i] > 0), np.sum(torque[:, i] < 0)) >= fewest]
-        out += [under_load(i, torque[:, i]) for i in changes if np.ptp(torque[:, i]) > 0.5]
+        out += [under_load(context, i) for i in changes if np.ptp(torque[:, i]) > 0.5]
     if direction is None and not out:
         raise Missing("no senses of motion recorded (dir1..)")
     return out
 
 
-def by_direction(i: int, direction: np.ndarray) -> Candidate:
-    """direction (P,): -1, 0 or 1 of the last motion of joint i."""
-    parts = [Part("joint", i, 0, direction[:, None])]
-    return Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", lambda _: parts, report_of(i), np.array([3e-5]))
+def by_direction(context: Context, i: int) -> Candidate:
+    """By the direction of the last motion of joint i: -1, 0 or 1."""
+    cause = f"direction_{i + 1}"
+    parts = [DescribedPart("joint", i, 0, (linear(cause),))]
+    return Candidate(NAME, (f"A{i + 1}",), cause, built(context, parts), report_of(i), np.array([3e-5]), described=lambda _: parts)
 
 
-def under_load(i: int, torque: np.ndarray) -> Candidate:
-    """torque (P,): N m by gravity about joint i. A transition wider than a twentieth of its range would be compliance."""
-    values = TRANSITIONS[TRANSITIONS < 0.05 * np.ptp(torque)]
+def under_load(context: Context, i: int) -> Candidate:
+    """By the gravity torque about joint i. A transition wider than a twentieth of its range would be compliance."""
+    values, cause = TRANSITIONS[TRANSITIONS < 0.05 * np.ptp(context.gravity_torque[:, i])], f"gravity_torque_{i + 1}"
 
-    def build(transition):
-        sign = np.tanh(torque / transition) if transition else np.sign(torque)
-        return [Part("joint", i, 0, sign[:, None])]
+    def described(transition):
+        return [DescribedPart("joint", i, 0, (of(cause, "tanh", transition) if transition else of(cause, "sign"),))]
 
     hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
-    return Candidate(NAME, (f"A{i + 1}",), f"gravity_torque_{i + 1}", build, report_of(i), np.array([3e-5]), hyper)
+    return Candidate(
+        NAME, (f"A{i + 1}",), cause, lambda h: evaluated(context, described(h)), report_of(i), np.array([3e-5]), hyper, described=described
+    )
 
 
 def report_of(i: int) -> Report:

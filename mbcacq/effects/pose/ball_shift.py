@@ -3,7 +3,9 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, vector
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, vector
+from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "ball_shift"
 
@@ -19,9 +21,17 @@ def candidates(context: Context) -> list[Candidate]:
         here = context.obs.ball == k
         if np.sum(owner == owner[k]) < 4 or here.sum() < 4:
             continue  # a few balls only make a length, which is artefact_expansion
-        basis = here[:, None].astype(float)
-        parts = [Part("ball", 0, c, basis * np.eye(3)[c]) for c in range(3)]
+        this = of("ball", "is", ball)
+        parts = [DescribedPart("ball", 0, c, (ZERO,) * c + (this,) + (ZERO,) * (2 - c)) for c in range(3)]
         out.append(
-            Candidate(NAME, (f"ball{ball}",), "x", lambda _, p=parts: p, lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, 0.05))
+            Candidate(
+                NAME,
+                (f"ball{ball}",),
+                "x",
+                built(context, parts),
+                lambda c, v, _: {"shift_mm": vector(c, v)},
+                np.full(3, 0.05),
+                described=lambda _, d=parts: d,
+            )
         )
     return out

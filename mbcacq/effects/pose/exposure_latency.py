@@ -3,7 +3,9 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, scalar_report
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, scalar_report
+from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "exposure_latency"
 
@@ -12,7 +14,7 @@ def candidates(context: Context) -> list[Candidate]:
     """One candidate for all joints; its coefficient, in s, is positive where the exposure comes after the reported angles."""
     if context.obs.velocity is None or np.abs(context.obs.velocity).max() < 1e-6:
         raise Missing("no velocities at the exposure recorded (qd1_deg_s..)")
-    velocity = np.nan_to_num(context.obs.velocity)
-    fastest = int(np.argmax(np.abs(velocity).max(axis=0))) + 1
-    parts = [Part("joint", i, 0, velocity[:, i : i + 1]) for i in range(context.n)]
-    return [Candidate(NAME, ("scanner",), f"qd{fastest}", lambda _: parts, scalar_report("latency_s"), np.array([2e-3]))]
+    fastest = int(np.argmax(np.abs(np.nan_to_num(context.obs.velocity)).max(axis=0))) + 1
+    parts = [DescribedPart("joint", i, 0, (linear(f"qd{i + 1}"),)) for i in range(context.n)]
+    report, typical = scalar_report("latency_s"), np.array([2e-3])
+    return [Candidate(NAME, ("scanner",), f"qd{fastest}", built(context, parts), report, typical, described=lambda _: parts)]

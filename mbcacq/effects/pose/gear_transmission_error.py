@@ -6,6 +6,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Hyperparameter, Part, Report, number
+from mbcacq.effects.functions import DescribedPart, cosine, sine
 
 NAME = "gear_transmission_error"
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
@@ -43,6 +44,7 @@ def candidates(context: Context) -> list[Candidate]:
                 (("joint", i, 0),),
                 functions,
                 several=True,
+                described=lambda h, i=i: [DescribedPart("joint", i, 0, (sine(f"q{i + 1}", h), cosine(f"q{i + 1}", h)))],
             )
         )
     return out

@@ -3,7 +3,9 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Part, scalar_report
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "joint_compliance"
 
@@ -15,16 +17,18 @@ def candidates(context: Context) -> list[Candidate]:
     for i in range(context.n):
         if np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             continue  # a vertical axis feels no gravity
-        basis = torque[:, i : i + 1]
+        cause = f"gravity_torque_{i + 1}"
+        described = [DescribedPart("joint", i, 0, (linear(cause),))]
         out.append(
             Candidate(
                 NAME,
                 (f"A{i + 1}",),
-                f"gravity_torque_{i + 1}",
-                lambda _, i=i, b=basis: [Part("joint", i, 0, b)],
+                cause,
+                built(context, described),
                 scalar_report(f"A{i + 1}.compliance_rad_per_Nm"),
                 np.array([1.5e-6]),
                 positive=True,
+                described=lambda _, d=described: d,
             )
         )
     return out

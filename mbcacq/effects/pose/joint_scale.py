@@ -3,22 +3,21 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Part, scalar_report
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "joint_scale"
 
 
 def candidates(context: Context) -> list[Candidate]:
     """For each joint that moves, the excess of its ratio over 1."""
-    return [
-        Candidate(
-            NAME,
-            (f"A{i + 1}",),
-            f"q{i + 1}",
-            lambda _, i=i: [Part("joint", i, 0, context.obs.q[:, i : i + 1])],
-            scalar_report(f"A{i + 1}.ratio"),
-            np.array([1e-4]),
-        )
-        for i in range(context.n)
-        if np.ptp(context.obs.q[:, i]) > 0.02
-    ]
+    out = []
+    for i in range(context.n):
+        if np.ptp(context.obs.q[:, i]) > 0.02:
+            cause = f"q{i + 1}"
+            parts = [DescribedPart("joint", i, 0, (linear(cause),))]
+            report = scalar_report(f"A{i + 1}.ratio")
+            typical = np.array([1e-4])
+            out.append(Candidate(NAME, (f"A{i + 1}",), cause, built(context, parts), report, typical, described=lambda _, d=parts: d))
+    return out

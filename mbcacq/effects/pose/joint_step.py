@@ -4,6 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, number
+from mbcacq.effects.functions import DescribedPart, of
 from mbcacq.effects.pose import steps
 
 NAME = "joint_step"
@@ -30,6 +31,7 @@ def candidates(context: Context) -> list[Candidate]:
             hyper,
             (("joint", i, 0),),
             functions,
+            described=lambda h: [DescribedPart("joint", i, 0, (of("pose", "step", h),))],
         )
 
     return [of_joint(i) for i in range(context.n)]

@@ -3,25 +3,24 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Part, number
-from mbcacq.geometry.gravity import STANDARD_GRAVITY
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, number
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
 
 NAME = "mount_compliance"
 
 
 def candidates(context: Context) -> list[Candidate]:
     """The tilt, the shift, and both, in flange axes; where no masses are given, of one kilogram halfway to the scanner."""
-    mass = context.payload_mass if np.all(context.payload_mass > 0) else np.ones(context.obs.n_poses)
     com = context.obs.cell.robot.payload_com
     if not np.any(com):
         com = context.state.T_flange_scanner.reshape(-1, 4, 4)[0, :3, 3] * 0.5
-    force = mass[:, None] * STANDARD_GRAVITY * context.flange_gravity
-    moment = np.cross(com[None], force) * 1e-3
-    none = np.zeros(len(force))
-    tilt = [Part("frame", context.n, 3 + c, moment[:, c : c + 1]) for c in range(3)]
-    shift = [Part("frame", context.n, c, force[:, c : c + 1]) for c in range(3)]
-    both = [Part("frame", context.n, 3 + c, np.stack([moment[:, c], none], 1)) for c in range(3)]
-    both += [Part("frame", context.n, c, np.stack([none, force[:, c]], 1)) for c in range(3)]
+    force = [linear(f"payload_force_{axis}") for axis in "xyz"]
+    moment = [moment_about(c, com * 1e-3) for c in range(3)]
+    tilt = [DescribedPart("frame", context.n, 3 + c, (moment[c],)) for c in range(3)]
+    shift = [DescribedPart("frame", context.n, c, (force[c],)) for c in range(3)]
+    both = [DescribedPart("frame", context.n, 3 + c, (moment[c], ZERO)) for c in range(3)]
+    both += [DescribedPart("frame", context.n, c, (ZERO, force[c])) for c in range(3)]
 
     def report(c, v, _):
         return {"compliance_rad_per_Nm": number(c[0], np.sqrt(v[0, 0])), "compliance_mm_per_N": number(c[1], np.sqrt(v[1, 1]))}
@@ -35,7 +34,16 @@ def candidates(context: Context) -> list[Candidate]:
     where, cause = ("mount",), f"gravity_torque_{context.n}"
     typical_tilt, typical_shift = 2e-5, 1e-3
     return [
-        Candidate(NAME, where, cause, lambda _: tilt, report_tilt, np.array([typical_tilt]), variant="tilt"),
-        Candidate(NAME, where, cause, lambda _: shift, report_shift, np.array([typical_shift]), variant="shift"),
-        Candidate(NAME, where, cause, lambda _: both, report, np.array([typical_tilt, typical_shift])),
+        Candidate(NAME, where, cause, built(context, parts), reported, np.array(typical), variant=variant, described=lambda _, d=parts: d)
+        for parts, reported, typical, variant in (
+            (tilt, report_tilt, [typical_tilt], "tilt"),
+            (shift, report_shift, [typical_shift], "shift"),
+            (both, report, [typical_tilt, typical_shift], ""),
+        )
     ]
+
+
+def moment_about(c: int, lever: np.ndarray) -> Column:
+    """Component c of the moment of the tool's weight at a lever (3,) m, as a function of the weight."""
+    a, b = (c + 1) % 3, (c + 2) % 3
+    return scaled(linear(f"payload_force_{'xyz'[b]}"), lever[a]) + scaled(linear(f"payload_force_{'xyz'[a]}"), -lever[b])

@@ -4,6 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
+from mbcacq.effects.functions import ZERO, DescribedPart, of
 from mbcacq.effects.pose import steps
 
 NAME = "mount_shift"
@@ -24,6 +25,10 @@ def candidates(context: Context) -> list[Candidate]:
         step = functions(np.array([h]))[0]
         return [Part("frame", context.n, c, step * np.eye(k)[j]) for j, c in enumerate(components)]
 
+    def described(h):
+        step = of("pose", "step", h)
+        return [DescribedPart("frame", context.n, c, (ZERO,) * j + (step,) + (ZERO,) * (k - 1 - j)) for j, c in enumerate(components)]
+
     def report(c, v, rank):
         out = {"at_pose": number(steps.pose_at(context, rank), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
         if k == 6:
@@ -41,5 +46,6 @@ def candidates(context: Context) -> list[Candidate]:
             hyper,
             tuple(("frame", context.n, c) for c in components),
             functions,
+            described=described,
         )
     ]

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
-from mbcacq.geometry import gravity
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, number, vector
+from mbcacq.effects.functions import ZERO, DescribedPart, linear
 
 NAME = "payload"
 LEAST_LOAD_SHARE = 0.15  # of the largest range of gravity torque
@@ -25,15 +26,7 @@ def candidates(context: Context) -> list[Candidate]:
 
 def unit_torques(context: Context) -> np.ndarray:
     """Torque (P, n, 4) N m about each joint by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
-    robot = context.obs.cell.robot
-    frames = robot.chain.frames(context.obs.q)
-    none = np.zeros(context.n)
-
-    def torque(com: np.ndarray) -> np.ndarray:
-        return gravity.gravity_torque(robot.chain, frames, none, np.zeros((context.n, 3)), 1.0, com, robot.gravity)
-
-    at_origin = torque(np.zeros(3))
-    return np.stack([at_origin] + [torque(e) - at_origin for e in np.eye(3)], axis=2)
+    return context.payload_torque
 
 
 def loaded_joints(context: Context) -> list[int]:
@@ -53,16 +46,13 @@ def correction_for(
     """
     if not context.masses_known or not compliance or not context.scanner_on_flange:
         return []
-    torque, declared = unit_torques(context), context.gravity_torque
     elastic, softest = dict(compliance), max(compliance.values())
     beyond = [] if complete else [i for i in loaded_joints(context) if i not in elastic]
-    none = np.zeros((context.obs.n_poses, len(beyond)))
     parts = []
     for i, c in sorted({**elastic, **dict.fromkeys(beyond, softest)}.items()):
-        own = none.copy()
-        if i in beyond:
-            own[:, beyond.index(i)] = declared[:, i]
-        parts.append(Part("joint", i, 0, np.concatenate([c * torque[:, i], own], axis=1)))
+        own = [linear(f"gravity_torque_{i + 1}") if i == j else ZERO for j in beyond]
+        load = [linear(f"payload_torque_{i + 1}_{what}", float(c)) for what in ("mass", "x", "y", "z")]
+        parts.append(DescribedPart("joint", i, 0, (*load, *own)))
     mass, com = float(np.mean(context.payload_mass)), context.obs.cell.robot.payload_com
 
     def report(c, v, _):
@@ -77,4 +67,5 @@ def correction_for(
 
     label = ",".join(f"{i}:{c:.3e}" for i, c in sorted(compliance.items()))
     typical = np.array([0.5, 50.0, 50.0, 50.0] + [1.5e-6] * len(beyond))
-    return [Candidate(NAME, ("mount",), "gravity_torque_2", lambda _: parts, report, typical, variant=label)]
+    where, cause = ("mount",), "gravity_torque_2"
+    return [Candidate(NAME, where, cause, built(context, parts), report, typical, variant=label, described=lambda _: parts)]

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, number
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, monomial
 
 NAME = "scanner_distortion"
 TYPICAL = 0.02  # mm at the edge of the field of view
@@ -19,6 +21,17 @@ COMBINATIONS = (
     ("radial_per_mm2", "field_curvature_per_mm", "magnification"),
     ("field_curvature_per_mm", "depth_scale_per_mm", "magnification", "depth_gain"),
 )
+# The biases of ``unit_biases`` along x, y and z, as functions of the place in the field of view.
+WRITTEN: dict[str, tuple[Column, Column, Column]] = {
+    "field_curvature_per_mm": (ZERO, ZERO, (monomial(x=2), monomial(y=2))),
+    "radial_per_mm2": ((monomial(x=3), monomial(x=1, y=2)), (monomial(x=2, y=1), monomial(y=3)), ZERO),
+    "depth_scale_per_mm": ((monomial(x=1, z=1),), (monomial(y=1, z=1),), ZERO),
+    "depth_quadratic_per_mm": (ZERO, ZERO, (monomial(z=2),)),
+    "astigmatism_per_mm": (ZERO, ZERO, (monomial(x=2), monomial(-1.0, y=2))),
+    "saddle_per_mm": (ZERO, ZERO, (monomial(x=1, y=1),)),
+    "magnification": ((monomial(x=1),), (monomial(y=1),), ZERO),
+    "depth_gain": (ZERO, ZERO, (monomial(z=1),)),
+}
 
 
 def unit_biases(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
@@ -46,12 +59,13 @@ def candidates(context: Context) -> list[Candidate]:
     def combined(names: Sequence[str]) -> Candidate:
         bias = np.stack([every[k][1] for k in names], axis=-1)
         typical = TYPICAL / np.maximum(np.linalg.norm(bias, axis=1).max(axis=0), 1e-12)
-        parts = [Part("point", 0, c, bias[:, c]) for c in range(3)]
+        parts = [DescribedPart("point", 0, c, tuple(WRITTEN[k][c] for k in names)) for c in range(3)]
 
         def report(c, v, _):
             return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
 
-        return Candidate(NAME, ("scanner",), every[names[0]][0], lambda _: parts, report, typical, variant="+".join(names))
+        cause, variant = every[names[0]][0], "+".join(names)
+        return Candidate(NAME, ("scanner",), cause, built(context, parts), report, typical, variant=variant, described=lambda _: parts)
 
     alone = [k for k in every if k not in ONLY_COMBINED]
     return [combined([k]) for k in alone] + [combined(names) for names in COMBINATIONS]

@@ -4,6 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part, number, vector
+from mbcacq.effects.functions import ZERO, DescribedPart, of
 from mbcacq.effects.pose import warm_up
 
 NAME = "scanner_warmup"
@@ -21,6 +22,21 @@ def candidates(context: Context) -> list[Candidate]:
     def report(c, v, tau):
         return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v))}
 
+    def described(tau):
+        fade = of("time", "decay", tau)
+        return [DescribedPart("point", 0, c, (ZERO,) * c + (fade,) + (ZERO,) * (2 - c)) for c in range(3)]
+
     return [
-        Candidate(NAME, ("scanner",), "time", build, report, np.full(3, 0.02), hyper, tuple(("point", 0, c) for c in range(3)), functions)
+        Candidate(
+            NAME,
+            ("scanner",),
+            "time",
+            build,
+            report,
+            np.full(3, 0.02),
+            hyper,
+            tuple(("point", 0, c) for c in range(3)),
+            functions,
+            described=described,
+        )
     ]

@@ -3,30 +3,37 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, vector
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, vector
+from mbcacq.effects.functions import DescribedPart, Function, Product, scaled
 
 NAME = "station_drift"
 
 
 def candidates(context: Context) -> list[Candidate]:
     """For each station of five or more centres, a drift (3,) in mm."""
+    clock = "pose" if context.obs.time_s is None else "time"
     key = context.order.astype(float) if context.obs.time_s is None else context.time
     out = []
     for k, station in enumerate(context.obs.cell.stations):
         here = context.obs.station == k
         if here.sum() < 5 or np.ptp(key[here]) == 0:
             continue
-        progress = np.where(here, (key - key[here].min()) / np.ptp(key[here]), 0.0)[:, None]
+        begin, length = float(key[here].min()), float(np.ptp(key[here]))
+        this = Function("station", "is", (float(k),))
+        progress = (Product(1 / length, (this, Function(clock))), Product(-begin / length, (this,)))
         R = context.state.T_base_station[k, :3, :3]
-        parts = [Part("station", 0, c, progress * R[:, c]) for c in range(3)]  # coefficients along the base axes
+        # Coefficients along the base axes.
+        parts = [DescribedPart("station", 0, c, tuple(scaled(progress, R[j, c]) for j in range(3))) for c in range(3)]
         out.append(
             Candidate(
                 NAME,
                 (f"station{station.id}",),
-                "time" if context.obs.time_s is not None else "pose",
-                lambda _, p=parts: p,
+                clock,
+                built(context, parts),
                 lambda c, v, _: {"drift_mm": vector(c, v)},
                 np.full(3, 0.05),
+                described=lambda _, d=parts: d,
             )
         )
     if not out:

@@ -3,7 +3,9 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, number
+from mbcacq.effects.described import built, evaluated
+from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.functions import DescribedPart, Function, Product, of, scaled
 from mbcacq.effects.pose import warm_up
 
 NAME = "thermal_growth"
@@ -31,22 +33,23 @@ def direction(context: Context, i: int) -> np.ndarray:
 
 def with_temperature(context: Context, i: int, column: str, temperature: np.ndarray) -> Candidate:
     along = direction(context, i)
-    change = (temperature - temperature[np.argmin(context.order)])[:, None]
-    parts = [Part("frame", i + 1, c, change * along[c]) for c in range(3) if abs(along[c]) > 1e-6]
+    first = float(temperature[np.argmin(context.order)])
+    change = (Product(1.0, (Function(column),)), Product(-first))
+    parts = [DescribedPart("frame", i + 1, c, (scaled(change, along[c]),)) for c in range(3) if abs(along[c]) > 1e-6]
 
     def report(c, v, _):
         return {f"link{i + 1}.growth_mm_per_K": number(c[0], np.sqrt(v[0, 0]))}
 
-    return Candidate(NAME, (f"link{i + 1}",), column, lambda _: parts, report, np.array([0.01]))
+    return Candidate(NAME, (f"link{i + 1}",), column, built(context, parts), report, np.array([0.01]), described=lambda _: parts)
 
 
 def with_warm_up(context: Context, i: int) -> Candidate:
-    along, hyper, fade = direction(context, i), warm_up.time_constant(context), warm_up.fading(context)
+    along, hyper = direction(context, i), warm_up.time_constant(context)
     used = [c for c in range(3) if abs(along[c]) > 1e-6]
 
-    def build(tau):
-        grown = 1 - fade(np.array([tau]))[0]
-        return [Part("frame", i + 1, c, grown * along[c]) for c in used]
+    def described(tau):
+        grown = (Product(1.0), *of("time", "decay", tau, factor=-1.0))
+        return [DescribedPart("frame", i + 1, c, (scaled(grown, along[c]),)) for c in used]
 
     def report(c, v, tau):
         return {
@@ -54,4 +57,6 @@ def with_warm_up(context: Context, i: int) -> Candidate:
             f"link{i + 1}.time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v)),
         }
 
-    return Candidate(NAME, (f"link{i + 1}",), "time", build, report, np.array([0.1]), hyper)
+    return Candidate(
+        NAME, (f"link{i + 1}",), "time", lambda tau: evaluated(context, described(tau)), report, np.array([0.1]), hyper, described=described
+    )

@@ -38,12 +38,14 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
     found = {}
     if observations is not None and observations.n_centres:
         from mbcacq.calibration import state_from_dict
+        from mbcacq.calibration.result_io import effects_of
         from mbcacq.report.sources import measured
 
         used = measured.calibrated_poses(observations, result)
         state = state_from_dict(dict(result), observations.cell)
         rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
-        found["residuals"] = measured.residuals(used, state, result["noise"]["scanner_mm"], result["noise"]["joint_rad"], rejected)
+        noise = result["noise"]
+        found["residuals"] = measured.residuals(used, state, noise["scanner_mm"], noise["joint_rad"], rejected, effects_of(dict(result)))
         found["coverage"] = measured.coverage(observations, state)
         found["spheres"] = measured.spheres(observations)
     spacing = _spacing(result.get("verification"), {str(s["id"]) for s in result["stations"]})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState, arm_jacobian, predict, residual
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
@@ -21,13 +22,15 @@ def residuals(
     point_mm: ArrayLike | None,
     joint_rad: ArrayLike | None,
     rejected: Set[tuple[int, int | None]] = frozenset(),
+    effects: EffectModel | None = None,
 ) -> Residuals:
     """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
 
     point_mm: (3,) sigma of a centre; joint_rad: (n,) repeatability of each axis. rejected: (pose number, ball id or None for all).
+    effects: what the arm does beyond its geometry.
     """
     obs = observations
-    prediction = predict(obs, state)
+    prediction = predict(obs, state, effects.displacements(obs) if effects else None)
     deviation = residual(obs, prediction)[:, :3]
     weighted = None
     if point_mm is not None and joint_rad is not None:

@@ -1,0 +1,86 @@
+"""Joint angles that bring the calibrated arm, with its effects, to given places: Newton's method, all points at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.uncertainty import frames
+from mbcacq.geometry import se3
+
+
+@dataclass(frozen=True)
+class TargetOptions:
+    """Of the search for joint angles."""
+
+    rounds: int = 60
+    reached_mm: float = 1e-3  # a thousandth of a millimetre is below any arm's repeatability
+    reached_rad: float = 1e-6
+    lever_mm: float = 300.0  # weighs rotations against translations: a tool of that length
+    damping: float = 1e-4  # relative, of directions that an arm near a singular posture can hardly move in
+    largest_step: float = 0.2  # rad, of a joint in one round
+
+
+OPTIONS = TargetOptions()
+
+
+@dataclass(frozen=True)
+class JointTargets:
+    """q: (P, n) rad; error_mm (P,), error_rad (P,): what is left between the flange and its goal; reached: (P,) bool; reasons: why not."""
+
+    q: np.ndarray
+    error_mm: np.ndarray
+    error_rad: np.ndarray
+    reached: np.ndarray
+    reasons: tuple[str, ...]
+
+
+def joint_targets(cell: Calibrated, goals: np.ndarray, start: np.ndarray, limits: np.ndarray | None = None) -> JointTargets:
+    """Joint angles at which the flange of the calibrated arm stands at ``goals`` (P, 4, 4) mm in the base.
+
+    start: (P, n) rad, from which the solution of the same branch follows. limits: (n, 2) rad that are kept. Effects count as the model has
+    them at standstill; what is not known of a planned pose (direction of motion, temperature) is taken as it was on average.
+    """
+    limits = np.tile([-np.inf, np.inf], (start.shape[1], 1)) if limits is None else limits
+    low, high = limits.T
+    q = np.clip(np.array(start, dtype=float), low, high)
+    weight = np.array([1.0] * 3 + [OPTIONS.lever_mm] * 3)
+    best, lowest = q.copy(), np.full(len(q), np.inf)
+    for _ in range(OPTIONS.rounds):
+        F = frames(cell, q)
+        twist = error_twist(F[:, -1], goals)
+        size = np.linalg.norm(twist * weight, axis=1)
+        better = size < lowest
+        best[better], lowest[better] = q[better], size[better]
+        if np.all(size < 1e-7):
+            break
+        J = cell.state.chain.joint_twists(F)
+        at_flange = np.einsum("pij,pkj->pki", se3.adjoint(se3.inverse(F[:, -1])), J) * weight  # local twists of the joints
+        # A joint at its limit that would be pushed beyond takes no part.
+        A = np.swapaxes(at_flange, 1, 2)
+        normal = np.swapaxes(A, 1, 2) @ A
+        scale = np.trace(normal, axis1=1, axis2=2)[:, None, None] / q.shape[1]
+        damped = normal + OPTIONS.damping**2 * scale * np.eye(q.shape[1])
+        step = np.linalg.solve(damped, np.einsum("pij,pi->pj", A, twist * weight)[..., None])[..., 0]
+        largest = np.abs(step).max(axis=1, keepdims=True)
+        step = step * np.minimum(1.0, OPTIONS.largest_step / np.maximum(largest, 1e-12))
+        q = np.clip(q + step, low, high)
+    left = error_twist(frames(cell, best)[:, -1], goals)
+    error_mm, error_rad = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
+    reached = (error_mm < OPTIONS.reached_mm) & (error_rad < OPTIONS.reached_rad)
+    at_limit = (best <= low + 1e-9) | (best >= high - 1e-9)
+    reasons = tuple("" if ok else _reason(ends) for ok, ends in zip(reached, at_limit, strict=True))
+    return JointTargets(best, error_mm, error_rad, reached, reasons)
+
+
+def error_twist(T: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """(P, 6) local twists (mm, rad) that lead from the frames T (P, 4, 4) to the goals, to first order in the rotation."""
+    apart = se3.inverse(T) @ goals
+    return np.concatenate([apart[:, :3, 3], se3.rotation_log(apart[:, :3, :3])], axis=1)
+
+
+def _reason(at_limit: np.ndarray) -> str:
+    stopped = ", ".join(f"A{i + 1}" for i in np.flatnonzero(at_limit))
+    return f"{stopped} stands at its limit" if stopped else "out of reach, or in a singular posture"

@@ -1,0 +1,281 @@
+"""A calibrated arm, with its effects, tried on a recording that took no part: another day, another placement of base and tool.
+
+The arm and its effects stay as they were learnt. What belongs to the other recording alone (base, tool, stations) is fitted to it, or
+nothing at all where its places are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.with_effects import refuse_other_arm
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.errors import ConfigError
+from mbcacq.estimation import parameters
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.parameters import Estimate
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.observations import Observations
+
+PLACES = ("fitted", "known")
+MOST_JUDGED = 1500  # centres at which the normalised error is computed: its mean is known to 2 % then
+
+
+@dataclass(frozen=True)
+class TransferFigures:
+    """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: under the noise that the learnt cell states."""
+
+    rms_mm: float
+    median_mm: float
+    chi2_dof: float
+
+
+@dataclass(frozen=True)
+class EffectGain:
+    """What one effect does on the other recording. without_mm: rms without it; gain: share of the geometry's mean square that it removes,
+    negative where it does harm."""
+
+    name: str
+    where: tuple[str, ...]
+    without_mm: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class NormalisedError:
+    """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis): rms, 95 % quantile, and the
+    share of centres below 3. About 1 where the statement is true.
+    """
+
+    rms: float
+    quantile_95: float
+    share_below_3: float
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
+    recording itself leaves, the best that geometry alone can do there; None where it cannot be had. warnings: sentences.
+    """
+
+    place: str
+    poses: int
+    centres: int
+    geometry_alone: TransferFigures
+    with_effects: TransferFigures
+    own_geometry: TransferFigures | None
+    effects: tuple[EffectGain, ...]
+    normalised_error: NormalisedError
+    warnings: tuple[str, ...] = ()
+    recording: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content."""
+        return asdict(self) | {"effects": [asdict(e) | {"where": list(e.where)} for e in self.effects], "warnings": list(self.warnings)}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Transfer:
+        """The transfer that :meth:`to_dict` wrote. Raises KeyError or TypeError where it is damaged."""
+        own = content["own_geometry"]
+        return cls(
+            content["place"],
+            content["poses"],
+            content["centres"],
+            TransferFigures(**content["geometry_alone"]),
+            TransferFigures(**content["with_effects"]),
+            None if own is None else TransferFigures(**own),
+            tuple(EffectGain(**{**e, "where": tuple(e["where"])}) for e in content["effects"]),
+            NormalisedError(**content["normalised_error"]),
+            tuple(content["warnings"]),
+            content["recording"],
+        )
+
+    @property
+    def text(self) -> str:
+        """The figures in plain sentences."""
+        how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
+        out = [
+            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): "
+            f"{self.geometry_alone.rms_mm:.4f} mm with the learnt geometry alone, {self.with_effects.rms_mm:.4f} mm with its effects"
+            + (f"; {self.own_geometry.rms_mm:.4f} mm with a geometry fitted there" if self.own_geometry else "")
+            + "."
+        ]
+        out += [
+            f"  {e.name} at {', '.join(e.where)}: without it {e.without_mm:.4f} mm ({e.gain:+.0%} of the geometry's mean square)"
+            for e in self.effects
+        ]
+        n = self.normalised_error
+        out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
+        return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
+
+
+def check_transfer(
+    observations: Observations, cell: Calibrated, alone: Chain | None = None, *, place: str = "fitted", recording: str = ""
+) -> Transfer:
+    """Try a calibrated cell on a recording. alone: the arm that geometry alone gave on the recording learnt from; by default the
+    cell's own without its effects.
+
+    Raises ConfigError where the recording is of another arm, CalibrationError where it does not determine its own places.
+    """
+    if place not in PLACES:
+        raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
+    model = cell.effects
+    if model is None:
+        model = EffectModel(observations.cell.robot)
+    refuse_other_arm(observations, model)
+    tried = _Trial(observations, cell, place)
+    best = tried.fit(cell.state.chain, model)
+    used = best.used
+    whole = tried.figures(best, used)
+    plain = tried.figures(tried.fit(alone or cell.state.chain, None), used)
+    gains = []
+    grouped: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for t in model.terms:
+        grouped.setdefault((t.name, ("all",)) if t.name == "unknown" else (t.name, t.where), []).append(t.key)
+    for (name, where), keys in grouped.items() if len(grouped) > 1 else ():
+        rest = model.select(lambda t, keys=keys: t.key not in keys)
+        without = tried.figures(tried.fit(cell.state.chain, rest), used).rms_mm
+        gains.append(EffectGain(name, where, without, (without**2 - whole.rms_mm**2) / max(plain.rms_mm**2, 1e-300)))
+    departures = model.departures(observations)
+    return Transfer(
+        place,
+        observations.n_poses,
+        int(used.sum()),
+        plain,
+        whole,
+        tried.own_geometry(used),
+        tuple(sorted(gains, key=lambda e: -e.gain)),
+        normalised_error(best, cell, model, used),
+        (*(str(d) for d in departures), *model.absent(observations)),
+        recording,
+    )
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Fits of what belongs to a recording alone."""
+
+    obs: Observations
+    cell: Calibrated
+    place: str
+
+    def fit(self, chain: Chain, model: EffectModel | None) -> Calibration:
+        """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
+        displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
+        obs = with_arm(self.obs, chain)
+        options = CalibrationOptions(kinematics=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs))
+        if self.place == "fitted":
+            return calibrate(obs, options)
+        known = self._known(obs)
+        hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
+        return calibrate(known, replace(options, hold=hold))
+
+    def _known(self, obs: Observations) -> Observations:
+        """The recording with tool and stations where the calibrated cell has them. Raises ConfigError where it has none of these."""
+        stations = getattr(self.cell, "stations", None)
+        ids = list(stations) if stations is not None else [s.id for s in self.cell.observations.cell.stations]  # type: ignore[attr-defined]
+        placed = dict(zip(ids, self.cell.state.T_base_station, strict=False))
+        missing = [obs.cell.stations[s].id for s in np.unique(obs.station) if obs.cell.stations[s].id not in placed]
+        if missing:
+            raise ConfigError(f"station {', '.join(missing)} has no known place in the calibrated cell; try it with --place fitted")
+        found = tuple(replace(s, T_base_station=placed[s.id], sigma_mm=1e-6) if s.id in placed else s for s in obs.cell.stations)
+        return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
+
+    def figures(self, fitted: Calibration, used: np.ndarray) -> TransferFigures:
+        r = fitted.residual[used, :3]
+        distance = np.linalg.norm(r, axis=1)
+        noise = self.cell.noise
+        J = Lineariser(fitted.observations, fitted.layout, fitted.options)(Estimate(fitted.state, fitted.coefficients))
+        sigma = _sigma(J.J, fitted, noise.point, noise.joint)[used]
+        chi2 = float(np.sum((r / sigma) ** 2) / r.size)
+        return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
+
+    def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
+        """The recording's own geometric calibration."""
+        from mbcacq.errors import CalibrationError
+
+        try:
+            own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
+        except CalibrationError:
+            return None
+        return self.figures(own, used) if self.place == "fitted" else None
+
+
+def _sigma(J: np.ndarray, fitted: Calibration, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
+    """(M, 3) mm: standard deviation of each coordinate of a centre by scanner noise and joint repeatability."""
+    from mbcacq.estimation.whitening import PoseRows
+
+    rows = PoseRows(fitted.observations, fitted.residual.shape[1])
+    spread = np.sqrt(np.sum((J * joint) ** 2, axis=-1))
+    own = rows.unpad(spread[..., None])[..., 0][:, :3]
+    return np.sqrt(own**2 + point**2)
+
+
+def normalised_error(fitted: Calibration, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
+    """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects, of which the fitted places absorb
+    a part, and the noise of measuring.
+    """
+    obs = fitted.observations
+    rng = np.random.default_rng(0)
+    poses = np.sort(rng.permutation(obs.n_poses)[:MOST_JUDGED])
+    keep = np.zeros(obs.n_poses, bool)
+    keep[poses] = True
+    rows = keep[obs.pose]
+    some = obs.select(keep)
+    terms = model.at(some) if model else ()
+    options = CalibrationOptions(terms=terms, balls=False, phases=_all_phases(some))
+    layout = parameters.build(some, options)
+    for name in cell.layout.names:
+        layout = _freed(layout, name)
+    lineariser = Lineariser(some, layout, options)
+    linear = lineariser(Estimate(fitted.state, model.coefficients))
+    width = fitted.residual.shape[1]
+    X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
+    names = layout.names
+    learnt = {name: j for j, name in enumerate(cell.layout.names)}
+    shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(("hand_eye.", "ball_"))]
+    index = [learnt[names[j]] for j in shared]
+    own = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
+    N = np.concatenate([X[:, own], X[:, -7:-1]], axis=1) if len(np.unique(some.station)) == 1 else X[:, own]
+    A = X[:, shared]
+    if fitted.options.hold == () and N.shape[1]:
+        A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0]
+    C = cell.covariance[np.ix_(index, index)]
+    A = A.reshape(-1, 3, len(shared))
+    covariance = A @ C @ np.swapaxes(A, 1, 2)
+    joint = lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint
+    covariance += joint @ np.swapaxes(joint, 1, 2)
+    covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
+    assert width >= 3
+    r = fitted.residual[rows, :3]
+    error = np.sqrt(np.einsum("mi,mij,mj->m", r, np.linalg.inv(covariance), r) / 3)[used[rows]]
+    return NormalisedError(float(np.sqrt(np.mean(error**2))), float(np.quantile(error, 0.95)), float(np.mean(error < 3)))
+
+
+def with_arm(obs: Observations, chain: Chain) -> Observations:
+    """The recording with another nominal arm."""
+    return replace(obs, cell=replace(obs.cell, robot=replace(obs.cell.robot, chain=chain)))
+
+
+def _freed(layout: parameters.ParameterLayout, name: str) -> parameters.ParameterLayout:
+    """The layout with a parameter free."""
+    blocks = []
+    for b in layout.blocks:
+        if name in b.names:
+            free = b.free.copy()
+            free[b.names.index(name)] = True
+            b = replace(b, free=free)
+        blocks.append(b)
+    return parameters.ParameterLayout(tuple(blocks))
+
+
+def _all_phases(obs: Observations) -> tuple[str, ...] | None:
+    return None if obs.phase is None else tuple(sorted(set(obs.phase.tolist())))

@@ -1,0 +1,278 @@
+"""Calibration with effects as terms of the cell, refitted with everything else or held; unmodelled groups get the size they ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.result import Calibration
+from mbcacq.effects import unmodelled as groups
+from mbcacq.effects.common_pattern import Curve, find_common_pattern
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
+from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solver import Solution, system
+from mbcacq.estimation.terms import Term
+from mbcacq.estimation.variance_components import first_noise, noise_prior, reml_step
+from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.model.observations import Observations
+
+
+@dataclass(frozen=True)
+class GroupSizeOptions:
+    """Of the size of each group of unmodelled effects."""
+
+    turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
+    rounds: int = 60  # of the fixed point in each
+    converged: float = 0.05  # change of a logarithm of a variance
+    least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
+    smallest: float = 1e-4  # of a group's prior size: it is dropped below
+    largest: float = 10.0  # times a group's prior size: no group is believed to be larger
+    fixed_units: tuple[str, ...] = ("rad/Nm",)  # physical priors, whose size is not estimated
+
+
+OPTIONS = GroupSizeOptions()
+
+
+def calibrate_with_effects(
+    observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
+) -> Calibration:
+    """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
+
+    hold: the effects stay as they were learnt, the geometry alone is fitted. Raises ConfigError where the effects are of another arm, and
+    CalibrationError as :func:`mbcacq.calibration.maximum_likelihood.calibrate`.
+    """
+    options = options or CalibrationOptions()
+    if options.method != "ml":
+        raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
+    refuse_other_arm(observations, model)
+    obs = select_phases(observations, options)
+    alone = calibrate(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
+    if hold:
+        known = tuple(zip(model.at(obs), model.coefficients, strict=True))
+        return _beside(alone, replace(calibrate(obs, replace(options, displaced=known)), effects=model))
+    parametric, unmodelled = model.parametric, model.select(lambda t: t.name == UNKNOWN)
+    fitted = calibrate(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
+    if not unmodelled:
+        return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
+    found = with_unmodelled(fitted, options, parametric, unmodelled)
+    shared = with_common_pattern(found, unmodelled)
+    if shared is not None:
+        found = with_unmodelled(fitted, options, parametric, shared)
+    return _beside(alone, found)
+
+
+def with_common_pattern(found: Calibration, unmodelled: EffectModel) -> EffectModel | None:
+    """The groups with one pattern for the joints whose own errors are the same function of their angle, and small deviations of each from
+    it; None where there is no such pattern, where the recording is too short to tell, or where the groups have one.
+    """
+    obs = found.observations
+    assert found.effects is not None, "the groups were fitted"
+    known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
+    if known or obs.n_poses < groups.OPTIONS.many_poses:
+        return None
+    curves = {}
+    for t in found.effects.terms:
+        joint = own_joint(t)
+        if joint is not None and t.k == 2 * groups.OPTIONS.own_order:
+            orders = np.arange(1, groups.OPTIONS.own_order + 1)
+            curves[joint] = Curve.of(obs.q[:, joint], orders, t.coefficients[: len(orders)], t.coefficients[len(orders) :])
+    pattern = find_common_pattern(curves)
+    if pattern is None:
+        return None
+    here = Covariates(obs)
+    shared = groups.common_pattern(here, pattern.offset, pattern.direction, pattern.joints)
+    others = [t for t in unmodelled.terms if own_joint(t) not in pattern.joints]
+    return replace(unmodelled, terms=(shared, *(groups.deviation(here, i) for i in pattern.joints), *others))
+
+
+def own_joint(t: EffectTerm) -> int | None:
+    """The joint of which a group is the own error, by its own angle; None for another group."""
+    if t.name != UNKNOWN or t.variant or len(t.where) != 1 or t.depends_on != f"q{t.where[0][1:]}" or t.where[0][0] != "A":
+        return None
+    return int(t.where[0][1:]) - 1
+
+
+def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
+    """The calibration with the arm that geometry alone gives, and its misfit, beside it: 'geometry_alone' of result.json."""
+    rows = {p: getattr(alone.state.chain, p).tolist() for p in PARAMETERS}
+    figures = {"rms_mm": alone.rms_mm, "chi2": alone.chi2, "dof": alone.dof}
+    return replace(fitted, extra={**fitted.extra, "geometry_alone": {"calibrated": rows, **figures}})
+
+
+def refuse_other_arm(obs: Observations, model: EffectModel) -> None:
+    """Raises ConfigError where effects were learnt on an arm of another type or number of axes."""
+    robot = obs.cell.robot
+    if robot.n != model.robot.n or robot.name != model.robot.name:
+        raise ConfigError(
+            f"these effects were learnt on '{model.robot.name}' ({model.robot.n} axes), and the recording is of '{robot.name}' "
+            f"({robot.n} axes); give effects of the same arm"
+        )
+
+
+def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:
+    """The model with the coefficients of a calibration, whose terms it has, in their order."""
+    std = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+    position = {name: j for j, name in enumerate(fitted.names)}
+    deviations = [np.array([std[position[name]] if name in position else 0.0 for name in t.names]) for t in model.terms]
+    return model.with_coefficients(fitted.coefficients, deviations)
+
+
+def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> Calibration:
+    """The unmodelled groups added to a calibration that has the parametric effects.
+
+    Each group is a random effect whose size maximises the marginal likelihood (MacKay 1992), with the geometry, the stations and the
+    parametric effects free; groups that the data do not ask for are dropped.
+    """
+    prior = noise_prior(fitted.cell, first_noise(fitted.cell), options.noise)
+    stage = _Stage.first(fitted, options, parametric, unmodelled)
+    noise, at = fitted.noise, stage.system(fitted.noise)
+    for turn in range(OPTIONS.turns):
+        stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
+        at = stage.system(noise)
+        for _ in range(2):
+            noise, _ = reml_step(at, noise, prior)
+            at = stage.system(noise)
+    chosen = replace(options, terms=stage.terms)
+    result = Calibration.of(
+        fitted.observations, chosen, stage.lineariser, at, noise, fitted.weights, fitted.preliminary, list(fitted.undetermined)
+    )
+    groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
+    model = replace(parametric, terms=(*parametric.terms, *groups))
+    return replace(result, effects=with_estimates(model, result))
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """An estimate with the groups that are left. built: the terms of the parametric effects, then one for each group; scale: (G,) size of
+    each group in its prior size.
+    """
+
+    fitted: Calibration
+    options: CalibrationOptions
+    built: tuple[Term, ...]
+    groups: tuple[EffectTerm, ...]
+    scale: np.ndarray
+    estimate: Estimate
+
+    @classmethod
+    def first(cls, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
+        obs, groups = fitted.observations, unmodelled.terms
+        start = Estimate(fitted.state, (*fitted.coefficients, *(np.zeros(g.k) for g in groups)))
+        return cls(fitted, options, (*parametric.at(obs), *unmodelled.at(obs)), groups, np.ones(len(groups)), start)
+
+    @property
+    def named(self) -> tuple[Term, ...]:
+        return self.built[: len(self.built) - len(self.groups)]
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """All terms, the groups' priors at their sizes."""
+        own = self.built[len(self.named) :]
+        return (*self.named, *(replace(t, sigma=t.sigma * s) for t, s in zip(own, self.scale, strict=True)))
+
+    @cached_property
+    def layout(self) -> ParameterLayout:
+        layout = build(self.fitted.observations, replace(self.options, terms=self.terms))
+        for name, why in self.fitted.held.items():
+            layout = layout if name in layout.held else layout.hold(name, why)
+        return layout
+
+    @cached_property
+    def lineariser(self) -> Lineariser:
+        return Lineariser(self.fitted.observations, self.layout, replace(self.options, terms=self.terms))
+
+    def system(self, noise: Noise) -> Solution:
+        """The normal equations at the estimate."""
+        return system(self.lineariser, self.estimate, noise, self.fitted.weights)
+
+    def sized(self, at: Solution, last: bool) -> _Stage:
+        """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.
+
+        Groups that it does not ask for are dropped in the last turn only: at first the noise still contains what they would explain.
+        """
+        layout, normal = self.layout, at.normal
+        first = layout.size - sum(g.k for g in self.groups)
+        now = np.concatenate([np.zeros(first), *self.estimate.coefficients[len(self.named) :]])
+        weight = np.zeros(layout.size)
+        weight[first:] = 1 / np.concatenate([g.sigma * s for g, s in zip(self.groups, self.scale, strict=True)]) ** 2
+        information = normal.information - np.diag(weight)  # of the data, and of the priors of everything else
+        right = normal.gradient + weight * now + information @ now  # for the groups' coefficients themselves, not their changes
+        scale = group_scales(information, right, first, self.groups, self.scale)
+        scale = scale if last else np.maximum(scale, OPTIONS.least_before_last)
+        prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
+        size = np.concatenate([layout.gather("scale")[:first], prior])
+        solved = size * np.linalg.solve(
+            size[:, None] * information * size + np.diag(np.r_[np.zeros(first), np.ones(len(prior))]), size * right
+        )
+        step = solved - now
+        stations = np.zeros((len(self.estimate.state.T_base_station), 6))
+        stations[self.lineariser.rows.stations] = normal.station_step(step)
+        moved = self.estimate.moved(layout, step, stations)
+        alive = np.r_[np.ones(len(self.named), bool), scale > 0]
+        kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
+        return _Stage(
+            self.fitted,
+            self.options,
+            tuple(t for t, keep in zip(self.built, alive, strict=True) if keep),
+            tuple(g for g, keep in zip(self.groups, scale > 0, strict=True) if keep),
+            scale[scale > 0],
+            kept,
+        )
+
+
+def group_scales(information: np.ndarray, right: np.ndarray, first: int, several: Sequence[EffectTerm], start: np.ndarray) -> np.ndarray:
+    """(G,) size of each group in its prior size, zero where the data do not ask for it.
+
+    information (g, g), right (g,): normal equations without the groups' priors, whose columns begin at ``first``.
+    """
+    sigma = np.concatenate([g.sigma for g in several])
+    ends = np.cumsum([0] + [g.k for g in several])
+    slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    scale0 = 1 / np.sqrt(np.maximum(np.diag(information)[:first], 1e-300))
+    root = np.linalg.cholesky(scale0[:, None] * information[:first, :first] * scale0 + 1e-12 * np.eye(first))
+    taken = np.linalg.solve(root, scale0[:, None] * np.c_[information[:first, first:] * sigma, right[:first]])
+    S = sigma[:, None] * information[first:, first:] * sigma - taken[:, :-1].T @ taken[:, :-1]
+    b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
+    return fixed_point(S, b, slices, start, np.array([given_size(g) for g in several]))
+
+
+def given_size(t: EffectTerm) -> bool:
+    """Whether a group's prior size is physical, and not estimated."""
+    return t.units[0] in OPTIONS.fixed_units or t.variant == groups.DEVIATION
+
+
+def fixed_point(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], start: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """(G,) sizes by MacKay's fixed point; S (k, k), b (k,) in units of the prior sigma. fixed: (G,) bool, groups of a given size."""
+    variance = np.where(fixed, 1.0, start**2)
+    for _ in range(OPTIONS.rounds):
+        alive = np.flatnonzero(variance > 0)
+        index = np.concatenate([np.arange(slices[g].start, slices[g].stop) for g in alive]) if len(alive) else np.zeros(0, int)
+        if not len(index):
+            break
+        prior = np.concatenate([np.full(slices[g].stop - slices[g].start, variance[g]) for g in alive])
+        root = np.sqrt(prior)
+        inverse = np.linalg.inv(root[:, None] * S[np.ix_(index, index)] * root + np.eye(len(index)))
+        u = root * (inverse @ (root * b[index]))
+        posterior = prior * np.diag(inverse)
+        before, begin = variance.copy(), 0
+        for g in alive:
+            own = slice(begin, begin + slices[g].stop - slices[g].start)
+            begin = own.stop
+            if not fixed[g]:
+                determined = own.stop - own.start - float(posterior[own].sum()) / variance[g]
+                variance[g] = float(np.sum(u[own] ** 2)) / max(determined, 1e-3) if determined > 1e-4 else 0.0
+        variance = np.where(variance < OPTIONS.smallest**2, 0.0, np.minimum(variance, OPTIONS.largest**2))
+        still = (variance > 0) & (before > 0)
+        if np.all(np.abs(np.log(variance[still] / before[still])) < OPTIONS.converged):
+            break
+    return np.sqrt(variance)

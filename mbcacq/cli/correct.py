@@ -1,0 +1,54 @@
+"""``mbcacq correct``: joint angles that reach the nominal places with the calibrated arm."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
+
+MOST_LINES = 20
+
+
+@click.command("correct")
+@click.argument("program", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--with", "result", type=RunPath(), required=True, metavar="RESULT", help="A result.json, or a run folder that holds one.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File to write [default: PROGRAM with _corrected].")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def command(program: Path, result: Path, out: Path | None, force: bool, as_json: bool) -> None:
+    """Write a copy of PROGRAM whose joint angles bring the calibrated arm, with its effects, to the nominal places.
+
+    PROGRAM: a KRL program with E6AXIS points (.src, .dat), or a CSV of joint angles (q1_deg..) or of poses of the flange in the base
+    (x_mm, y_mm, z_mm, a_deg, b_deg, c_deg). For controllers without an absolute-accuracy option. A point that cannot be reached stays as
+    it was programmed and is listed. The copy is a program that nobody has run: execute it slowly first.
+
+    Example: mbcacq correct weld.dat --with runs/today
+    """
+    import numpy as np
+
+    import mbcacq
+    from mbcacq.calibration.caveats import caveats
+    from mbcacq.workflow.correct import LARGE_CHANGE
+    from mbcacq.workflow.load import as_result
+
+    done = mbcacq.correct(program, result, out, force=force)
+    if as_json:
+        echo(json.dumps(done.to_dict()))
+        return
+    for sentence in caveats(as_result(result)):
+        echo(f"*** {sentence} ***", err=True)
+    found = done.found
+    moved = f", which missed their places by up to {np.nanmax(done.before_mm):.3f} mm" if np.isfinite(done.before_mm).any() else ""
+    echo(f"{done.file}: {int(found.reached.sum())} of {len(found.q)} points corrected{moved}")
+    if found.reached.any():
+        echo(f"residual of the corrected points by the model: at most {found.error_mm[found.reached].max():.6f} mm")
+    for p in np.flatnonzero(~found.reached)[:MOST_LINES]:
+        echo(f"  {done.names[p]} (line {done.lines[p]}): not reached, {found.error_mm[p]:.3f} mm short: {found.reasons[p]}")
+    for p in np.flatnonzero(done.change > LARGE_CHANGE)[:MOST_LINES]:
+        echo(
+            f"  {done.names[p]} (line {done.lines[p]}): a joint changes by {np.degrees(done.change[p]):.2f} deg; look at it before it runs"
+        )

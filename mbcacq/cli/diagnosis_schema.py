@@ -1,0 +1,15 @@
+"""``mbcacq diagnosis-schema``: the JSON Schema of a diagnosis."""
+
+from __future__ import annotations
+
+import click
+
+from mbcacq.cli.terminal import echo
+
+
+@click.command("diagnosis-schema")
+def command() -> None:
+    """Print the JSON Schema of what mbcacq diagnose --json writes, format mbcacq-diagnosis/2."""
+    from mbcacq.diagnosis.schema import schema_text
+
+    echo(schema_text().rstrip("\n"))

@@ -1,0 +1,40 @@
+"""``mbcacq verify``: a calibrated arm, with its effects, tried on a recording that took no part."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
+
+
+@click.command("verify")
+@click.argument("result", type=RunPath())
+@click.argument("other", type=RunPath(), nargs=-1, required=True)
+@click.option(
+    "--place",
+    type=click.Choice(["fitted", "known"]),
+    default="fitted",
+    show_default=True,
+    help="fitted: base, tool and stations of OTHER are fitted to it; known: they stand where RESULT has them, nothing is fitted.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) -> None:
+    """Try the arm of RESULT (a result.json, or a run folder that holds one), with its effects, on each recording OTHER.
+
+    The arm and its effects stay as they were learnt. Says what geometry alone leaves there and what is left with the effects, what each
+    effect gains, how the errors compare with their stated uncertainty, and where OTHER leaves the range in which an effect was learnt.
+
+    Example: mbcacq verify result.json another-day --place fitted
+    """
+    import mbcacq
+
+    found = [mbcacq.verify_elsewhere(path, result, place=place) for path in other]
+    if as_json:
+        echo(json.dumps({"format": "mbcacq-transfer/1", "transfers": [one.to_dict() for one in found]}))
+        return
+    for one in found:
+        echo(one.text)

@@ -1,0 +1,75 @@
+"""The effects of a diagnosis as a model that can be kept: what :meth:`mbcacq.diagnosis.result.Diagnosis.model` holds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.result import EffectFound
+from mbcacq.diagnosis.search.projected_solve import prior_sigma
+from mbcacq.effects import unmodelled
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of, learnt_ranges
+
+
+def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound]) -> EffectModel:
+    """The reported effects as terms. Groups for an unmodelled effect have no size yet: a calibration with them gives it."""
+    obs = full.geometry_only.linear.obs
+    here = Covariates(obs)
+    names = {e.name for e in reported}
+    terms: list[EffectTerm] = []
+    for (candidate, hyper), own in zip(full.model.effects, full.model.slices(), strict=True):
+        if candidate.name in names and candidate.described is not None:
+            variance = np.diag(full.model.covariance[own, own])
+            terms.append(term_of(here, candidate, hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
+    if UNKNOWN in names:
+        terms += groups(here, [e for e in reported if e.name == UNKNOWN], terms)
+    return EffectModel(obs.cell.robot, tuple(terms), LearntRecording.of(obs), obs.cell.measurement)
+
+
+def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coefficients: np.ndarray, std: np.ndarray) -> EffectTerm:
+    """A candidate at its hyper-parameter as a term."""
+    assert candidate.described is not None, "only effects that are written down can be kept"
+    parts = tuple(candidate.described(hyper))
+    values = {candidate.hyper.name: float(hyper)} if candidate.hyper is not None and hyper is not None else {}
+    key = key_of(candidate.name, candidate.where, candidate.depends_on, candidate.variant, values)
+    k = candidate.k
+    return EffectTerm(
+        candidate.name,
+        candidate.where,
+        candidate.depends_on,
+        parts,
+        (key,) if k == 1 else tuple(f"{key}[{j}]" for j in range(k)),
+        (_unit(candidate),) * k,
+        np.array(coefficients, dtype=float),
+        std,
+        prior_sigma(candidate),
+        np.array(candidate.typical, dtype=float),
+        candidate.variant,
+        values,
+        learnt_ranges(here, parts),
+    )
+
+
+def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
+    """Groups of basis functions where unmodelled effects were reported; of a long recording at every location."""
+    if here.obs.n_poses > OPTIONS.many_poses:
+        elastic = {t.where for t in named if t.name == "joint_compliance"}
+        found = [g for g in unmodelled.everywhere(here) if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
+        return found + unmodelled.of_clock(here)
+    found = [unmodelled.group(here, at, e.depends_on) for e in reported for at in e.where]
+    return [g for g in found if g is not None]
+
+
+def _unit(candidate: Candidate) -> str:
+    """The unit of a candidate's coefficients: of what it displaces, per unit of its covariate."""
+    place, component = next(iter({(p.place, p.component) for p in (candidate.described or (lambda _: []))(_any(candidate))}), ("", 0))
+    return "rad" if place == "joint" or (place in ("frame", "station") and component >= 3) else "mm"
+
+
+def _any(candidate: Candidate) -> float | None:
+    return None if candidate.hyper is None else float(candidate.hyper.values[0])

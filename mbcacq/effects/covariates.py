@@ -1,0 +1,200 @@
+"""What effects are functions of: joint angles, gravity torque, order and time of the poses, temperatures, positions in the field of view.
+
+All of it follows from the recording and the nominal arm, not from what was fitted: so an effect that is kept in a file means the same
+wherever it is evaluated.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.effects.effect import Missing
+from mbcacq.geometry import gravity
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+OF_CENTRES = ("x", "y", "z", "ball")
+OF_RECORDING = ("time", "pose", "station")  # they have no meaning in another recording
+_INDEXED = re.compile(r"^(q|qd|tau|direction_|gravity_torque_)([1-9][0-9]*)$")
+_MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
+_PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
+
+
+@dataclass(frozen=True)
+class Covariates:
+    """Everything of a recording that an effect may depend on."""
+
+    obs: Observations
+
+    @property
+    def n(self) -> int:
+        """The number of joints."""
+        return self.obs.cell.robot.n
+
+    @property
+    def scanner_on_flange(self) -> bool:
+        """False for an external instrument that measures a target on the flange."""
+        return self.obs.cell.measurement != TARGET_IN_BASE
+
+    @cached_property
+    def masses_known(self) -> bool:
+        """Whether any mass of the links or of the payload is given."""
+        robot = self.obs.cell.robot
+        return bool(np.any(robot.mass > 0) or robot.payload_mass > 0)
+
+    @cached_property
+    def payload_mass(self) -> np.ndarray:
+        """(P,) kg: as recorded with each pose, or as declared for the robot."""
+        if self.obs.payload_kg is not None:
+            return np.asarray(self.obs.payload_kg, dtype=float)
+        return np.full(self.obs.n_poses, self.obs.cell.robot.payload_mass)
+
+    @property
+    def payload_com(self) -> np.ndarray:
+        """(P, 3) mm in the flange frame."""
+        if self.obs.payload_com is not None:
+            return self.obs.payload_com
+        return np.broadcast_to(self.obs.cell.robot.payload_com, (self.obs.n_poses, 3))
+
+    @cached_property
+    def links(self) -> tuple[np.ndarray, np.ndarray]:
+        """Masses (n,) and centres of mass (n, 3); where none are given, one kg halfway along each link.
+
+        Torques of these are proportional to the true ones only roughly, and their size is not meaningful.
+        """
+        robot = self.obs.cell.robot
+        if self.masses_known:
+            return robot.mass, robot.com
+        back = np.linalg.inv(robot.chain.link_transforms(np.zeros((1, robot.n)))[0])[:, :3, 3]
+        return np.ones(robot.n), 0.5 * back
+
+    @cached_property
+    def nominal_frames(self) -> np.ndarray:
+        """(P, n+1, 4, 4) frames of the nominal arm."""
+        return self.obs.cell.robot.chain.frames(self.obs.q)
+
+    @cached_property
+    def gravity_torque(self) -> np.ndarray:
+        """(P, n) N m about each joint, in the direction in which the controller counts its angle; of the masses in ``links``."""
+        robot = self.obs.cell.robot
+        mass, com = self.links
+        payload = self.payload_mass if self.masses_known else 1.0
+        return gravity.gravity_torque(robot.chain, self.nominal_frames, mass, com, payload, self.payload_com, robot.gravity)
+
+    def gravity_moment(self, frame: int) -> np.ndarray:
+        """(P, 3) N m: moment of all weight behind ``frame`` (0 base .. n flange) about its origin, in its own axes."""
+        robot = self.obs.cell.robot
+        mass, com = self.links
+        frames = self.nominal_frames
+        weight = gravity.STANDARD_GRAVITY * robot.gravity
+        load = self.payload_mass if self.masses_known else np.ones(len(frames))
+        tool = np.einsum("pij,pj->pi", frames[:, -1, :3, :3], self.payload_com) + frames[:, -1, :3, 3]
+        origin = frames[:, frame, :3, 3]
+        moment = load[:, None] * (tool - origin)
+        for i in range(frame, robot.n):
+            centre = np.einsum("pij,j->pi", frames[:, i + 1, :3, :3], com[i]) + frames[:, i + 1, :3, 3]
+            moment = moment + mass[i] * (centre - origin)
+        return np.einsum("pji,pj->pi", frames[:, frame, :3, :3], np.cross(moment, weight)) * 1e-3
+
+    @cached_property
+    def flange_gravity(self) -> np.ndarray:
+        """(P, 3) direction of gravity in flange axes."""
+        return np.einsum("pji,j->pi", self.nominal_frames[:, -1, :3, :3], self.obs.cell.robot.gravity)
+
+    @cached_property
+    def payload_force(self) -> np.ndarray:
+        """(P, 3) N: weight of the tool in flange axes; of one kilogram where its mass is not given."""
+        mass = self.payload_mass if np.all(self.payload_mass > 0) else np.ones(self.obs.n_poses)
+        return mass[:, None] * gravity.STANDARD_GRAVITY * self.flange_gravity
+
+    @cached_property
+    def payload_torque(self) -> np.ndarray:
+        """(P, n, 4) N m about each joint by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
+        robot = self.obs.cell.robot
+        none = np.zeros(self.n)
+
+        def torque(com: np.ndarray) -> np.ndarray:
+            return gravity.gravity_torque(robot.chain, self.nominal_frames, none, np.zeros((self.n, 3)), 1.0, com, robot.gravity)
+
+        at_origin = torque(np.zeros(3))
+        return np.stack([at_origin] + [torque(e) - at_origin for e in np.eye(3)], axis=2)
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """(P,) rank of each pose in time (by time where recorded, else as listed)."""
+        return rank_in_time(self.obs)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(P,) s since the first pose of the recording; raises Missing where the recording has no times."""
+        if self.obs.time_s is None or np.ptp(self.obs.time_s) == 0:
+            raise Missing("no times recorded")
+        if self.obs.recording is None:
+            return self.obs.time_s - self.obs.time_s.min()
+        first = np.full(self.obs.n_recordings, np.inf)
+        np.minimum.at(first, self.obs.recording, self.obs.time_s)
+        return self.obs.time_s - first[self.obs.recording]
+
+    def value(self, name: str) -> np.ndarray:
+        """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
+        obs = self.obs
+        plain = {
+            "time": lambda: self.time,
+            "pose": lambda: self.order.astype(float),
+            "station": lambda: obs.station.astype(float),
+            "ball": lambda: np.array(obs.cell.ball_ids, dtype=float)[obs.ball],
+            "payload_kg": lambda: self.payload_mass,
+        }
+        if name in plain:
+            return plain[name]()
+        if name in ("x", "y", "z"):
+            return obs.xyz[:, "xyz".index(name)]
+        if name in obs.temperatures:
+            return np.asarray(obs.temperatures[name], dtype=float)
+        found = self._of_joint(name)
+        if found is None:
+            found = self._of_gravity(name)
+        if found is None:
+            raise Missing(f"no {name} recorded")
+        return found
+
+    def _of_joint(self, name: str) -> np.ndarray | None:
+        """What is recorded or computed of one joint; None for another name. Raises Missing where it is not recorded."""
+        match = _INDEXED.match(name)
+        if match is None or int(match[2]) > self.n:
+            return None
+        kind, i = match[1], int(match[2]) - 1
+        recorded: dict[str, Callable[[], np.ndarray | None]] = {
+            "q": lambda: self.obs.q,
+            "qd": lambda: self.obs.velocity,
+            "tau": lambda: self.obs.torque,
+            "direction_": lambda: self.obs.direction,
+            "gravity_torque_": lambda: self.gravity_torque,
+        }
+        values = recorded[kind]()
+        if values is None:
+            raise Missing(f"no {name} recorded")
+        return np.nan_to_num(np.asarray(values[:, i], dtype=float))
+
+    def _of_gravity(self, name: str) -> np.ndarray | None:
+        """Components of weight and moments; None for another name."""
+        if match := _MOMENT.match(name):
+            return self.gravity_moment(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
+        if match := _PAYLOAD_TORQUE.match(name):
+            column = ("mass", "x", "y", "z").index(match[2])
+            return self.payload_torque[:, int(match[1]) - 1, column] if int(match[1]) <= self.n else None
+        if name in ("payload_force_x", "payload_force_y", "payload_force_z"):
+            return self.payload_force[:, "xyz".index(name[-1])]
+        return None
+
+
+def rank_in_time(obs: Observations) -> np.ndarray:
+    """(P,) rank of each pose in time (by time where recorded, else as listed)."""
+    key = obs.time_s if obs.time_s is not None else np.arange(obs.n_poses)
+    one_after_another = key if obs.recording is None else np.argsort(np.lexsort((key, obs.recording)), kind="stable")
+    return np.argsort(np.argsort(one_after_another, kind="stable"), kind="stable")

@@ -1,0 +1,200 @@
+"""The effects of an arm as a model: terms with their coefficients, evaluated at any pose, and what they were learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, is_angle
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.forward_model import Displacements
+from mbcacq.estimation.terms import Term, accumulate
+from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, Artefact, Cell, RobotModel, Station
+from mbcacq.model.observations import Observations
+
+FORMAT = "mbcacq-effect-model/1"
+REPORTED_SHARE = 0.02  # of the poses that must leave a learnt range before that is said
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A covariate that leaves the range in which effects were learnt. share: of the poses; effects: names with their location."""
+
+    covariate: str
+    share: float
+    low: float
+    high: float
+    effects: tuple[str, ...]
+
+    def __str__(self) -> str:
+        scale, unit = (180 / np.pi, " deg") if is_angle(self.covariate) else (1.0, "")
+        return (
+            f"{self.covariate} leaves the range in which {', '.join(self.effects)} was learnt at {self.share:.0%} of the poses "
+            f"(here {scale * self.low:.4g} to {scale * self.high:.4g}{unit}): expect less of it there"
+        )
+
+
+@dataclass(frozen=True)
+class EffectModel:
+    """Effects that were found in recordings of one arm. robot: as it is nominally, by which covariates are computed."""
+
+    robot: RobotModel
+    terms: tuple[EffectTerm, ...] = ()
+    learnt: LearntRecording = field(default_factory=LearntRecording)
+    measurement: str = ARTEFACT_IN_SCANNER
+
+    def __bool__(self) -> bool:
+        return bool(self.terms)
+
+    @property
+    def coefficients(self) -> tuple[np.ndarray, ...]:
+        """One (k,) array for each term."""
+        return tuple(t.coefficients for t in self.terms)
+
+    @property
+    def parametric(self) -> EffectModel:
+        """The model without its unmodelled part."""
+        return self.select(lambda t: t.name != UNKNOWN)
+
+    def select(self, wanted) -> EffectModel:
+        """The terms for which ``wanted(term)`` holds."""
+        return replace(self, terms=tuple(t for t in self.terms if wanted(t)))
+
+    def with_coefficients(self, coefficients: Sequence[np.ndarray], std: Sequence[np.ndarray]) -> EffectModel:
+        """The same terms with other coefficients."""
+        terms = tuple(replace(t, coefficients=c, std=s) for t, c, s in zip(self.terms, coefficients, std, strict=True))
+        return replace(self, terms=terms)
+
+    def at(self, obs: Observations) -> tuple[Term, ...]:
+        """The terms of the estimation at the poses and centres of a recording."""
+        here = Covariates(obs)
+        return tuple(t.term(here, self.learnt) for t in self.terms)
+
+    def displacements(self, obs: Observations) -> Displacements | None:
+        """What the effects displace at the poses and centres of a recording; None where there are none."""
+        return accumulate(obs, self.at(obs), self.coefficients) if self.terms else None
+
+    def frames(self, chain: Chain, q: np.ndarray, obs: Observations | None = None) -> np.ndarray:
+        """(P, n+1, 4, 4) frames of an arm with its effects at joint angles q (P, n) rad. obs: the recording of these poses, where there is
+        one: what is recorded of them besides the angles (direction, temperature, time) counts then.
+        """
+        moved = self.displacements(obs if obs is not None else self.poses(q))
+        if moved is None:
+            return chain.frames(q)
+        return chain.frames(q if moved.joint is None else q + moved.joint, moved.frame)
+
+    def poses(self, q: np.ndarray) -> Observations:
+        """Joint angles q (P, n) rad as a recording of nothing but poses."""
+        tool = Artefact("none", "none", (0,), np.zeros((1, 3)), np.ones(1))
+        cell = Cell(self.robot, np.eye(4), (tool,), (Station("none", "none"),), measurement=self.measurement)
+        number = np.full(len(q), -1)
+        none = np.zeros(0, dtype=int)
+        return Observations(cell, number, np.zeros(len(q), dtype=int), np.asarray(q, dtype=float), none, none, np.zeros((0, 3)))
+
+    def departures(self, obs: Observations) -> list[Departure]:
+        """Covariates of a recording that leave their learnt range, largest share first."""
+        here = Covariates(obs)
+        found: dict[str, tuple[float, float, float, list[str]]] = {}
+        for t in self.terms:
+            for name, known in t.ranges.items():
+                if name in t.missing(here):
+                    continue
+                values = here.value(name)
+                share = float(np.mean(known.outside(name, values)))
+                if share > REPORTED_SHARE:
+                    entry = found.setdefault(name, (share, float(values.min()), float(values.max()), []))
+                    entry[3].append(f"{t.name} at {'+'.join(t.where)}")
+        return sorted(
+            (Departure(name, share, low, high, tuple(dict.fromkeys(effects))[:4]) for name, (share, low, high, effects) in found.items()),
+            key=lambda d: -d.share,
+        )
+
+    def absent(self, obs: Observations) -> list[str]:
+        """Sentences on covariates that a recording lacks, and on effects that belong to the recording they were learnt from."""
+        here = Covariates(obs)
+        lacking = {name: t for t in self.terms for name in t.missing(here)}
+        out = [f"{name} is not recorded here: {t.name} is taken as it was on average" for name, t in lacking.items()]
+        bound = [t for t in self.terms if t.bound_to_recording]
+        if bound and not self.learnt.is_of(obs):
+            names = ", ".join(dict.fromkeys(f"{t.name} at {'+'.join(t.where)}" for t in bound))
+            out.append(f"{names}: it changed in the course of the recording learnt from, and is taken as it was at its end")
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content, format 'mbcacq-effect-model/1'."""
+        robot = self.robot
+        bound = any("pose" in t.covariates for t in self.terms)
+        return {
+            "format": FORMAT,
+            "measurement": self.measurement,
+            "robot": {
+                "name": robot.name,
+                "sign": robot.chain.sign.tolist(),
+                "nominal": {p: getattr(robot.chain, p).tolist() for p in PARAMETERS},
+                "limits": robot.limits.tolist(),
+                "mass_kg": robot.mass.tolist(),
+                "com_mm": robot.com.tolist(),
+                "payload_mass_kg": float(robot.payload_mass),
+                "payload_com_mm": np.asarray(robot.payload_com).tolist(),
+                "gravity": np.asarray(robot.gravity).tolist(),
+            },
+            "learnt": {
+                "anchors": [{"pose": number, "q": list(q)} for number, q in self.learnt.anchors],
+                "poses": list(self.learnt.poses) if bound else [],
+                "time_origin_s": self.learnt.time_origin_s,
+                "duration_s": self.learnt.duration_s,
+            },
+            "terms": [t.to_dict() for t in self.terms],
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> EffectModel:
+        """The model that :meth:`to_dict` wrote. Raises ConfigError where it is none, or damaged."""
+        if not isinstance(content, Mapping) or content.get("format") != FORMAT:
+            raise ConfigError(f"this is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
+        try:
+            return cls(
+                _robot(content["robot"]),
+                tuple(EffectTerm.from_dict(t) for t in content["terms"]),
+                _learnt(content["learnt"]),
+                str(content["measurement"]),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise ConfigError(
+                f"the model of effects is damaged ({type(error).__name__}: {error}); make it anew with mbcacq diagnose"
+            ) from error
+
+
+def combined(models: Iterable[EffectModel]) -> EffectModel:
+    """Several models of one arm as one; a term of the same key stands once, as in the last of them. Raises ConfigError for two arms."""
+    several = list(models)
+    if len({m.robot.name for m in several}) > 1:
+        raise ConfigError(f"these effects are of several arms: {', '.join(m.robot.name for m in several)}; give those of one")
+    terms = {t.key: t for m in several for t in m.terms}
+    return replace(several[-1], terms=tuple(terms.values()))
+
+
+def _robot(r: Mapping[str, Any]) -> RobotModel:
+    sign = np.array(r["sign"], dtype=float)
+    n = len(sign)
+    chain = Chain(sign, *(np.array(r["nominal"][p], dtype=float).reshape(n) for p in PARAMETERS))
+    return RobotModel(
+        str(r["name"]),
+        chain,
+        np.array(r["limits"], dtype=float).reshape(n, 2),
+        np.array(r["mass_kg"], dtype=float).reshape(n),
+        np.array(r["com_mm"], dtype=float).reshape(n, 3),
+        payload_mass=float(r["payload_mass_kg"]),
+        payload_com=np.array(r["payload_com_mm"], dtype=float).reshape(3),
+        gravity=np.array(r["gravity"], dtype=float).reshape(3),
+    )
+
+
+def _learnt(content: Mapping[str, Any]) -> LearntRecording:
+    anchors = tuple((int(a["pose"]), tuple(float(v) for v in a["q"])) for a in content["anchors"])
+    return LearntRecording(anchors, tuple(int(p) for p in content["poses"]), float(content["time_origin_s"]), float(content["duration_s"]))

@@ -1,0 +1,244 @@
+"""An effect that was found, written down so that it can be kept in a file and evaluated, held or refitted on any recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbcacq.effects.covariates import OF_RECORDING, Covariates
+from mbcacq.effects.described import evaluated
+from mbcacq.effects.effect import Missing
+from mbcacq.effects.functions import DescribedPart, column_from_json, column_to_json
+from mbcacq.estimation.terms import PLACES, Part, Term, term
+from mbcacq.model.observations import Observations
+
+UNKNOWN = "unknown"
+STANDSTILL = ("qd", "direction_")  # covariates that are zero where nothing is recorded of them
+GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
+MARGIN = 0.02  # of a range, by which a value may leave it
+
+
+@dataclass(frozen=True)
+class LearntRange:
+    """Values of a covariate in the recording learnt from: intervals that were visited (of an angle, modulo a turn), and the mean."""
+
+    intervals: tuple[tuple[float, float], ...]
+    mean: float
+
+    @classmethod
+    def of(cls, name: str, values: np.ndarray) -> LearntRange:
+        """The range of values (k,)."""
+        mean = float(np.mean(values))
+        if not is_angle(name):
+            return cls(((float(np.min(values)), float(np.max(values))),), mean)
+        turned = np.sort(np.mod(values, 2 * np.pi))
+        ends = np.flatnonzero(np.diff(turned) > GAP)
+        begin, end = np.r_[turned[0], turned[ends + 1]], np.r_[turned[ends], turned[-1]]
+        return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean)
+
+    @property
+    def low(self) -> float:
+        return self.intervals[0][0]
+
+    @property
+    def high(self) -> float:
+        return self.intervals[-1][1]
+
+    def outside(self, name: str, values: np.ndarray) -> np.ndarray:
+        """(k,) bool: values that lie in none of the intervals."""
+        x = np.mod(values, 2 * np.pi) if is_angle(name) else values
+        margin = GAP if is_angle(name) else MARGIN * (self.high - self.low) + 1e-12
+        inside = np.zeros(np.shape(x), bool)
+        for low, high in self.intervals:
+            inside |= (x >= low - margin) & (x <= high + margin)
+        return ~inside
+
+
+@dataclass(frozen=True)
+class LearntRecording:
+    """What is needed to know the recording again that effects were learnt from.
+
+    anchors: numbers of some poses with their joint angles (rad). poses: numbers of all poses in the order of time. time_origin_s: time of
+    the first; duration_s: from the first to the last.
+    """
+
+    anchors: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    poses: tuple[int, ...] = ()
+    time_origin_s: float = 0.0
+    duration_s: float = 0.0
+
+    @classmethod
+    def of(cls, obs: Observations) -> LearntRecording:
+        chosen = np.unique(np.linspace(0, obs.n_poses - 1, min(48, obs.n_poses)).astype(int))
+        anchors = tuple((int(obs.pose_id[p]), tuple(float(v) for v in obs.q[p])) for p in chosen)
+        times = obs.time_s if obs.time_s is not None else np.zeros(1)
+        order = tuple(int(i) for i in obs.pose_id[np.argsort(Covariates(obs).order)])
+        return cls(anchors, order, float(np.min(times)), float(np.ptp(times)))
+
+    def is_of(self, obs: Observations) -> bool:
+        """Whether these poses belong to the recording: poses of the same numbers have the same joint angles."""
+        mine = {number: np.array(q) for number, q in self.anchors}
+        same = [np.array_equal(mine[n], q) for n, q in zip(obs.pose_id.tolist(), obs.q, strict=True) if n in mine]
+        return bool(same) and all(same)
+
+    def ranks(self, obs: Observations) -> np.ndarray:
+        """(P,) rank in time, in the recording learnt from, of the poses of a part of it."""
+        position = {number: rank for rank, number in enumerate(self.poses)}
+        return np.array([position.get(int(n), len(self.poses) - 1) for n in obs.pose_id], dtype=float)
+
+
+@dataclass(frozen=True)
+class EffectTerm:
+    """A parametric effect, or a group of basis functions of an unmodelled one, with its coefficients.
+
+    name, where, depends_on, variant: as of the :class:`mbcacq.effects.effect.Candidate`; name is 'unknown' for an unmodelled effect.
+    hyper: name of the hyper-parameter -> value, kept when the effect is refitted. parts: what is displaced, as functions of covariates.
+    names, units: of the k coefficients. coefficients (k,), std (k,), typical size (k,); sigma (k,): prior standard deviation about zero,
+    inf for none.
+    ranges: covariate -> where it was in the recording learnt from. clamped: covariates that are held at the end of their learnt range
+    beyond it.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    depends_on: str
+    parts: tuple[DescribedPart, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    coefficients: np.ndarray
+    std: np.ndarray
+    sigma: np.ndarray
+    typical: np.ndarray
+    variant: str = ""
+    hyper: Mapping[str, float] = field(default_factory=dict)
+    ranges: Mapping[str, LearntRange] = field(default_factory=dict)
+    clamped: tuple[str, ...] = ()
+
+    @property
+    def k(self) -> int:
+        """The number of coefficients."""
+        return len(self.names)
+
+    @property
+    def key(self) -> str:
+        """Identifies the term among all of a model."""
+        return key_of(self.name, self.where, self.depends_on, self.variant, self.hyper)
+
+    @property
+    def covariates(self) -> frozenset[str]:
+        """Names of everything that it is a function of."""
+        return frozenset().union(*(part.covariates for part in self.parts))
+
+    @property
+    def bound_to_recording(self) -> bool:
+        """Whether it depends on time, on the order of the poses or on a station: elsewhere it is as it was at the end."""
+        return bool(self.covariates & set(OF_RECORDING))
+
+    def parts_at(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
+        """Its parts at the poses and centres of a recording."""
+        same = learnt.is_of(here.obs) if self.bound_to_recording else True
+        return evaluated(here, self.parts, lambda name: self._value(here, learnt, name, same))
+
+    def term(self, here: Covariates, learnt: LearntRecording) -> Term:
+        """The term of the estimation at the poses and centres of a recording."""
+        return term(self.key, self.parts_at(here, learnt), self.names, self.units, self.sigma)
+
+    def missing(self, here: Covariates) -> tuple[str, ...]:
+        """Covariates that a recording lacks; they are taken as they were on average when the effect was learnt."""
+        out = []
+        for name in sorted(self.covariates - set(OF_RECORDING)):
+            try:
+                here.value(name)
+            except Missing:
+                out.append(name)
+        return tuple(out)
+
+    def _value(self, here: Covariates, learnt: LearntRecording, name: str, same: bool) -> np.ndarray:
+        poses = here.obs.n_poses
+        if name == "pose":
+            return learnt.ranks(here.obs) if same else np.full(poses, float(len(learnt.poses) - 1))
+        if name == "time":
+            return here.obs.time_s - learnt.time_origin_s if same and here.obs.time_s is not None else np.full(poses, learnt.duration_s)
+        if name == "station" and not same:
+            return np.full(poses, -1.0)
+        known = self.ranges.get(name)
+        try:
+            values = here.value(name)
+        except Missing:
+            return np.full(poses, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
+        return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content; a prior sigma of infinity is None."""
+        return {
+            "name": self.name,
+            "where": list(self.where),
+            "depends_on": self.depends_on,
+            "variant": self.variant,
+            "hyper": dict(self.hyper),
+            "parts": [
+                {"place": p.place, "index": p.index, "component": p.component, "columns": [column_to_json(c) for c in p.columns]}
+                for p in self.parts
+            ],
+            "names": list(self.names),
+            "units": list(self.units),
+            "coefficients": self.coefficients.tolist(),
+            "std": self.std.tolist(),
+            "sigma": [float(s) if np.isfinite(s) else None for s in self.sigma],
+            "typical": self.typical.tolist(),
+            "ranges": {k: {"intervals": [list(i) for i in r.intervals], "mean": r.mean} for k, r in sorted(self.ranges.items())},
+            "clamped": list(self.clamped),
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> EffectTerm:
+        """The term that :meth:`to_dict` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
+        k = len(content["names"])
+        arrays = {key: np.array(content[key], dtype=float).reshape(k) for key in ("coefficients", "std", "typical")}
+        sigma = np.array([np.inf if s is None else float(s) for s in content["sigma"]]).reshape(k)
+        parts = tuple(_part(p, k) for p in content["parts"])
+        ranges = {
+            str(name): LearntRange(tuple((float(a), float(b)) for a, b in r["intervals"]), float(r["mean"]))
+            for name, r in content["ranges"].items()
+        }
+        return cls(
+            str(content["name"]),
+            tuple(content["where"]),
+            str(content["depends_on"]),
+            parts,
+            tuple(content["names"]),
+            tuple(content["units"]),
+            sigma=sigma,
+            variant=str(content["variant"]),
+            hyper={str(name): float(v) for name, v in content["hyper"].items()},
+            ranges=ranges,
+            clamped=tuple(content["clamped"]),
+            **arrays,
+        )
+
+
+def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper: Mapping[str, float]) -> str:
+    """The key of an effect at its hyper-parameters."""
+    at = ",".join(f"{k}={v:.6g}" for k, v in hyper.items())
+    return ":".join(part for part in (name, "+".join(where), depends_on, variant, at) if part)
+
+
+def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str, LearntRange]:
+    """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
+    names = frozenset().union(*(part.covariates for part in parts)) - {*OF_RECORDING, "ball"}
+    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names)}
+
+
+def is_angle(name: str) -> bool:
+    """Whether a covariate is the angle of a joint, so that a full turn leads to the same place."""
+    return name[:1] == "q" and name[1:].isdigit()
+
+
+def _part(content: Mapping[str, Any], k: int) -> DescribedPart:
+    place, columns = content["place"], tuple(column_from_json(c) for c in content["columns"])
+    if place not in PLACES or len(columns) != k:
+        raise ValueError(f"a part at '{place}' has {len(columns)} columns of {k}")
+    return DescribedPart(place, int(content["index"]), int(content["component"]), columns)

@@ -1,0 +1,214 @@
+"""Groups of basis functions for what no effect of the catalogue describes, written down so that they can be kept.
+
+A group acts at one location and is a function of one covariate. Angles enter by sines and cosines of whole orders, so a group means the
+same a turn further on; everything else is held at the end of its learnt range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, is_angle, learnt_ranges
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, sine
+
+COMMON_PATTERN, DEVIATION = "common pattern", "deviation"
+
+
+@dataclass(frozen=True)
+class UnmodelledOptions:
+    """Tuning of the groups, with reasons; the studies are in ``benchmarks/effects_loop.md``."""
+
+    own_order: int = 60  # periods a turn of a joint's own error: encoders and gear meshes of the open recordings end below
+    other_order: int = 4  # of what a joint's angle does elsewhere: bearings are slow
+    middle_order: float = 25.0  # from which the prior of an order falls: errors of encoders were found at 8 to 30
+    slow_order: float = 5.0  # below which it falls: slow orders trade with geometry and gravity, and extrapolate worst
+    many_poses: int = 350  # fewer do not determine orders above ``few_order``
+    few_order: int = 9
+    clock_functions: int = 6  # cosines over the duration of the recording
+    compliance_rad_per_Nm: float = 4.5e-5  # thirty times a typical gearbox's: no joint is softer
+    tilt_rad_per_Nm: float = 3e-6  # of a link or a pedestal
+    slow_deviation_rad: float = 3e-5  # orders 1 and 2 of a joint beside a common pattern: a typical error of a gear
+    deviation_rad: float = 3e-6  # of each further order: a larger one would take the place of the pattern (ur10-tracker-a, -c)
+
+
+OPTIONS = UnmodelledOptions()
+
+
+def order_weight(order: np.ndarray) -> np.ndarray:
+    """Relative prior sigma of each order: little where it is slow, and falling where it is fast."""
+    return order**2 / (order**2 + OPTIONS.slow_order**2) / (1 + (order / OPTIONS.middle_order) ** 4)
+
+
+def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
+    """The group at a location (A1.., link1.., base, mount, scanner) by a covariate; None where there is none of it."""
+    keys = keys_of(here, location)
+    if not keys:
+        return None
+    if covariate.startswith("gravity_torque_"):
+        return _by_gravity(here, location, covariate, keys)
+    columns, weight, clamped = _functions(here, location, covariate)
+    return _grown(here, location, covariate, keys, columns, weight, clamped) if columns else None
+
+
+def everywhere(here: Covariates) -> list[EffectTerm]:
+    """Groups for a recording of many poses: every joint by its own angle and by gravity, the links by the weight behind them."""
+    n, torque = here.n, here.gravity_torque
+    moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]
+    found = [group(here, f"A{i + 1}", f"q{i + 1}") for i in moving]
+    loaded = [i for i in range(n) if np.ptp(torque[:, i]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9]
+    found += [group(here, f"A{i + 1}", f"gravity_torque_{i + 1}") for i in loaded]
+    found += [group(here, "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}") for i in range(n)]
+    return [g for g in found if g is not None]
+
+
+def of_clock(here: Covariates) -> list[EffectTerm]:
+    """Groups of what drifts while the recording is made: base and mount by time, or by the order of the poses."""
+    clock = "pose" if here.obs.time_s is None or np.ptp(here.obs.time_s) == 0 else "time"
+    return [g for g in (group(here, at, clock) for at in ("base", "mount")) if g is not None]
+
+
+def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequence[int], joints: Sequence[int]) -> EffectTerm:
+    """One periodic function of the angles of several joints, each with its own offset (rad) and direction of rotation.
+
+    Encoders of one make carry the same scale, which repeats its errors in every joint: joint i turns by
+    direction_i f(direction_i q_i - offset_i) more than it reports.
+    """
+    orders = np.arange(1, OPTIONS.own_order + 1).astype(float)
+    parts = []
+    for i, o, d in zip(joints, offset, direction, strict=True):
+        name = f"q{i + 1}"
+        # sin(k (d q - o)) = d cos(k o) sin(k q) - sin(k o) cos(k q), and cos(k (d q - o)) = cos(k o) cos(k q) + d sin(k o) sin(k q)
+        sines = [_sum((d * np.cos(k * o) * d, sine(name, k)), (-np.sin(k * o) * d, cosine(name, k))) for k in orders]
+        cosines = [_sum((np.cos(k * o) * d, cosine(name, k)), (d * np.sin(k * o) * d, sine(name, k))) for k in orders]
+        parts.append(DescribedPart("joint", i, 0, (*sines, *cosines)))
+    where = tuple(f"A{i + 1}" for i in joints)
+    hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
+    hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
+    return _term(here, (where, f"q{joints[0] + 1}"), parts, np.tile(order_weight(orders), 2), "rad", (), COMMON_PATTERN, hyper)
+
+
+def deviation(here: Covariates, joint: int) -> EffectTerm:
+    """What a joint's own error differs from a common pattern by."""
+    orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{joint + 1}"
+    sigma = np.tile(np.where(orders <= 2, OPTIONS.slow_deviation_rad, OPTIONS.deviation_rad), 2)
+    part = DescribedPart("joint", joint, 0, (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders)))
+    return _term(here, ((f"A{joint + 1}",), name), [part], sigma, "rad", (), DEVIATION)
+
+
+def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:
+    """(place, index, component) of what may move at a location."""
+    n = here.n
+    if location[:1] == "A" and location[1:].isdigit() and int(location[1:]) <= n:
+        return [("joint", int(location[1:]) - 1, 0)]
+    frames = {"base": 0, "mount": n} | {f"link{i}": i for i in range(1, n)}
+    if location in frames:
+        orientation = here.scanner_on_flange or here.obs.shows_target_orientation
+        components = range(6) if location != "mount" or orientation else range(3)
+        return [("frame", frames[location], c) for c in components]
+    return [("point", 0, c) for c in range(3)] if location == "scanner" and here.scanner_on_flange else []
+
+
+def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
+    """Columns by a covariate, their relative prior sigma, and which covariates are clamped."""
+    values = np.asarray(here.value(covariate), dtype=float)
+    if np.ptp(values) < 1e-9 * max(float(np.abs(values).max()), 1e-30):
+        return [], np.zeros(0), ()
+    if is_angle(covariate):
+        own = location == f"A{covariate[1:]}"
+        highest = OPTIONS.few_order if here.obs.n_poses < OPTIONS.many_poses else OPTIONS.own_order if own else OPTIONS.other_order
+        orders = np.arange(1, highest + 1).astype(float)
+        weight = order_weight(orders) if own else 1 / (1 + (orders / 3) ** 2)
+        return [sine(covariate, k) for k in orders] + [cosine(covariate, k) for k in orders], np.tile(weight, 2), ()
+    if covariate in ("time", "pose"):
+        low, high = float(values.min()), float(values.max())
+        orders = np.arange(1, OPTIONS.clock_functions + 1)
+        return [of(covariate, "cosine", low, high, k) for k in orders], 1.0 / orders, ()
+    middle, spread = float(values.mean()), float(values.std())
+    standard: Column = (Product(1 / spread, (Function(covariate),)), Product(-middle / spread))
+    return [standard], np.ones(1), (covariate,)
+
+
+def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tuple[str, int, int]]) -> EffectTerm | None:
+    """A joint by the torque about it, a link, base or mount by the moment of the weight behind it."""
+    place, index, _ = keys[0]
+    if place == "joint":
+        own = f"gravity_torque_{index + 1}"
+        parts = [DescribedPart("joint", index, 0, (linear(own),))]
+        return _term(here, ((location,), covariate), parts, np.array([OPTIONS.compliance_rad_per_Nm]), "rad/Nm", (own,))
+    if place != "frame" or len(keys) < 6:
+        return None
+    names = [f"gravity_moment_{index}_{axis}" for axis in "xyz"]
+    size = max(float(np.abs(here.gravity_moment(index)).max()), 1e-12)
+    used = [c for c in range(3) if np.abs(here.value(names[c])).max() > 1e-6 * size]
+    parts = []
+    for j, c in enumerate(used):
+        columns = tuple(linear(names[c]) if i == j else () for i in range(len(used)))
+        parts.append(DescribedPart("frame", index, 3 + c, columns))
+    sigma = np.full(len(used), OPTIONS.tilt_rad_per_Nm)
+    return _term(here, ((location,), covariate), parts, sigma, "rad/Nm", tuple(names[c] for c in used))
+
+
+def _grown(
+    here: Covariates,
+    location: str,
+    covariate: str,
+    keys: list[tuple[str, int, int]],
+    columns: list[Column],
+    weight: np.ndarray,
+    clamped: tuple[str, ...],
+) -> EffectTerm:
+    """Every component multiplied by every function, component by component; rotations a thousandth of the translations in size."""
+    f, zero = len(columns), ()
+    parts, sigma, units = [], [], []
+    for j, (place, index, component) in enumerate(keys):
+        own = [zero] * (j * f) + list(columns) + [zero] * ((len(keys) - 1 - j) * f)
+        parts.append(DescribedPart(place, index, component, tuple(own)))
+        turns = place == "joint" or (place == "frame" and component >= 3)
+        sigma.append(weight * (1e-3 if turns else 1.0))
+        units += ["rad" if turns else "mm"] * f
+    return _term(here, ((location,), covariate), parts, np.concatenate(sigma), units, clamped)
+
+
+def _term(
+    here: Covariates,
+    at: tuple[tuple[str, ...], str],
+    parts: Sequence[DescribedPart],
+    sigma: np.ndarray,
+    units: Sequence[str] | str,
+    clamped: tuple[str, ...],
+    variant: str = "",
+    hyper: dict[str, float] | None = None,
+) -> EffectTerm:
+    """at: locations and covariate."""
+    (where, covariate), k = at, len(sigma)
+    label = f"{UNKNOWN}:{'+'.join(where)}:{covariate}" + (f":{variant}" if variant else "")
+    return EffectTerm(
+        UNKNOWN,
+        where,
+        covariate,
+        tuple(parts),
+        tuple(f"{label}[{j}]" for j in range(k)),
+        (units,) * k if isinstance(units, str) else tuple(units),
+        np.zeros(k),
+        np.zeros(k),
+        np.asarray(sigma, dtype=float),
+        np.asarray(sigma, dtype=float),
+        variant,
+        hyper or {},
+        learnt_ranges(here, parts),
+        clamped,
+    )
+
+
+def _sum(*weighted: tuple[float, Column]) -> Column:
+    """Sum of columns, each times its factor."""
+    return tuple(Product(float(factor) * p.factor, p.functions) for factor, column in weighted for p in column)
+
+
+def names_of(terms: Iterable[EffectTerm]) -> str:
+    """The locations of some groups, for a sentence."""
+    return ", ".join(dict.fromkeys(f"{'+'.join(t.where)} by {t.depends_on}" for t in terms))

@@ -1,0 +1,121 @@
+"""Programs and lists of points corrected by a calibrated arm with its effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration.joint_targets import JointTargets, joint_targets
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.workflow.load import as_result, refuse_existing
+
+TRIES = 24  # starts for a pose without joint angles
+LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an arm in good order asks for
+
+
+@dataclass(frozen=True)
+class Correction:
+    """One file. names, lines: of its points; before: (P,) mm, by how much the arm misses its nominal place with the programmed angles, NaN
+    where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles.
+    """
+
+    file: Path
+    names: tuple[str, ...]
+    lines: tuple[int, ...]
+    before_mm: np.ndarray
+    change: np.ndarray
+    found: JointTargets
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content, format 'mbcacq-correction/1'."""
+        f = self.found
+        points = [
+            {
+                "name": name,
+                "line": line,
+                "q_deg": np.degrees(q).tolist(),
+                "before_mm": None if np.isnan(before) else float(before),
+                "residual_mm": float(mm),
+                "residual_deg": float(np.degrees(rad)),
+                "largest_change_deg": None if np.isnan(change) else float(np.degrees(change)),
+                "reached": bool(ok),
+                "reason": reason,
+            }
+            for name, line, q, before, mm, rad, change, ok, reason in zip(
+                self.names, self.lines, f.q, self.before_mm, f.error_mm, f.error_rad, self.change, f.reached, f.reasons, strict=True
+            )
+        ]
+        return {"format": "mbcacq-correction/1", "file": str(self.file), "points": points}
+
+
+def correct(
+    program: Path | str,
+    cell: Calibration | CalibratedCell | dict[str, Any] | Path | str,
+    out: Path | str | None = None,
+    *,
+    force: bool = False,
+) -> Correction:
+    """Write a copy of a KRL program (.src, .dat) or of a CSV file in which the joint angles bring the calibrated arm, with its effects, to
+    the places that the programmed angles have with the nominal arm (or that the CSV gives as poses of the flange).
+
+    out: the file to write (default: the name with '_corrected'). Raises ConfigError for a file without joint points, where the output
+    exists, where a point outside the limits is programmed; RecordingError where it cannot be written.
+    """
+    from mbcacq.exports.joint_programs import read_targets, written
+
+    program = Path(program)
+    output = Path(out) if out is not None else program.with_name(f"{program.stem}_corrected{program.suffix}")
+    if output.resolve() == program.resolve():
+        raise ConfigError(f"{output} is the program itself; give another --out")
+    refuse_existing(output, force, f"{output} exists; give another --out, or --force to replace it")
+    arm = CalibratedCell.from_dict(as_result(cell))
+    nominal = arm.preliminary.chain
+    limits = arm.content["robot"].get("limits")
+    bounds = None if limits is None else np.array(limits, dtype=float).reshape(nominal.n, 2)
+    targets = read_targets(program, nominal.n)
+    programmed = np.all(np.isfinite(targets.q), axis=1)
+    goals = targets.goals if targets.goals is not None else nominal.flange(targets.q)
+    start = np.where(programmed[:, None], targets.q, np.zeros(nominal.n))
+    found = joint_targets(arm, goals, start, bounds) if programmed.all() else _from_anywhere(arm, goals, bounds)
+    before = np.full(len(goals), np.nan)
+    if programmed.any():
+        from mbcacq.calibration.uncertainty import frames
+
+        there = frames(arm, start)[:, -1, :3, 3]
+        before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
+    change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
+    try:
+        output.write_bytes(written(program, targets, found.q, found.error_mm, found.reached, found.reasons).encode("latin-1"))
+    except OSError as error:
+        raise RecordingError(f"{output}: cannot be written: {error.strerror}; free space or give another --out") from error
+    return Correction(output, targets.names, targets.lines, before, change, found)
+
+
+def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:
+    """Poses without joint angles: from several starts, the solution with the smallest angles."""
+    n = arm.preliminary.chain.n
+    low, high = (np.full(n, -np.pi), np.full(n, np.pi)) if bounds is None else np.clip(bounds, -np.pi, np.pi).T
+    rng = np.random.default_rng(0)
+    best: JointTargets | None = None
+    for number in range(TRIES):
+        start = np.tile((low + high) / 2 if number == 0 else rng.uniform(low, high), (len(goals), 1))
+        new = joint_targets(arm, goals, start, bounds)
+        best = new if best is None else _nearer(best, new)
+    assert best is not None, "there is at least one start"
+    return best
+
+
+def _nearer(a: JointTargets, b: JointTargets) -> JointTargets:
+    size = [np.abs(t.q).max(axis=1) + np.where(t.reached, 0.0, 1e3 + t.error_mm) for t in (a, b)]
+    use = size[1] < size[0]
+    pick = [np.where(use.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(_arrays(a), _arrays(b), strict=True)]
+    reasons = tuple(y if u else x for u, x, y in zip(use, a.reasons, b.reasons, strict=True))
+    return JointTargets(*pick, reasons)
+
+
+def _arrays(t: JointTargets) -> tuple[np.ndarray, ...]:
+    return t.q, t.error_mm, t.error_rad, t.reached

@@ -1,0 +1,137 @@
+"""What was found comes back: effects as terms of the cell, fitted, held, written, read and applied."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+from mbcacq.diagnosis.linearized import geometry_fit
+
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
+from mbcacq.calibration.transfer import check_transfer
+from mbcacq.calibration.with_effects import calibrate_with_effects
+from mbcacq.diagnosis.output.kept_model import term_of
+from mbcacq.effects import catalogue, unmodelled
+from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import LearntRecording
+from mbcacq.errors import ConfigError
+from mbcacq.estimation import forward_model
+
+COMPLIANCE, GEAR = 3e-6, (8e-5, -5e-5)
+OPTIONS = CalibrationOptions(refuse=False)  # a few poses of each station: what geometry alone leaves open is held
+
+
+@pytest.fixture(scope="module")
+def context(plan):
+    state = geometry_fit.initial_state(plan)
+    return Context(plan, state, forward_model.predict(plan, state))
+
+
+@pytest.fixture(scope="module")
+def recording(plan):
+    effects = [("joint_compliance", ("A2",), [COMPLIANCE], None), ("gear_transmission_error", ("A4",), list(GEAR), 2.0)]
+    return simulated.observe(plan, 7, effects)
+
+
+@pytest.fixture(scope="module")
+def model(context):
+    every = catalogue.candidates(context)[0]
+    soft = next(c for c in every if c.name == "joint_compliance" and c.where == ("A2",))
+    gear = next(c for c in every if c.name == "gear_transmission_error" and c.where == ("A4",))
+    terms = (term_of(context, soft, None, np.zeros(1), np.zeros(1)), term_of(context, gear, 2.0, np.zeros(2), np.zeros(2)))
+    return EffectModel(context.obs.cell.robot, terms, LearntRecording.of(context.obs))
+
+
+@pytest.fixture(scope="module")
+def fitted(recording, model):
+    return calibrate_with_effects(recording, OPTIONS, model)
+
+
+def test_what_an_effect_writes_down_is_what_it_builds(context):
+    for candidate in catalogue.candidates(context)[0]:
+        value = None if candidate.hyper is None else float(candidate.hyper.values[len(candidate.hyper.values) // 3])
+        kept = term_of(context, candidate, value, np.zeros(candidate.k), np.zeros(candidate.k))
+        again = EffectModel.from_dict(json.loads(json.dumps(EffectModel(context.obs.cell.robot, (kept,)).to_dict()))).terms[0]
+        written = again.parts_at(Covariates(context.obs), LearntRecording.of(context.obs))
+        for one, other in zip(candidate.build(value), written, strict=True):
+            assert (one.place, one.index, one.component) == (other.place, other.index, other.component)
+            np.testing.assert_allclose(other.basis, one.basis, atol=1e-12 * max(np.abs(one.basis).max(), 1e-30), err_msg=candidate.key)
+
+
+def test_effects_are_fitted_with_the_geometry(recording, fitted):
+    soft, gear = fitted.effects.terms
+    assert abs(soft.coefficients[0] - COMPLIANCE) < 4 * soft.std[0]
+    assert np.all(np.abs(gear.coefficients - GEAR) < 4 * gear.std)
+    assert fitted.chi2 / fitted.dof < 1.1
+    assert fitted.extra["geometry_alone"]["rms_mm"] > 1.5 * fitted.rms_mm
+
+
+def test_held_effects_keep_their_coefficients(recording, fitted):
+    held = calibrate_with_effects(recording, OPTIONS, fitted.effects, hold=True)
+    np.testing.assert_array_equal(held.effects.terms[0].coefficients, fitted.effects.terms[0].coefficients)
+    assert held.rms_mm == pytest.approx(fitted.rms_mm, rel=0.02)  # other parameters are determined
+    assert not any("compliance" in name for name in held.names)
+
+
+def test_a_result_that_was_written_places_points_as_before(recording, fitted):
+    back = CalibratedCell.from_json(fitted.to_json())
+    rng = np.random.default_rng(0)
+    q, xyz = rng.uniform(-1, 1, (20, 6)), rng.uniform(-30, 30, (20, 3))
+    np.testing.assert_allclose(back.to_base(q, xyz), fitted.to_base(q, xyz), atol=1e-9)
+    np.testing.assert_allclose(back.point_covariance(q, xyz), fitted.point_covariance(q, xyz), rtol=1e-6)
+    geometry = replace(fitted, effects=None)
+    assert np.abs(geometry.to_base(q, xyz) - fitted.to_base(q, xyz)).max() > 0.05
+
+
+def test_the_derivative_by_a_coefficient_is_that_of_the_placed_point(fitted):
+    from mbcacq.calibration.uncertainty import point_columns
+
+    rng = np.random.default_rng(1)
+    q, xyz = rng.uniform(-1, 1, (6, 6)), rng.uniform(-30, 30, (6, 3))
+    column = fitted.names.index(fitted.effects.terms[0].names[0])
+    step = 1e-7
+    moved = replace(fitted.effects.terms[0], coefficients=fitted.effects.terms[0].coefficients + step)
+    other = replace(fitted, effects=replace(fitted.effects, terms=(moved, *fitted.effects.terms[1:])))
+    slope = (other.to_base(q, xyz) - fitted.to_base(q, xyz)) / step
+    np.testing.assert_allclose(point_columns(fitted, q, xyz)[:, :, column], slope, rtol=2e-3, atol=1e-3 * np.abs(slope).max())
+
+
+def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
+    other = simulated.observe(
+        plan, 7, [("joint_compliance", ("A2",), [COMPLIANCE], None), ("gear_transmission_error", ("A4",), list(GEAR), 2.0)]
+    )
+    tried = check_transfer(replace(other, pose_id=other.pose_id + 1000), fitted)
+    assert tried.with_effects.rms_mm < 0.5 * tried.geometry_alone.rms_mm
+    assert {e.name for e in tried.effects} == {"joint_compliance", "gear_transmission_error"}
+    assert all(e.gain > 0 for e in tried.effects)
+    assert tried.normalised_error.rms < 1.3
+    assert type(tried).from_dict(json.loads(json.dumps(tried.to_dict()))) == tried
+
+
+def test_effects_of_another_arm_are_refused(recording, fitted):
+    wrong = replace(fitted.effects, robot=replace(fitted.effects.robot, name="another arm"))
+    with pytest.raises(ConfigError, match="learnt on 'another arm'"):
+        calibrate_with_effects(recording, None, wrong)
+
+
+def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
+    here = Covariates(recording)
+    wanted = [unmodelled.group(here, "A2", "gravity_torque_2"), unmodelled.group(here, "A4", "q4"), unmodelled.group(here, "A6", "q6")]
+    model = EffectModel(plan.cell.robot, tuple(wanted), LearntRecording.of(recording))
+    found = calibrate_with_effects(recording, OPTIONS, model)
+    kept = {t.where[0] for t in found.effects.terms}
+    assert {"A2", "A4"} <= kept
+    assert found.chi2 / found.dof < 1.15
+    assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
+
+
+def test_leaving_the_learnt_range_is_said(recording, fitted):
+    beyond = replace(recording, q=recording.q + np.array([0, 0, 0, 2.5, 0, 0]))
+    said = " ".join(str(d) for d in fitted.effects.departures(beyond))
+    assert "q4 leaves the range" in said
+    assert not fitted.effects.departures(recording)

@@ -1,0 +1,171 @@
+"""Corrected programs: the calibrated arm with its effects reaches the nominal places; everything else of the file stays."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.uncertainty import frames
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
+from mbcacq.effects.functions import DescribedPart, cosine, linear, sine
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.model.cell import RobotModel
+from mbcacq.workflow.correct import correct
+
+DEG = np.pi / 180
+PROGRAM = (
+    "&ACCESS RVP\r\nDEFDAT weld\r\n"
+    "DECL E6AXIS XP1={A1 10.0,A2 -80.0,A3 70.0,A4 15.0,A5 40.0,A6 -5.0,E1 0.0,E2 0.0}\r\n"
+    "; DECL E6AXIS XOLD={A1 1,A2 2,A3 3,A4 4,A5 5,A6 6}\r\n"
+    "DECL E6POS XP2={X 900.0,Y 0.0,Z 1000.0,A 0.0,B 90.0,C 0.0,S 2,T 2}\r\n"
+    "DECL FDAT FP1={TOOL_NO 1,BASE_NO 0}\r\nXP3={a1 -30,a2 -100,a3 95,a4 0.5,a5 25,a6 90}\r\nENDDAT\r\n"
+)
+
+
+def arm() -> RobotModel:
+    chain = Chain(
+        np.array([-1.0, 1, 1, -1, 1, -1]),
+        np.array([0, 0, -90, 0, 0, 180]) * DEG,
+        np.array([450.0, 0, 0, 660, 0, 80]),
+        np.array([150.0, 610, 20, 0, 0, 0]),
+        np.array([-90, 0, -90, 90, -90, 180]) * DEG,
+        np.zeros(6),
+    )
+    limits = np.array([[-170, 170], [-185, 65], [-137, 163], [-185, 185], [-120, 120], [-350, 350]]) * DEG
+    com = np.array([[0.0, 0, 0], [-240, 0, 0], [0, 0, 120], [0, 200, 0], [0, 0, 0], [0, 0, -20]])
+    return RobotModel("test arm", chain, limits, np.array([0, 38, 24, 9, 5, 0.5]), com, payload_mass=3.0)
+
+
+def result() -> dict:
+    """The content of a result.json of an arm with errors, an elastic A2 and a wavy A4."""
+    robot = arm()
+    model = EffectModel(robot)
+    here = Covariates(model.poses(np.random.default_rng(0).uniform(-1, 1, (30, 6))))
+    soft = [DescribedPart("joint", 1, 0, (linear("gravity_torque_2"),))]
+    wavy = [DescribedPart("joint", 3, 0, (sine("q4", 3.0), cosine("q4", 3.0)))]
+
+    def one(name, where, on, parts, values):
+        k = len(values)
+        names, many = tuple(f"{name}[{j}]" for j in range(k)), np.full(k, 1e-9)
+        return EffectTerm(
+            name, (where,), on, tuple(parts), names, ("rad",) * k, np.array(values), many, many, many, ranges=learnt_ranges(here, parts)
+        )
+
+    terms = (
+        one("joint_compliance", "A2", "gravity_torque_2", soft, [3e-6]),
+        one("gear_transmission_error", "A4", "q4", wavy, [4e-4, 1e-4]),
+    )
+    errors = np.random.default_rng(1).normal(0, [1e-3, 0.3, 0.3, 1e-3, 1e-3], (6, 5))
+    rows = {
+        w: {p: getattr(c, p).tolist() for p in PARAMETERS}
+        for w, c in (("nominal", robot.chain), ("calibrated", robot.chain.with_errors(errors)))
+    }
+    return {
+        "format": "mbcacq-result/1",
+        "robot": {"name": robot.name, "sign": robot.chain.sign.tolist(), "limits": robot.limits.tolist(), **rows},
+        "T_flange_scanner": np.eye(4).tolist(),
+        "preliminary": {"T_flange_scanner": np.eye(4).tolist()},
+        "stations": [],
+        "balls": [],
+        "parameters": [],
+        "names": [],
+        "covariance": [],
+        "noise": {"scanner_mm": [0.01] * 3, "joint_rad": [1e-5] * 6},
+        "effects": replace(model, terms=terms).to_dict(),
+    }
+
+
+def goals_of(angles_deg) -> np.ndarray:
+    return arm().chain.flange(np.radians(np.atleast_2d(angles_deg)))
+
+
+def test_a_krl_program_is_corrected_and_nothing_else_changes(tmp_path):
+    program = tmp_path / "weld.dat"
+    program.write_bytes(PROGRAM.encode("latin-1"))
+    done = correct(program, result())
+    text = done.file.read_bytes().decode("latin-1")
+    assert done.file.name == "weld_corrected.dat"
+    assert done.names == ("XP1", "XP3")
+    assert done.found.reached.all()
+    assert done.before_mm.min() > 0.1
+    old, new = PROGRAM.splitlines(), text.splitlines()
+    assert [i for i, (a, b) in enumerate(zip(old, new, strict=True)) if a != b] == [2, 6]
+    assert new[2].endswith(",E1 0.0,E2 0.0}")
+    assert text.count("\r\n") == PROGRAM.count("\r\n")
+
+
+def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
+    program = tmp_path / "points.csv"
+    q = np.random.default_rng(3).uniform([-90, -120, 40, -100, 20, -90], [90, -40, 110, 100, 90, 90], (40, 6))
+    lines = ["name,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg", *(f"p{i}," + ",".join(f"{v:.9f}" for v in row) for i, row in enumerate(q))]
+    program.write_text("\n".join(lines) + "\n")
+    done = correct(program, result(), tmp_path / "out.csv")
+    written = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True, encoding="utf-8", dtype=None)
+    corrected = np.stack([written[f"corrected_q{i}_deg"] for i in range(1, 7)], axis=1)
+    there = frames(CalibratedCell.from_dict(result()), np.radians(corrected))[:, -1]
+    assert np.abs(there - goals_of(q))[:, :3, 3].max() < 5e-5  # six decimals of a degree
+    assert np.abs(there - goals_of(q))[:, :3, :3].max() < 1e-7
+    assert done.found.error_mm.max() < 1e-3
+
+
+def test_poses_without_angles_find_some(tmp_path):
+    program = tmp_path / "poses.csv"
+    xyz, abc = se3.to_abc(goals_of([20, -80, 70, 30, 40, -50]))
+    near = ",".join(repr(float(v)) for v in (*xyz[0], *np.degrees(abc[0])))
+    program.write_text(f"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n{near}\n5000,0,0,0,0,0\n")
+    done = correct(program, result())
+    assert done.found.reached.tolist() == [True, False]
+    content = json.loads(json.dumps(done.to_dict()))
+    assert content["points"][1]["reason"]
+    assert content["points"][1]["residual_mm"] > 1000
+    last = (tmp_path / "poses_corrected.csv").read_text().splitlines()[-1]
+    assert last.split(",")[6:12] == [""] * 6
+    assert ",false," in last
+
+
+def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
+    program = tmp_path / "edge.src"
+    program.write_text("PTP {A1 170.0,A2 -80,A3 70,A4 15,A5 40,A6 -5}\n")
+    broken = result()
+    broken["robot"]["calibrated"]["theta"][0] = 0.05 * -1  # the arm stands behind its zero: A1 would have to go beyond its limit
+    program_text = program.read_text()
+    done = correct(program, broken)
+    if done.found.reached[0]:  # the offset went the other way: mirror it
+        broken["robot"]["calibrated"]["theta"][0] = 0.05
+        done = correct(program, broken, force=True)
+    assert not done.found.reached[0]
+    assert "A1" in done.found.reasons[0]
+    assert done.file.read_text() == program_text
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.dat", "DECL E6POS X={X 1,Y 2,Z 3,A 0,B 0,C 0}", "no E6AXIS point"),
+        ("a.csv", "a,b\n1,2\n", "neither q1_deg"),
+        ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,x\n", "a.csv:2"),
+        ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,nan\n", "not finite"),
+        ("a.txt", "", "give a KRL program"),
+    ],
+)
+def test_a_file_without_points_is_refused_with_its_line(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        correct(tmp_path / name, result())
+
+
+def test_an_existing_file_is_not_overwritten(tmp_path):
+    (tmp_path / "weld.dat").write_text(PROGRAM)
+    (tmp_path / "weld_corrected.dat").write_text("mine")
+    with pytest.raises(ConfigError, match="exists"):
+        correct(tmp_path / "weld.dat", result())
+    with pytest.raises(ConfigError, match="itself"):
+        correct(tmp_path / "weld.dat", result(), tmp_path / "weld.dat", force=True)
