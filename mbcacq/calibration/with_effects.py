@@ -22,7 +22,7 @@ from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Solution, system
 from mbcacq.estimation.terms import Term
-from mbcacq.estimation.variance_components import first_noise, noise_prior, reml_step
+from mbcacq.estimation.variance_components import noise_prior, reml_step
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 
@@ -133,14 +133,14 @@ def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric
     Each group is a random effect whose size maximises the marginal likelihood (MacKay 1992), with the geometry, the stations and the
     parametric effects free; groups that the data do not ask for are dropped.
     """
-    prior = noise_prior(fitted.cell, first_noise(fitted.cell), options.noise)
+    prior = noise_prior(fitted.cell, options.noise)
     stage = _Stage.first(fitted, options, parametric, unmodelled)
     noise, at = fitted.noise, stage.system(fitted.noise)
     for turn in range(OPTIONS.turns):
         stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
         at = stage.system(noise)
         for _ in range(2):
-            noise, _ = reml_step(at, noise, prior)
+            noise, _ = reml_step(at.system, noise, prior)
             at = stage.system(noise)
     chosen = replace(options, terms=stage.terms)
     result = Calibration.of(
@@ -255,7 +255,7 @@ def fixed_point(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], start: np
     """(G,) sizes by MacKay's fixed point; S (k, k), b (k,) in units of the prior sigma. fixed: (G,) bool, groups of a given size."""
     variance = np.where(fixed, 1.0, start**2)
     for _ in range(OPTIONS.rounds):
-        alive = np.flatnonzero(variance > 0)
+        alive = [int(g) for g in np.flatnonzero(variance > 0)]
         index = np.concatenate([np.arange(slices[g].start, slices[g].stop) for g in alive]) if len(alive) else np.zeros(0, int)
         if not len(index):
             break

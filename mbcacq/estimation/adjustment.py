@@ -33,7 +33,7 @@ def adjust_recording(obs: Observations, options: CalibrationOptions) -> Adjustme
 
     Raises CalibrationError where the data contradict the cell or, with ``options.refuse``, leave it undetermined.
     """
-    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not options.terms else None
+    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not (options.terms or options.displaced) else None
     return adjust(obs, options, first)
 
 

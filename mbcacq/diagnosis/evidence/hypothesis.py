@@ -108,18 +108,14 @@ def with_sizes(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Memb
 
 def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis:
     """The hypothesis with its noise estimated anew, from a start."""
-    point, done = start, False
-    for _ in range(rounds):
+    point, remaining = start, rounds
+    while True:
         sized, log_factor = with_sizes(point, members)
         gradient, information = point.score(conditioned(point, sized))
         new, change = point.moved(gradient, information)
-        done = change < STEADY
-        if done:
+        if change < STEADY or remaining == 0:
             break
-        point = new
-    if not done:
-        sized, log_factor = with_sizes(point, members)
-        gradient, information = point.score(conditioned(point, sized))
+        point, remaining = new, remaining - 1
     return Hypothesis(sized, point, integrated(point.log_likelihood + log_factor, gradient, information), log_prior)
 
 
