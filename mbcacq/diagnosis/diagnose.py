@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ Progress = Callable[[str], None]
 
 
 def diagnose(
-    obs: Observations,
+    recordings: Observations | Sequence[Observations],
     folds: int | None = None,
     progress: Progress = lambda text: None,
     workers: int = 1,
@@ -32,21 +32,26 @@ def diagnose(
 ) -> Diagnosis:
     """Locate the mismatch, explain it by effects, and validate these on data left out.
 
+    recordings: one, or several of one arm, which share the arm and its effects and keep their own base, tool, stations and noise.
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
     options: of the adjustment, as :func:`mbcacq.calibrate` takes them; the same poses, noise and geometry come out.
     Raises CalibrationError where the data do not even determine the geometry.
     """
-    if obs.n_poses < OPTIONS.fewest_poses:
-        raise CalibrationError(f"{obs.n_poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
+    first = recordings if isinstance(recordings, Observations) else recordings[0]
+    poses = first.n_poses if isinstance(recordings, Observations) else sum(r.n_poses for r in recordings)
+    if poses < OPTIONS.fewest_poses:
+        raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        return _diagnose(obs, folds, progress, workers, options_for(obs, options or CalibrationOptions()))
+        return _diagnose(recordings, folds, progress, workers, options_for(first, options or CalibrationOptions()))
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 
 
-def _diagnose(obs: Observations, folds: int | None, progress: Progress, workers: int, options: CalibrationOptions) -> Diagnosis:
+def _diagnose(
+    recordings: Observations | Sequence[Observations], folds: int | None, progress: Progress, workers: int, options: CalibrationOptions
+) -> Diagnosis:
     progress("fitting the geometry")
-    problem = readmit_outliers(prepare(obs, options))
+    problem = readmit_outliers(prepare(recordings, options))
     obs, notes = problem.linear.obs, []
     if obs.n_poses > OPTIONS.most_poses:
         problem = thinned(problem, problem.linear.keep, OPTIONS.most_poses)

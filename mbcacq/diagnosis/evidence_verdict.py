@@ -49,9 +49,9 @@ def with_rivals(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[Effec
                 for rival in rivals(fit, reported, label):
                     name, _, place = rival.label.partition(":")
                     known = others.get(rival.label)
-                    if known is None or known.odds < rival.odds:
+                    if known is None or (known.odds or 0.0) < rival.odds:
                         others[rival.label] = Alternative(name, tuple(place.split("+")), 0.0, rival.odds)
-        ranked = sorted(others.values(), key=lambda a: -a.odds)[:MOST_RIVALS]
+        ranked = sorted(others.values(), key=lambda a: -(a.odds or 0.0))[:MOST_RIVALS]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return tuple(out)
 

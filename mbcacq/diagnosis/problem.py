@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.several_recordings import adjust_together
 from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
@@ -46,23 +48,29 @@ class DiagnosisProblem:
         return replace(self, linear=linear)
 
 
-def prepare(obs: Observations, options: CalibrationOptions | None = None) -> DiagnosisProblem:
+def prepare(recordings: Observations | Sequence[Observations], options: CalibrationOptions | None = None) -> DiagnosisProblem:
     """The recording adjusted as calibration does it: the same poses, outliers, noise and geometry.
 
-    What the poses leave undetermined is held.
-
-    Raises CalibrationError where the recording contradicts the cell.
+    Several recordings of one arm are one problem: arm and effects are shared, base, tool, stations, artefacts and noise are not. What the
+    poses leave undetermined is held. Raises CalibrationError where a recording contradicts its cell, ConfigError where the recordings are
+    not of one arm.
     """
     options = replace(options or CalibrationOptions(), refuse=False)
-    obs = select_phases(obs, options)
-    adjusted = adjust_recording(obs, options)
+    if isinstance(recordings, Observations):
+        obs = select_phases(recordings, options)
+        adjusted = adjust_recording(obs, options)
+    else:
+        together = adjust_together(recordings, options)
+        obs, adjusted = together.observations, together.adjusted
     keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     candidates = with_detectability(linear, adjusted.noise, candidates)
     prior = noise_prior(obs.cell, options.noise)
-    return DiagnosisProblem(linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), tuple(adjusted.found))
+    return DiagnosisProblem(
+        linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), undetermined=tuple(adjusted.found)
+    )
 
 
 def not_grossly_off(residual: np.ndarray) -> np.ndarray:

@@ -110,6 +110,26 @@ class NotSeparable:
 
 
 @dataclass(frozen=True)
+class BetweenRecordings:
+    """One parameter of an effect over several recordings of one arm.
+
+    values, stds: fitted to each recording by itself. common +- common_std: what they share, its uncertainty with the variance between
+    recordings; between_std: standard deviation from day to day beyond each value's own; p_value: of values that differ as much although
+    nothing changed.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    parameter: str
+    values: tuple[float, ...]
+    stds: tuple[float, ...]
+    common: float
+    common_std: float
+    between_std: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class Advice:
     """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
 
@@ -140,9 +160,9 @@ class Diagnosis:
 
     verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
     effects that were not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of
-    all effects that were not found, those with the largest error first. model: the effects as terms that a calibration takes; None where
-    there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures are drawn; it is no part of the JSON object, so None
-    after ``from_json``.
+    all effects that were not found, those with the largest error first. between_recordings: of several recordings of one arm. model: the
+    effects as terms that a calibration takes; None where there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures
+    are drawn; it is no part of the JSON object, so None after ``from_json``.
     """
 
     verdict: str
@@ -154,6 +174,7 @@ class Diagnosis:
     dropped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     exclusion_limits: tuple[ExclusionLimit, ...] = ()
+    between_recordings: tuple[BetweenRecordings, ...] = ()
     model: EffectModel | None = field(default=None, compare=False)
     plot_data: object | None = field(default=None, compare=False)
 
@@ -232,6 +253,10 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
         dropped=dict(content.get("dropped", {})),
         notes=tuple(content.get("notes", ())),
         exclusion_limits=tuple(_read_limit(e) for e in content.get("exclusion_limits", ())),
+        between_recordings=tuple(
+            BetweenRecordings(**{**b, "where": tuple(b["where"]), "values": tuple(b["values"]), "stds": tuple(b["stds"])})
+            for b in content.get("between_recordings", ())
+        ),
         model=EffectModel.from_dict(content["model"]) if content.get("model") else None,
     )
 

@@ -12,6 +12,7 @@ from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_ev
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import interruptions, next_measurements
+from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
@@ -72,6 +73,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         dropped=setup.dropped,
         notes=(*notes(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
         exclusion_limits=exclusion_limits(setup, full),
+        between_recordings=between_recordings(full),
         model=kept_model(setup, full, judged.effects) or None,
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )

@@ -112,9 +112,11 @@ def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | 
 def _nearer(a: JointTargets, b: JointTargets) -> JointTargets:
     size = [np.abs(t.q).max(axis=1) + np.where(t.reached, 0.0, 1e3 + t.error_mm) for t in (a, b)]
     use = size[1] < size[0]
-    pick = [np.where(use.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(_arrays(a), _arrays(b), strict=True)]
+    q, error_mm, error_rad, reached = (
+        np.where(use.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(_arrays(a), _arrays(b), strict=True)
+    )
     reasons = tuple(y if u else x for u, x, y in zip(use, a.reasons, b.reasons, strict=True))
-    return JointTargets(*pick, reasons)
+    return JointTargets(q, error_mm, error_rad, reached, reasons)
 
 
 def _arrays(t: JointTargets) -> tuple[np.ndarray, ...]:

@@ -199,8 +199,9 @@ def diagnose(
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
-    data: observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets), one or
-    several together. Of a run whose controller recorded torques or joint-side angles, the motion between the poses is compared too.
+    data: observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets). Several
+    recordings of poses of one arm share the arm and its effects, and so do several trajectories. Of a run whose controller recorded
+    torques or joint-side angles, the motion between the poses is compared too.
     progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core). options: of the
     adjustment of poses, as :func:`mbcacq.calibrate` takes them (which phases are used, what is held). check: further recordings of the
     arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing.
@@ -211,7 +212,7 @@ def diagnose(
     if all(_is_trajectory(one) for one in several):
         return diagnose_motion([one for one in several if not isinstance(one, Observations)])
     if len(several) > 1:
-        raise ConfigError("several DATA can be diagnosed together only if all are trajectory sets; diagnose the others one by one")
+        return diagnose_together(several, progress, workers, options)
     (one,) = several
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
@@ -221,6 +222,26 @@ def diagnose(
     if check:
         found = replace(found, checks=tuple(checked(observations, found, other, place, progress) for other in check))
     return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
+
+
+def diagnose_together(
+    data: Sequence[Data], progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None
+) -> DiagnosisResult:
+    """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
+    from mbcacq.diagnosis import diagnose as room
+    from mbcacq.diagnosis.validation.workers import cores
+
+    motions = [one for one in data if _is_trajectory(one)]
+    recordings = [as_observations(one) for one in data if not _is_trajectory(one) and not isinstance(one, Trajectory)]
+    if len(recordings) == 1:
+        found = diagnose_poses(recordings[0], progress, workers, options)
+    else:
+        poses = room.diagnose(recordings, progress=progress, workers=workers or cores(), options=options)
+        found = DiagnosisResult(poses)
+    if motions:
+        progress("comparing the motion")
+        found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)]).motion)
+    return found
 
 
 def thinned(observations: Observations) -> Observations:

@@ -114,13 +114,15 @@ def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scor
     j = int(np.searchsorted(grid, hyper.values[int(logs.argmax())]))
     low, high = float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)])
     step = (high - low) / 2
-    for _ in range(ROUNDS):
+    remaining = ROUNDS
+    while True:
         fine = np.linspace(low, high, FINE)
         peak = log_factors(projected, candidate, fine)
         best = int(peak.argmax())
         near = peak[[max(best - 1, 0), min(best + 1, FINE - 1)]]
         mass = float(np.logaddexp.reduce(peak)) + float(np.log((high - low) / (FINE - 1) / step))
-        if peak[best] - near.min() < RESOLVED:
+        remaining -= 1
+        if peak[best] - near.min() < RESOLVED or not remaining:
             break
         low, high = float(fine[max(best - 1, 0)]), float(fine[min(best + 1, FINE - 1)])
     continuous = mass + float(np.log(((1 - OPTIONS.preferred) if hyper.preferred else 1.0) / len(grid)))

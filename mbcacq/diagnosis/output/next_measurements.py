@@ -54,6 +54,7 @@ def elsewhere(context: Context, seed: int = 0) -> Context:
         np.full(count, obs.ball[0]),
         np.zeros((count, 3)),
         direction=None if obs.direction is None else rng.choice([-1.0, 1.0], q.shape),
+        recording=None if obs.recording is None else np.zeros(count, int),
     )
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))

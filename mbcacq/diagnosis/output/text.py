@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit, NotSeparable
+from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable
 from mbcacq.effects.effect import in_digits
 
 VERDICTS = {
@@ -14,6 +14,7 @@ VERDICTS = {
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
 }
+DIFFERENT = 0.01  # p-value below which recordings are said to differ
 MOST_LIMITS = 3  # effects that could still hide, in the text
 MOST_PARAMETERS = 24  # of one effect in the text
 STANDS_IN = "A smooth model stands in its place."
@@ -39,10 +40,21 @@ def words(d: Diagnosis) -> str:
         f"expected from noise alone: {d.fit.repeatability_floor_mm:.4f} mm."
     )
     lines += [hidden(limit) for limit in d.exclusion_limits[:MOST_LIMITS]]
+    lines += [difference(one) for one in d.between_recordings]
     lines += [f"Cannot be told apart: {' and '.join(pair.effects)} ({odds_of(pair)})" for pair in d.not_separable]
     lines += [f"Measure next: {a.reason}" for a in d.advice]
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
+
+
+def difference(b: BetweenRecordings) -> str:
+    """One parameter over the recordings, in one line."""
+    each = ", ".join(f"{in_digits(v)} +- {in_digits(s)}" for v, s in zip(b.values, b.stds, strict=True))
+    said = f"{b.parameter} in the recordings: {each}; common {in_digits(b.common)} +- {in_digits(b.common_std)}"
+    if b.p_value > DIFFERENT:
+        return f"{said}, no difference between them (p = {b.p_value:.2g})"
+    causes = "another tool or another stated mass, the temperature, wear"
+    return f"{said}, standard deviation between recordings {in_digits(b.between_std)} (p = {b.p_value:.1g}): {causes} could be behind it"
 
 
 def hidden(limit: ExclusionLimit) -> str:

@@ -1,0 +1,90 @@
+"""What of an effect is common to several recordings of one arm, and what differs from day to day.
+
+Every effect is fitted to each recording by itself, with the geometry of all, and the values are a random effect: a common value and a
+variance between recordings, by restricted maximum likelihood (as in meta-analysis: Hardy, Thompson 1996).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.result import BetweenRecordings
+from mbcacq.diagnosis.search.projected_solve import prior_weight
+from mbcacq.effects.effect import Parameters
+
+GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
+
+
+def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
+    """One entry for each parameter of each effect; none of a single recording."""
+    obs = full.geometry_only.linear.obs
+    if obs.recording is None or not full.model.effects:
+        return ()
+    each = values_of_recordings(full)
+    out = []
+    for (candidate, _), reports in zip(full.model.effects, each, strict=True):
+        for name, first in reports[0].items():
+            if isinstance(first.value, tuple):
+                continue
+            values = np.array([float(np.atleast_1d(r[name].value)[0]) for r in reports])
+            std = np.array([float(np.atleast_1d(r[name].std)[0]) for r in reports])
+            if np.all(std > 0):
+                out.append(summarised(candidate.name, candidate.where, name, values, std))
+    return tuple(out)
+
+
+def values_of_recordings(full: ModelFit) -> list[list[Parameters]]:
+    """For each effect its parameters in each recording, all of them fitted together."""
+    projected = full.geometry_only
+    obs = projected.linear.obs
+    count = obs.n_recordings
+    assert obs.recording is not None, "asked of several recordings only"
+    of_row = np.repeat(obs.recording[obs.pose], projected.linear.width)
+    blocks, weights = [], []
+    for candidate, hyper in full.model.effects:
+        X = projected.block(candidate, hyper)
+        blocks += [np.where(of_row[:, None] == r, X, 0.0) for r in range(count)]
+        weights += [prior_weight(candidate)] * count
+    X = np.concatenate(blocks, axis=1)
+    absorbed = projected.Q.T @ X
+    S = X.T @ X - absorbed.T @ absorbed + np.diag(np.concatenate(weights))
+    size = np.sqrt(np.diag(S))
+    covariance = np.linalg.inv(S / np.outer(size, size)) / np.outer(size, size)
+    coefficients = covariance @ (X.T @ projected.beyond_geometry())
+    out, first = [], 0
+    for candidate, hyper in full.model.effects:
+        reports = []
+        for _ in range(count):
+            own = slice(first, first + candidate.k)
+            first = own.stop
+            reports.append(candidate.report(coefficients[own], covariance[own, own], hyper))
+        out.append(reports)
+    return out
+
+
+def summarised(name: str, where: tuple[str, ...], parameter: str, values: np.ndarray, std: np.ndarray) -> BetweenRecordings:
+    """The common value and the standard deviation between recordings of values (R,) with standard deviations (R,)."""
+    between = restricted_maximum_likelihood(values, std)
+    common, own = weighted_mean(values, std**2 + between**2)
+    fixed, _ = weighted_mean(values, std**2)
+    p_value = float(chi2.sf(np.sum((values - fixed) ** 2 / std**2), len(values) - 1))
+    return BetweenRecordings(name, where, parameter, tuple(values.tolist()), tuple(std.tolist()), common, own, between, p_value)
+
+
+def weighted_mean(values: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
+    weight = 1.0 / variance
+    return float(np.sum(weight * values) / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
+
+
+def restricted_maximum_likelihood(values: np.ndarray, std: np.ndarray) -> float:
+    """Most probable standard deviation between recordings."""
+    scale = float(np.sqrt(np.mean(std**2)))
+    grid = GRID * max(scale, float(np.std(values)) / 10)
+    variance = std**2 + grid[:, None] ** 2
+    weight = 1.0 / variance
+    total = weight.sum(axis=1)
+    mean = np.sum(weight * values, axis=1) / total
+    log = -0.5 * (np.log(variance).sum(axis=1) + np.log(total) + np.sum(weight * (values - mean[:, None]) ** 2, axis=1))
+    return float(grid[int(np.argmax(log))])
