@@ -13,7 +13,7 @@ from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, Parameters, Part
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
@@ -21,8 +21,12 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.several_recordings import adjust_together
+from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
+
+ON_THE_ARM = ("A", "link", "base")  # locations that several recordings of one arm share
+DIFFERS = "recording "  # variant of an effect that differs in one recording
 
 
 @dataclass(frozen=True)
@@ -66,11 +70,33 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
-    candidates = with_detectability(linear, adjusted.noise, candidates)
+    candidates = with_detectability(linear, adjusted.noise, [*candidates, *differing(candidates, obs)])
     prior = noise_prior(obs.cell, options.noise)
     return DiagnosisProblem(
         linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), undetermined=tuple(adjusted.found)
     )
+
+
+def differing(candidates: Sequence[Candidate], obs: Observations) -> list[Candidate]:
+    """Of several recordings: each effect of one coefficient on the arm once more, for every later recording in which it may differ."""
+    if obs.recording is None:
+        return []
+    alike = [c for c in candidates if c.k == 1 and c.hyper is None and not c.separable and c.where[0].startswith(ON_THE_ARM)]
+    return [of_recording(c, r, obs) for c in alike for r in range(1, obs.n_recordings)]
+
+
+def of_recording(candidate: Candidate, r: int, obs: Observations) -> Candidate:
+    """The candidate acting in recording ``r`` alone; what it does there differs from what it does in all."""
+    assert obs.recording is not None, "asked of several recordings only"
+    here = (obs.recording == r)[:, None].astype(float)
+
+    def build(hyper: float | None) -> list[Part]:
+        return [replace(p, basis=p.basis * (here if p.place in PER_POSE else here[obs.pose])) for p in candidate.build(hyper)]
+
+    def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
+        return {f"recording_{r + 1}.{name}": value for name, value in candidate.report(c, v, hyper).items()}
+
+    return replace(candidate, build=build, report=report, positive=False, variant=f"{DIFFERS}{r + 1}", described=None)
 
 
 def not_grossly_off(residual: np.ndarray) -> np.ndarray:

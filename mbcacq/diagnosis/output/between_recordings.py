@@ -6,13 +6,16 @@ variance between recordings, by restricted maximum likelihood (as in meta-analys
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.problem import DIFFERS
 from mbcacq.diagnosis.result import BetweenRecordings
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.effects.effect import Parameters
+from mbcacq.effects.effect import Candidate, Parameters
 
 GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
 
@@ -20,11 +23,12 @@ GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between rec
 def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     """One entry for each parameter of each effect; none of a single recording."""
     obs = full.geometry_only.linear.obs
-    if obs.recording is None or not full.model.effects:
+    shared = [(c, h) for c, h in full.model.effects if not c.variant.startswith(DIFFERS) and (c.hyper is None or c.hyper.name != "at_pose")]
+    if obs.recording is None or not shared:
         return ()
-    each = values_of_recordings(full)
+    each = values_of_recordings(full, shared)
     out = []
-    for (candidate, _), reports in zip(full.model.effects, each, strict=True):
+    for (candidate, _), reports in zip(shared, each, strict=True):
         for name, first in reports[0].items():
             if isinstance(first.value, tuple):
                 continue
@@ -35,7 +39,7 @@ def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     return tuple(out)
 
 
-def values_of_recordings(full: ModelFit) -> list[list[Parameters]]:
+def values_of_recordings(full: ModelFit, effects: Sequence[tuple[Candidate, float | None]]) -> list[list[Parameters]]:
     """For each effect its parameters in each recording, all of them fitted together."""
     projected = full.geometry_only
     obs = projected.linear.obs
@@ -43,7 +47,7 @@ def values_of_recordings(full: ModelFit) -> list[list[Parameters]]:
     assert obs.recording is not None, "asked of several recordings only"
     of_row = np.repeat(obs.recording[obs.pose], projected.linear.width)
     blocks, weights = [], []
-    for candidate, hyper in full.model.effects:
+    for candidate, hyper in effects:
         X = projected.block(candidate, hyper)
         blocks += [np.where(of_row[:, None] == r, X, 0.0) for r in range(count)]
         weights += [prior_weight(candidate)] * count
@@ -54,7 +58,7 @@ def values_of_recordings(full: ModelFit) -> list[list[Parameters]]:
     covariance = np.linalg.inv(S / np.outer(size, size)) / np.outer(size, size)
     coefficients = covariance @ (X.T @ projected.beyond_geometry())
     out, first = [], 0
-    for candidate, hyper in full.model.effects:
+    for candidate, hyper in effects:
         reports = []
         for _ in range(count):
             own = slice(first, first + candidate.k)
