@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shutil
 import struct
-import subprocess
 import sys
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 from click.testing import CliRunner
 
@@ -25,9 +25,9 @@ def vulkan():
         pytest.skip("no Vulkan driver is installed (apt-get install mesa-vulkan-drivers)")
 
 
-def headless() -> set[str]:
-    listing = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True).stdout
-    return {line for line in listing.splitlines() if "--headless" in line}
+def headless() -> set[int]:
+    """Programs without a window that this process has started; others may run beside."""
+    return {each.pid for each in psutil.Process().children(recursive=True) if "--headless" in each.cmdline()}
 
 
 def test_a_picture_without_a_screen_and_no_viewer_left_behind(a_run, tmp_path, vulkan, monkeypatch):
