@@ -1,9 +1,9 @@
-"""Dry runs in a loop with random faults: does anything grow? Files, threads, processes, shared memory and memory after each run, as a chart.
+"""Dry runs in a loop with random faults: does anything grow? Files, threads, processes, shared memory and memory, as a chart.
 
     python benchmarks/soak.py [--minutes 120] [--seed 0] [--chart soak.svg]
 
-One process makes all runs, as a program does that uses mbcacq as a library. Every second run is disturbed: a fault of the fake controller or
-scanner, or a call to stop. What every run measured is compared with the first. Linux.
+One process makes all runs, as a program does that uses mbcacq as a library. Every second run is disturbed: a fault of the fake controller
+or scanner, or an interruption. What every run measured is compared with the first. Linux.
 """
 
 from __future__ import annotations

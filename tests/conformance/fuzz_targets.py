@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import struct
 import tempfile
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import msgpack
 import numpy as np
 from mbcacq_bus.modbus_link import Connection, ModbusLink
 from mbcacq_bus.registers import Register
@@ -19,10 +21,13 @@ from mbcacq_fakes.protocols.gocator import channel, encode
 from mbcacq_fakes.protocols.gocator.discovery import Discovery
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
 from mbcacq_fakes.protocols.gocator.state import SensorState
+from mbcacq_fakes.protocols.gopxl import encode as gdp_encode
 from mbcacq_fakes.protocols.krc.wire import RobTemplate
 from mbcacq_gocator import control, dataset, decode, health, information, points, selection, wire
 from mbcacq_gocator.configuration import Configuration
 from mbcacq_gocator.discovery import parse_reply
+from mbcacq_gocator.gopxl import frames, gdp, tree
+from mbcacq_gocator.gopxl.points import points_of
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.framing import Cutter, FramingError
 from mbcacq_kuka.rsi.telegram import Malformed, Parser, finite
@@ -30,10 +35,16 @@ from pymodbus.client import ModbusTcpClient
 
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.certificate import read_certificate
+from mbcacq.exports.result_json import load_result
 from mbcacq.plan import yaml_source
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.csvfile import read_table
 from mbcacq.recording.datasets.observation_set import _read_centres, _read_poses, read_observation_set
+from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
+from mbcacq.recording.rrd.checksums import read_stretches
+from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.run_plan import plan_files_text, read_kept_plan
+from mbcacq.report.sources.from_result import content_of
 from mbcacq.spheres.ply import read_cloud
 
 OURS = (MbcacqError, Malformed, FramingError, telegrams.BadTelegram)  # the last three become ProtocolError one call above
@@ -213,6 +224,47 @@ def gocator_configuration(data: bytes) -> None:
     Configuration(found.values_only())
 
 
+# GoPxL
+
+
+@cache
+def gopxl_seeds() -> tuple[bytes, ...]:
+    """Data sets of a stamp, a surface and a measurement."""
+    from bench_gocator import tilted_plane
+
+    out = []
+    for uniform in (False, True):
+        kind = gdp_encode.UNIFORM_SURFACE if uniform else gdp_encode.SURFACE_POINTS
+        bodies = (
+            (gdp_encode.STAMP, gdp_encode.stamp(3, 12.5)),
+            (kind, gdp_encode.surface(tilted_plane(), uniform, True, 900.0, True)),
+            (gdp_encode.MEASUREMENT, gdp_encode.measurement(1.25, True)),
+        )
+        out.append(b"".join(gdp_encode.message(k, gdp_encode.common("a:b", 1, i == 2, i), body) for i, (k, body) in enumerate(bodies)))
+    return tuple(out)
+
+
+def gopxl_set(data: bytes) -> None:
+    found = gdp.read_set(wire.MessageReader(Stub(data), "scan"), float("inf"))
+    if found.surface is not None:
+        points_of(found.surface)
+
+
+def gopxl_reply(data: bytes) -> None:
+    frames.reply_size(data[: frames.REPLY.size].ljust(frames.REPLY.size, b"\0"))
+    found = frames.content(data[frames.REPLY.size :])
+    tree.children(found)
+    tree.outputs(found)
+    tree.data_sources(found)
+
+
+def gopxl_reply_seed() -> bytes:
+    body = msgpack.packb(
+        {"type": "reply", "payload": {"outputs": [{"id": 1, "source": "a"}], "_links": {"item": [{"href": "/x"}]}, "n": 1.5}}
+    )
+    return frames.REPLY.pack(frames.REPLY.size + len(body), frames.MESSAGE_PACK, 1, len(body)) + body
+
+
 # bus
 
 
@@ -326,6 +378,55 @@ def in_file(name: str, read: Callable[[Path], object], other_files: dict[str, by
     return parse
 
 
+JOURNAL = b"".join(
+    checked_line(entry)
+    for entry in (
+        {
+            "time_s": 0.0,
+            "event": "run_started",
+            "name": "made",
+            "started": "2026-01-02T03:04:05+00:00",
+            "n_poses": 3,
+            "versions": {"numpy": "2"},
+        },
+        {"time_s": 1.5, "event": "pose_done", "pose": 0, "station": "1", "balls": 8, "robot_time_s": 12.5},
+        {"time_s": 1.6, "event": "gap", "kind": "pose", "text": "pose 1 was left out", "pose": 1},
+        {"time_s": 2.0, "event": "run_stopped", "exit_status": "fail", "reason": "a wall"},
+    )
+)
+CHECKSUMS = checked_line({"file": "run.rrd", "start": 0, "end": 512, "poses": [1, 2], "sha256": "00" * 32}) * 2
+AXES_OF = {name: [0.1, 0.2] for name in ("theta", "d", "a", "alpha", "beta")}
+FRAME = [[1, 0, 0, 1.5], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+RESULT = json.dumps(
+    {
+        "format": "mbcacq-result/1",
+        "method": "ml",
+        "robot": {
+            "name": "made",
+            "sign": [1, -1],
+            "limits": [[-3, 3], [-3, 3]],
+            "nominal": AXES_OF,
+            "calibrated": AXES_OF,
+            "errors": AXES_OF,
+        },
+        "T_flange_scanner": FRAME,
+        "stations": [{"id": "1", "artefact": "mbc", "T_base_station": FRAME, "std": [0.1] * 6}],
+        "balls": [{"id": 1, "centre_mm": [1, 2, 3]}],
+        "parameters": [{"name": "theta_1", "value": 0.1, "error": 0.0, "unit": "rad", "std": 0.001, "status": "free"}],
+        "names": ["theta_1"],
+        "covariance": [[1e-6]],
+        "noise": {"scanner_mm": [0.01, 0.01, 0.02], "joint_rad": [1e-5, 1e-5]},
+        "fit": {"poses": 3, "centres": 24, "rms_mm": 0.02, "chi2": 50.0, "dof": 52, "rank": 1},
+        "verification": {"places": [{"station": "2", "balls": [1, 2], "certified_mm": 10.0, "before_mm": 0.3, "after_mm": 0.02}]},
+    }
+).encode()
+
+
+def result_json(path: Path) -> object:
+    """Read, and said in the words of a report."""
+    return content_of(load_result(path))
+
+
 def plan_text(data: bytes) -> object:
     return yaml_source.parse(data.decode("utf-8", "replace"), Path("plan.yaml"))
 
@@ -364,5 +465,15 @@ def targets() -> dict[str, Target]:
         Target("certificate YAML", (BALLS,), in_file("c.yaml", lambda path: read_certificate(path, "mbc"))),
         Target("certificate DMIS", (DMIS,), in_file("c.dmo", lambda path: read_certificate(path, "mbc"))),
         Target("cloud PLY", PLYS, in_file("c.ply", read_cloud)),
+        Target("gopxl data set", gopxl_seeds(), gopxl_set),
+        Target("gopxl reply", (gopxl_reply_seed(),), gopxl_reply),
+        Target("journal", (JOURNAL,), in_file("journal.jsonl", lambda path: (read_lines(path), find_gaps(path.parent)))),
+        Target("checksums", (CHECKSUMS,), in_file("checksums.jsonl", lambda path: read_stretches(path.parent))),
+        Target(
+            "plan kept in a run folder",
+            (plan_files_text({"a.yaml": "a: 1", "b.yaml": "b: [2]"}, "real").encode(),),
+            in_file("plan.files.json", lambda path: read_kept_plan(path.parent), {"plan.yaml": PLAN}),
+        ),
+        Target("result JSON", (RESULT,), in_file("result.json", result_json)),
     ]
     return {target.name: target for target in listed}

@@ -119,3 +119,9 @@ def test_an_announcement_is_read_and_nonsense_refused():
     for wrong in (head, head + b"[1]\0", head + b"{" * 900, b"LMIUDP", body):
         with pytest.raises(ProtocolError):
             discovery.parse(wrong, "10.0.0.9")
+
+
+def test_a_reply_whose_map_has_a_map_as_key_is_a_protocol_error():
+    body = bytes.fromhex("81 81 a1 61 01 02")  # {{"a": 1}: 2}
+    with pytest.raises(ProtocolError, match="cannot be read as MessagePack"):
+        frames.content(body)

@@ -38,7 +38,7 @@ def content(body: bytes) -> dict[str, Any]:
     try:
         # Limits follow from the size of the body, which is bounded: no announced count can claim more memory.
         found = msgpack.unpackb(body, raw=False, strict_map_key=False)
-    except (ValueError, msgpack.UnpackException, UnicodeDecodeError) as error:
+    except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:  # TypeError: a map whose key is a map
         raise ProtocolError(f"a reply of GoPxL cannot be read as MessagePack ({type(error).__name__})") from None
     if not isinstance(found, dict) or not isinstance(found.get("type"), str):
         raise ProtocolError("a reply of GoPxL is no map with a type")

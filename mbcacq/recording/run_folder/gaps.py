@@ -11,6 +11,7 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
 NAMED = 12  # pose numbers written out
+MOST_POSES = 1_000_000  # a journal that says more is damaged
 
 
 def find_gaps(folder: Path | str) -> list[str]:
@@ -23,14 +24,20 @@ def find_gaps(folder: Path | str) -> list[str]:
     if not (folder / layout.JOURNAL_FILE).exists():
         return _damage(damaged)
     entries = read_journal(folder)
-    measured = {int(e["pose"]) for e in entries if e.get("event") == "pose_done"}
-    planned = max((int(e["n_poses"]) for e in entries if e.get("event") == "run_started"), default=0)
-    out = [e["text"] for e in entries if e.get("event") == "gap" and not _measured_later(e, measured)]
-    left_out = {int(e["pose"]) for e in entries if e.get("event") == "gap" and e.get("kind") == "pose"}
+    measured = _values(entries, "pose_done", "pose")
+    planned = max(_values(entries, "run_started", "n_poses"), default=0)
+    out = [str(e.get("text", "")) for e in entries if e.get("event") == "gap" and not _measured_later(e, measured)]
+    left_out = _values([e for e in entries if e.get("kind") == "pose"], "gap", "pose")
     if missing := sorted(set(range(planned)) - measured - left_out):
         out.append(f"{len(missing)} of {planned} planned poses were not measured: {_numbers(missing)}")
     lost = set() if held is None else measured - held
     return out + _damage(damaged | lost) + _interruptions(entries)
+
+
+def _values(entries: list[dict[str, Any]], event: str, key: str) -> set[int]:
+    """The numbers that the entries of an event have under a key; what cannot be a number of poses is no number."""
+    found = (entry.get(key) for entry in entries if entry.get("event") == event)
+    return {value for value in found if isinstance(value, int) and 0 <= value <= MOST_POSES}
 
 
 def _recorded(path: Path) -> tuple[set[int] | None, set[int]]:
@@ -63,7 +70,7 @@ def _interruptions(entries: list[dict[str, Any]]) -> list[str]:
     out, last = [], None
     for before, now in pairwise(entries):
         if before.get("event") == "pose_done":
-            last = int(before["pose"])
+            last = before.get("pose")
         if now.get("event") == "run_started":
             why = before.get("reason", "") if before.get("event") == "run_stopped" else "it was killed"
             where = "before its first pose" if last is None else f"after pose {last}"

@@ -52,7 +52,8 @@ def _measured(folder: Path) -> dict[int, str]:
     """Number -> station."""
     from mbcacq.recording.rrd.reader import open_recordings
 
-    listed = {int(entry["pose"]) for entry in read_journal(folder) if entry.get("event") == "pose_done"}
+    entries = read_journal(folder)
+    listed = {entry["pose"] for entry in entries if entry.get("event") == "pose_done" and isinstance(entry.get("pose"), int)}
     try:
         recordings = open_recordings(folder) if layout.parts(folder) else []
     except ConfigError as error:
