@@ -8,7 +8,14 @@ from typing import Any
 
 from mbcacq.calibration.caveats import caveats
 
-COMMENT = {"tool_data.txt": ";", ".calib": "#", ".py": "#", ".sh": "#", ".diff": "#"}  # by name or ending; patch passes over such lines
+COMMENT = {
+    "tool_data.txt": ";",
+    ".calib": "#",
+    ".yaml": "#",
+    ".py": "#",
+    ".sh": "#",
+    ".diff": "#",
+}  # by name or ending; patch passes over such lines
 
 
 def comments(result: Mapping[str, Any]) -> list[str]:
