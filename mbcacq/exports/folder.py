@@ -12,7 +12,7 @@ import numpy as np
 
 from mbcacq.calibration import state_from_dict
 from mbcacq.errors import RecordingError
-from mbcacq.exports import kuka, ros, tables, urdf
+from mbcacq.exports import joint_frames, kuka, ros, tables, urdf
 from mbcacq.exports.marks import comments, with_comments
 from mbcacq.exports.result_json import result_schema
 from mbcacq.geometry.chain import PARAMETERS, Chain
@@ -59,6 +59,8 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
             T, name=targets.name, base=targets.base_frame, flange=targets.flange_frame, scanner=targets.scanner_frame
         ),
         "scanner.launch.py": ros.launch_file(T, targets.flange_frame, targets.scanner_frame),
+        "kinematics.yaml": joint_frames.kinematics_yaml(chains(result)[1], str(result["robot"].get("name", ""))),
+        "arm.mjcf.xml": joint_frames.mjcf(chains(result)[1], T, str(result["robot"].get("name", "arm")), marks),
         "static_transform.sh": "#!/bin/sh\nexec " + ros.static_transform_command(T, targets.flange_frame, targets.scanner_frame) + "\n",
     }
     text = {name: with_comments(name, content, marks) for name, content in text.items()}

@@ -9,7 +9,14 @@ from typing import Any
 from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.result_io import effects_of
 
-COMMENT = {"tool_data.txt": ";", ".calib": "#", ".py": "#", ".sh": "#", ".diff": "#"}  # by name or ending; patch passes over such lines
+COMMENT = {
+    "tool_data.txt": ";",
+    ".calib": "#",
+    ".yaml": "#",
+    ".py": "#",
+    ".sh": "#",
+    ".diff": "#",
+}  # by name or ending; patch passes over such lines
 
 
 def comments(result: Mapping[str, Any]) -> list[str]:

@@ -76,23 +76,15 @@ class NumericalInverse:
                     quiet[target] = self.options.quiet_rounds
         return found
 
-    def solutions(self, targets: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
+    def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
         """As ``branches``, with the full turns that the limits less ``margin`` (rad) allow, and nothing outside of those."""
         low, high = self.limits[:, 0] + margin, self.limits[:, 1] - margin
-        return [with_full_turns(q, low, high) for q in self.branches(targets)]
+        return [with_full_turns(q, low, high) for q in self.branches(T_base_flange)]
 
-    def nearest(self, target: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+    def nearest(self, T_base_flange: np.ndarray, q: np.ndarray) -> np.ndarray | None:
         """The joint position (n,) rad at a target (4, 4) to which the one start ``q`` (n,) leads, or None."""
-        found, solved = self._solve(np.asarray(target, dtype=float)[None], np.asarray(q, dtype=float)[None])
+        found, solved = self._solve(np.asarray(T_base_flange, dtype=float)[None], np.asarray(q, dtype=float)[None])
         return found[0] if solved[0] else None
-
-    def closest(self, target: np.ndarray, starts: int = 32) -> np.ndarray:
-        """The joint position (n,) rad within the limits whose flange comes closest to a target (4, 4) that may be out of reach."""
-        targets = np.asarray(target, dtype=float)[None]
-        start = self._table[0][self._starts(targets)[0, :starts]]
-        q, _ = self._solve(np.repeat(targets, len(start), axis=0), start)
-        miss = np.linalg.norm(self._error(np.repeat(targets, len(q), axis=0), self.chain.flange(q)), axis=1)
-        return q[int(np.argmin(miss))]
 
     @cached_property
     def _reach(self) -> float:
@@ -133,10 +125,10 @@ class NumericalInverse:
 
     def _starts(self, targets: np.ndarray) -> np.ndarray:
         """(P, k) indices into the table, nearest first, k all that the rounds may use."""
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         count = min(self.options.rounds * self.options.starts_per_round, self.options.table_size)
-        return np.atleast_2d(cKDTree(self._table[1]).query(self._place(targets), k=count)[1])
+        return np.atleast_2d(KDTree(self._table[1]).query(self._place(targets), k=count)[1])
 
     def _error(self, targets: np.ndarray, flange: np.ndarray) -> np.ndarray:
         """(P, 6): what is left to go, translation as a share of the reach, rotation in rad, base frame."""

@@ -46,6 +46,13 @@ def test_shipped_plans_have_no_errors_and_no_warnings(name):
     refuse_errors(loaded, poses)
 
 
+def test_the_plan_with_lift_and_thermometers_has_no_errors():
+    loaded = load(PLANS / "kuka-lift.yaml")
+    assert [str(f) for f in check(loaded, expand(loaded)) if f.level == "error"] == []
+    assert loaded.plan.positioner.driver == "modbus"
+    assert {name for s in loaded.plan.sensors for name in s.options["units"]} == {"robot_C", "scanner_C", "air_C"}
+
+
 def test_small_plan_is_clean(folder):
     assert codes(folder.plan()) == set()
 

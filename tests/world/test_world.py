@@ -184,3 +184,13 @@ def test_wrong_options_are_one_sentence(cell_facts, fake, words):
 
     with pytest.raises(ConfigError, match=words):
         build()
+
+
+def test_the_scanner_s_housing_warms_up_faster_and_further_than_the_arm():
+    from mbcacq_fakes.world.environment import Environment
+
+    climate, time_s = Environment(), np.array([0.0, 600.0, 3600.0, 36000.0])
+    above = climate.scanner(time_s) - climate.air(time_s)
+    assert above[0] == 0
+    assert (above[1:] > (climate.robot(time_s) - climate.air(time_s))[1:]).all()
+    assert above[-1] == pytest.approx(14.0, abs=1e-3)

@@ -34,6 +34,8 @@ OUTPUTS = ("timestamp", "actual_q", "target_q", "actual_current", "runtime_state
 INPUTS = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_register_{k}" for k in range(3)))
 PLAYING = 2  # runtime_state while a program runs
 MOVE, STOP = 1, 2
+NUMBERS = 2**30  # of commands, then they begin again
+IDLE_S = 0.5  # on the controller's clock: idle for longer, and not at the target, it was stopped or went elsewhere
 DEFAULTS: dict[str, Any] = {
     "address": None,
     "port": 30004,
@@ -136,9 +138,9 @@ class UrRtde:
             raise ConfigError(f"robot '{self._name}': speed and acceleration limits must be positive")
         with self._lock:
             self._check()
-            self._number += 1
+            self._number = (self._number + 1) % NUMBERS
             self._command = (*target.tolist(), speed, acceleration, self._number, MOVE)
-            self._target, self._limits_now, self._near_since = target, limits, None
+            self._target, self._limits_now, self._near_since, self._idle_since = target, limits, None, None
 
     def state(self) -> RobotState:
         with self._lock:
@@ -167,7 +169,7 @@ class UrRtde:
             if self._socket is None or self._error is not None:
                 return
             self._target = None
-            self._number += 1
+            self._number = (self._number + 1) % NUMBERS
             self._command = (*self._command[:8], self._number, STOP)
             self._lock.wait_for(lambda: self._error is not None or self._resting(), timeout=float(self._options["silence_s"]))
 
@@ -198,6 +200,7 @@ class UrRtde:
         self._target: np.ndarray | None = None
         self._limits_now: MotionLimits | None = None
         self._near_since: float | None = None
+        self._idle_since: float | None = None
         self._rows: list[tuple[Any, ...]] = []
         self._number = 0
         self._command: tuple[Any, ...] = (*(0.0,) * 8, 0, STOP)
@@ -278,7 +281,7 @@ class UrRtde:
                 self._pending = self._packages.feed(data)
         except TimeoutError:
             self._fail(DeviceTimeout(f"robot '{self._name}': silent for {self._options['silence_s']:g} s; the arm stops by its watchdog"))
-        except Malformed as error:
+        except (Malformed, struct.error) as error:
             self._fail(ProtocolError(f"robot '{self._name}': {error}; the connection was given up, the arm stops by its watchdog"))
         except MbcacqError as error:
             self._fail(error)
@@ -298,6 +301,10 @@ class UrRtde:
             target, limits = self._target, self._limits_now
             near = target is not None and limits is not None and np.abs(np.array(values["actual_q"]) - target).max() <= limits.tolerance
             self._near_since = (float(values["timestamp"]) if self._near_since is None else self._near_since) if near else None
+            idle = target is not None and values["output_int_register_0"] == self._number and not values["output_int_register_1"]
+            self._idle_since = (float(values["timestamp"]) if self._idle_since is None else self._idle_since) if idle else None
+            if self._idle_since is not None and not near and float(values["timestamp"]) - self._idle_since > IDLE_S:
+                raise DeviceFault(f"robot '{self._name}': the move ended away from its target; see the pendant (a protective stop?)")
             command = values["target_q"] if target is None else tuple(target.tolist())
             self._rows.append((values["timestamp"], now, values["actual_q"], values["target_q"], command, values["actual_current"]))
             self._latest = values

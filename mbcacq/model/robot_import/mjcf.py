@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from mbcacq.model.robot_import.source import ArmSource
 def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     """Raises ConfigError where MuJoCo is missing or refuses the file, or no serial arm of hinges leads to the flange."""
     try:
-        import mujoco
+        mujoco: Any = import_module("mujoco")
     except ImportError:
         raise ConfigError(f"{path}: reading MJCF needs MuJoCo; pip install 'mbcacq[mjcf]', or import a URDF") from None
     try:

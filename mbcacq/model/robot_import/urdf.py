@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,7 @@ def _bytes(path: Path) -> bytes:
 def _expanded(path: Path) -> bytes:
     _bytes(path)
     try:
-        import xacro
+        xacro: Any = import_module("xacro")
     except ImportError:
         raise ConfigError(
             f"{path}: xacro is not installed; run `xacro {path.name} > {path.stem}.urdf` where ROS is and import that, or "
@@ -227,8 +228,7 @@ def _masses(
 
 def _inertial(element: Any, path: Path, link: str) -> tuple[float, np.ndarray] | None:
     """kg, and mm in the link's frame."""
-    weight = None if element is None else element.find("mass")
-    if weight is None:
+    if element is None or (weight := element.find("mass")) is None:
         return None
     origin = element.find("origin")
     xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3, path, f"inertial of {link}")

@@ -1,0 +1,79 @@
+"""A plan from nothing, and a plan that is out of reach brought back into it."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from mbcacq.cli.plan import command
+from mbcacq.design.new_plan import NewPlan, write_new_plan
+from mbcacq.design.station_repair import repaired, station_moves
+from mbcacq.errors import ConfigError
+from mbcacq.model import shipped
+from mbcacq.plan import expand, load
+from mbcacq.plan.expansion import expand_reachable
+from mbcacq.plan.feasibility import check
+
+FOUR_BALLS = """\
+id: four
+balls:
+  - {id: 1, centre_mm: [0, 0, 0], diameter_mm: 12.0}
+  - {id: 2, centre_mm: [40, 3, 2], diameter_mm: 12.0}
+  - {id: 3, centre_mm: [5, 33, -3], diameter_mm: 12.0}
+  - {id: 4, centre_mm: [-28, 9, 6], diameter_mm: 12.0}
+"""
+
+
+def test_a_new_plan_has_no_errors_and_spreads_its_stations(tmp_path):
+    artefact = tmp_path / "four.yaml"
+    artefact.write_text(FOUR_BALLS)
+    out = tmp_path / "plan.yaml"
+    request = NewPlan(shipped.robot_file("kr6_r900_2"), shipped.named_file("scanners", "gocator-3210"), artefact, out, stations=4, poses=14)
+    list(write_new_plan(request))
+    loaded = load(out)
+    poses = expand(loaded)
+    assert [str(f) for f in check(loaded, poses) if f.level == "error"] == []
+    assert sum(p.phase == "position" for p in poses) >= 8
+    assert all(len(p.balls) == 4 for p in poses if p.phase == "position")
+    places = np.array([s.planned_pose[:3, 3] for s in loaded.cell.stations])
+    apart = np.linalg.norm(places[:, None] - places, axis=2)[~np.eye(len(places), dtype=bool)]
+    assert apart.min() > 100
+    assert {p.station for p in poses if p.phase == "verification"}.isdisjoint({p.station for p in poses if p.phase == "position"})
+
+
+def test_a_new_plan_needs_balls_that_show_an_orientation(tmp_path):
+    artefact = tmp_path / "two.yaml"
+    artefact.write_text("\n".join(FOUR_BALLS.splitlines()[:4]) + "\n")
+    request = NewPlan(shipped.robot_file("kr6_r900_2"), shipped.named_file("scanners", "gocator-3210"), artefact, tmp_path / "plan.yaml")
+    with pytest.raises(ConfigError, match="2 balls leave its orientation open; three at least are needed"):
+        list(write_new_plan(request))
+
+
+def test_names_that_are_no_file_are_answered_with_the_choices():
+    with pytest.raises(ConfigError, match="no file kr99.*kr6_r900_2"):
+        shipped.named_file("robots", "kr99")
+
+
+def test_a_station_out_of_reach_is_told_the_nearest_place_and_moved_there(folder):
+    path = folder.plan(("[600, 0, 150]", "[1250, 0, 150]"))
+    (move,) = station_moves(load(path))
+    assert (move.station, move.unreachable, move.views) == ("1", 1, 2)
+    assert move.place is not None
+    assert move.place[0] < 1250
+    assert f"{move.distance_mm:.0f} mm away; `--fix` writes it" in move.sentence()
+    done = CliRunner().invoke(command, ["check", str(path), "--quick", "--fix"], catch_exceptions=False)
+    assert "station '1' was moved by" in done.stderr
+    again = load(path)
+    assert again.cell.station("1").planned_pose[:3, 3] == pytest.approx(move.place)
+    assert expand_reachable(again)[1] == []
+
+
+def test_a_view_that_no_place_helps_is_left_out_and_the_others_stay(folder):
+    """An orientation that a wrist limited to one sign cannot take anywhere near, beside one that it can."""
+    folder.change("robot.yaml", ("limits_deg: [-120, 120]", "limits_deg: [10, 120]"))
+    path = folder.plan(
+        ("{tilt_deg: 30, azimuth_deg: 200, roll_deg: 40}", "{tilt_deg: 30, azimuth_deg: 200, roll_deg: 40, wrist: negative}")
+    )
+    fixed, said = repaired(load(path))
+    assert len(fixed.plan.steps[0].views) == 1
+    assert "1 views that cannot be reached were left out" in said[-1]
+    assert expand_reachable(fixed)[1] == []
