@@ -18,6 +18,7 @@ SAME = 1.25  # factor within which two changes explain as much and cannot be tol
 LIKELIER = ("sign", "unit", "handedness", "orientation", "order", "offset", "coupling", "frame", "rows")  # of changes that fit equally well
 SCREENED = 8  # changes of the smallest residual in a few steps that are fitted to the end
 FITTED = 3  # best changes that the caller's fit is asked for
+MOST_ALTERNATIVES = 3  # named in the text; a mirror of positions is any mirror
 MOST_CHANGES = 2  # mistakes found one after the other
 
 
@@ -34,7 +35,11 @@ class DescriptionFinding:
 
     def __str__(self) -> str:
         text = f"with {self.what} the residual falls from {_number(self.before_mm)} to {_number(self.after_mm)} mm"
-        return text + (f" ({' or '.join(self.alternatives)} fits as well)" if self.alternatives else "")
+        if not self.alternatives:
+            return text
+        more = len(self.alternatives) - MOST_ALTERNATIVES
+        others = " or ".join(self.alternatives[:MOST_ALTERNATIVES])
+        return f"{text} (the data cannot tell it from {others}{f' and {more} more' if more > 0 else ''})"
 
 
 def wrong_descriptions(observations: Observations, fit: Fit | None = None) -> tuple[DescriptionFinding, ...]:

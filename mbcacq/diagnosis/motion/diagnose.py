@@ -21,6 +21,7 @@ from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.motion.transmitted_torque import with_load
 from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.effects.motion.payload import NAME as PAYLOAD
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
@@ -52,7 +53,7 @@ def diagnose_trajectories(
     recordings = _Recordings(trajectories, options)
     fits, runs = recordings.explain()
     found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None, options)
-    return replace(found, suspicions=suspicions(recordings.runs, options))
+    return replace(found, suspicions=(*suspicions(recordings.runs, options), *_other_payload(found)))
 
 
 def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None, options: MotionOptions = DEFAULTS) -> list[MotionFit]:
@@ -68,6 +69,12 @@ def base_alone(trajectories: Sequence[Trajectory], options: MotionOptions = DEFA
         selection = ForwardSelection(MotionModel(group, recordings.runs, options), candidates=[])
         out[group.name] = selection.start / selection.model.floor**2
     return out
+
+
+def _other_payload(found: MotionDiagnosis) -> list[str]:
+    """In words, by how much the load on the flange is not as described, where that was found."""
+    masses = [e.parameters["added_mass_kg"] for e in found.named_effects if e.name == PAYLOAD]
+    return [f"with {m['value']:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
 
 
 class _Recordings:
