@@ -211,4 +211,5 @@ def _correlated(names: Sequence[str], C: np.ndarray) -> tuple[tuple[str, str, fl
     i, j = np.nonzero(np.triu(np.abs(correlation) > CORRELATED, 1))
     order = np.argsort(-np.abs(correlation[i, j]))
     pairs = [(int(i[k]), int(j[k])) for k in order]
+    pairs = [(a, b) for a, b in pairs if not names[a].startswith("unknown:") and not names[b].startswith("unknown:")]
     return tuple((names[a], names[b], float(correlation[a, b])) for a, b in pairs)

@@ -19,6 +19,7 @@ from mbcacq.calibration.with_effects import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import parameters
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate
@@ -176,7 +177,10 @@ class _Trial:
             return calibrate(obs, options)
         known = self._known(obs)
         hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
-        return calibrate(known, replace(options, hold=hold))
+        cell = known.cell
+        placed = np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations])
+        start = CellState(chain, cell.T_flange_scanner, placed, cell.ball_centres.copy())
+        return calibrate(known, replace(options, hold=hold, start=start))
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them. Raises ConfigError where it has none of these."""

@@ -136,7 +136,7 @@ def print_result(result: dict[str, Any]) -> None:
     if tables.identifies_arm(result):
         console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
-    for line in [*tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
+    for line in [*tables.effects(result), *tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))

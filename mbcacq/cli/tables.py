@@ -22,6 +22,25 @@ def parameters(result: dict[str, Any]) -> Table:
     return table
 
 
+def effects(result: dict[str, Any]) -> list[str]:
+    """What the arm does beyond its geometry: the coefficients of each effect, and the groups of what has no name."""
+    terms = (result.get("effects") or {}).get("terms", ())
+    if not terms:
+        return []
+    out = ["Effects, with the cell (coefficient +- standard deviation):"]
+    for t in terms:
+        if t["name"] != "unknown":
+            hyper = "".join(f", {k} {v:.6g}" for k, v in t["hyper"].items())
+            values = ", ".join(f"{c:.4g} +- {s:.2g}" for c, s in zip(t["coefficients"], t["std"], strict=True))
+            out.append(f"  {t['name']} at {', '.join(t['where'])}{hyper}: {values} {t['units'][0]}")
+    unknown = [t for t in terms if t["name"] == "unknown"]
+    if unknown:
+        count = sum(len(t["names"]) for t in unknown)
+        places = ", ".join(dict.fromkeys("+".join(t["where"]) for t in unknown))
+        out.append(f"  unknown: {len(unknown)} groups of {count} basis functions at {places}")
+    return out
+
+
 def arm_parameters(result: dict[str, Any]) -> set[str]:
     """Names of the MD-H parameters."""
     return {f"{p}_{i + 1}" for p in ("theta", "d", "a", "alpha", "beta") for i in range(len(result["robot"]["sign"]))}

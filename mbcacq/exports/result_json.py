@@ -82,6 +82,7 @@ class ResultFile(Open):
     covariance: list[list[float]] = Field(description="hand_eye entries are a local twist (scanner frame) behind T_flange_scanner")
     noise: ResultNoise
     fit: Fit
+    effects: dict[str, Any] | None = Field(None, description="effects as terms of the cell, format mbcacq-effect-model/1")
 
 
 def result_schema() -> dict[str, Any]:

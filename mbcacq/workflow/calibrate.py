@@ -15,6 +15,7 @@ from mbcacq.calibration.compare_methods import compare as compare_methods
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
+from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
@@ -112,6 +113,8 @@ def calibration_content(
     from mbcacq.calibration.cross_validation import held_out as cross_validate
     from mbcacq.recording import find_gaps
 
+    if effects is not None and held_out is not None:
+        raise ConfigError("held-out figures are of the geometry alone; try a calibration with effects on another recording: mbcacq verify")
     observations = as_observations(data)
     asked, options = options, options_for(observations, options)
     calibration = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
@@ -133,7 +136,6 @@ def draw_l_curve(content: dict[str, Any], path: Path) -> None:
     import numpy as np
 
     from mbcacq.calibration.staged.angle_adjustment import LCurve
-    from mbcacq.errors import ConfigError
 
     curve = next((s["l_curve"] for s in content.get("stages", ()) if "l_curve" in s), None)
     if curve is None:

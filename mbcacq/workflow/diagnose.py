@@ -209,6 +209,8 @@ def diagnose(
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
     several = list(data) if isinstance(data, Sequence) and not isinstance(data, str) else [data]
+    if check and all(_is_trajectory(one) for one in several):
+        raise ConfigError("what was learnt from trajectories cannot be tried on another recording; leave --check out")
     if all(_is_trajectory(one) for one in several):
         return diagnose_motion([one for one in several if not isinstance(one, Observations)])
     if len(several) > 1:

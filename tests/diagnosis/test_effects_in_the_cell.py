@@ -113,6 +113,16 @@ def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
     assert type(tried).from_dict(json.loads(json.dumps(tried.to_dict()))) == tried
 
 
+def test_with_known_places_nothing_is_fitted(recording, fitted):
+    tried = check_transfer(recording, fitted, place="known")
+    assert tried.with_effects.rms_mm == pytest.approx(fitted.rms_mm, rel=0.05)  # balls as certified
+    assert tried.geometry_alone.rms_mm > 2 * tried.with_effects.rms_mm
+    elsewhere = replace(fitted.observations.cell.stations[0], id="elsewhere")
+    moved = replace(recording, cell=replace(recording.cell, stations=(elsewhere, *recording.cell.stations[1:])))
+    with pytest.raises(ConfigError, match="has no known place"):
+        check_transfer(moved, fitted, place="known")
+
+
 def test_effects_of_another_arm_are_refused(recording, fitted):
     wrong = replace(fitted.effects, robot=replace(fitted.effects.robot, name="another arm"))
     with pytest.raises(ConfigError, match="learnt on 'another arm'"):

@@ -66,9 +66,13 @@ def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm
 
 
 def _unit(candidate: Candidate) -> str:
-    """The unit of a candidate's coefficients: of what it displaces, per unit of its covariate."""
-    place, component = next(iter({(p.place, p.component) for p in (candidate.described or (lambda _: []))(_any(candidate))}), ("", 0))
-    return "rad" if place == "joint" or (place in ("frame", "station") and component >= 3) else "mm"
+    """The unit of a candidate's coefficients: of what it displaces first, per unit of its covariate."""
+    assert candidate.described is not None, "only effects that are written down can be kept"
+    part = candidate.described(_any(candidate))[0]
+    unit = "rad" if part.place == "joint" or (part.place in ("frame", "station") and part.component >= 3) else "mm"
+    per = {"gravity_torque": "/Nm", "gravity_moment": "/Nm", "payload_force": "/N", "qd": " s"}
+    linear = all(f.kind == "power" for column in part.columns for product in column for f in product.functions)
+    return unit + next((p for prefix, p in per.items() if linear and any(c.startswith(prefix) for c in part.covariates)), "")
 
 
 def _any(candidate: Candidate) -> float | None:

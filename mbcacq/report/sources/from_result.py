@@ -173,6 +173,8 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
     out = []
     for p in result["parameters"]:
         name = str(p["name"])
+        if name.startswith("unknown:"):
+            continue  # hundreds of coefficients of basis functions, none of which means anything by itself
         unit, factor = ("deg", 180 / np.pi) if p["unit"] == "rad" else (str(p["unit"]), 1.0)
         rotation = re.fullmatch(r"hand_eye\.r[xyz]", name) is not None
         error, value = factor * float(p["error"]), factor * float(p["value"])
