@@ -7,7 +7,7 @@ A = D X'PX D and a = D X'Pr (D: typical sizes), log BF(s) = 1/2 (s^2 a'(I + s^2 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
 LN2 = float(np.log(2.0))
 
@@ -24,7 +24,7 @@ def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray, positive:
     terms = 0.5 * np.sum(square[:, None] * along[:, None, :] ** 2 / grown - np.log(grown), axis=2)
     if positive and a.shape[1] == 1:
         terms = terms + LN2 + log_ndtr(np.sqrt(square) * a / np.sqrt(grown[:, :, 0]))
-    return logsumexp(terms, axis=1) - np.log(len(square))
+    return np.logaddexp.reduce(terms, axis=1) - np.log(len(square))
 
 
 def log_set_bayes_factor(
@@ -55,7 +55,7 @@ def log_set_bayes_factor(
         for j, own in enumerate(sizes):
             values = np.array([log_factor([*chosen[:j], float(s), *chosen[j + 1 :]]) for s in own])
             chosen[j], best = float(own[values.argmax()]), float(values.max())
-            spread[j] = float(logsumexp(values) - best) - float(np.log(len(own)))
+            spread[j] = float(np.logaddexp.reduce(values) - best) - float(np.log(len(own)))
         if chosen == before:
             break
     return best + sum(spread), chosen

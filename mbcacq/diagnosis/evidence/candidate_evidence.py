@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.evidence.options import OPTIONS
@@ -82,7 +81,7 @@ def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> Scored
 def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> ScoredEffect:
     """Over the values (H,) of a hyper-parameter, with log Bayes factors (H,)."""
     weighted = logs + log_weights(candidate, values)
-    total, best = float(logsumexp(weighted)), int(weighted.argmax())
+    total, best = float(np.logaddexp.reduce(weighted)), int(weighted.argmax())
     return ScoredEffect(candidate, float(values[best]), total, total - float(logs[best]))
 
 
@@ -120,7 +119,7 @@ def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scor
         peak = log_factors(projected, candidate, fine)
         best = int(peak.argmax())
         near = peak[[max(best - 1, 0), min(best + 1, FINE - 1)]]
-        mass = float(logsumexp(peak)) + float(np.log((high - low) / (FINE - 1) / step))
+        mass = float(np.logaddexp.reduce(peak)) + float(np.log((high - low) / (FINE - 1) / step))
         if peak[best] - near.min() < RESOLVED:
             break
         low, high = float(fine[max(best - 1, 0)]), float(fine[min(best + 1, FINE - 1)])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -40,15 +39,15 @@ def by_labels(hypotheses: Sequence[Hypothesis]) -> dict[frozenset[str], float]:
     each: dict[frozenset[str], list[float]] = {}
     for h in hypotheses:
         each.setdefault(h.labels, []).append(h.log_posterior)
-    return {labels: float(logsumexp(values)) for labels, values in each.items()}
+    return {labels: float(np.logaddexp.reduce(values)) for labels, values in each.items()}
 
 
 def probability(fit: EvidenceFit, labels: frozenset[str]) -> float:
     """Posterior probability that a set of hypotheses with all of these effects is true, among those that were compared."""
     logs = by_labels(fit.hypotheses)
-    total = float(logsumexp(list(logs.values())))
+    total = float(np.logaddexp.reduce(list(logs.values())))
     mine = [log for own, log in logs.items() if labels <= own]
-    return float(np.exp(logsumexp(mine) - total)) if mine else 0.0
+    return float(np.exp(np.logaddexp.reduce(mine) - total)) if mine else 0.0
 
 
 def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:
