@@ -43,17 +43,21 @@ def with_rivals(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[Effec
     reported = reported_hypothesis(fit)
     out = []
     for effect in effects:
-        others: dict[str, Alternative] = {}
+        found: dict[str, float] = {}
         for where in effect.where if effect.name != UNMODELLED else effect.where[:1]:
             for label in labels_of(reported, effect.name, where):
                 for rival in rivals(fit, reported, label):
-                    name, _, place = rival.label.partition(":")
-                    known = others.get(rival.label)
-                    if known is None or (known.odds or 0.0) < rival.odds:
-                        others[rival.label] = Alternative(name, tuple(place.split("+")), 0.0, rival.odds)
-        ranked = sorted(others.values(), key=lambda a: -(a.odds or 0.0))[:MOST_RIVALS]
+                    found[rival.label] = max(rival.odds, found.get(rival.label, 0.0))
+        best = sorted(found.items(), key=lambda item: -item[1])[:MOST_RIVALS]
+        ranked = [alternative(label, odds) for label, odds in best]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return tuple(out)
+
+
+def alternative(label: str, odds: float) -> Alternative:
+    """From ``name:where``."""
+    name, _, where = label.partition(":")
+    return Alternative(name, tuple(where.split("+")), 0.0, odds)
 
 
 def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:

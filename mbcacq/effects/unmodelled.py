@@ -126,7 +126,7 @@ def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Co
     if covariate in ("time", "pose"):
         low, high = float(values.min()), float(values.max())
         orders = np.arange(1, OPTIONS.clock_functions + 1)
-        return [of(covariate, "cosine", low, high, k) for k in orders], 1.0 / orders, ()
+        return [of(covariate, "cosine", low, high, float(k)) for k in orders], 1.0 / orders, ()
     middle, spread = float(values.mean()), float(values.std())
     standard: Column = (Product(1 / spread, (Function(covariate),)), Product(-middle / spread))
     return [standard], np.ones(1), (covariate,)

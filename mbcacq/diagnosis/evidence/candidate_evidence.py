@@ -113,20 +113,26 @@ def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scor
     grid = np.sort(hyper.values)
     j = int(np.searchsorted(grid, hyper.values[int(logs.argmax())]))
     low, high = float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)])
-    step = (high - low) / 2
-    remaining = ROUNDS
-    while True:
-        fine = np.linspace(low, high, FINE)
-        peak = log_factors(projected, candidate, fine)
-        best = int(peak.argmax())
-        near = peak[[max(best - 1, 0), min(best + 1, FINE - 1)]]
-        mass = float(np.logaddexp.reduce(peak)) + float(np.log((high - low) / (FINE - 1) / step))
-        remaining -= 1
-        if peak[best] - near.min() < RESOLVED or not remaining:
-            break
-        low, high = float(fine[max(best - 1, 0)]), float(fine[min(best + 1, FINE - 1)])
+    mass, best = refined(projected, candidate, low, high)
     continuous = mass + float(np.log(((1 - OPTIONS.preferred) if hyper.preferred else 1.0) / len(grid)))
     total = max(coarse.log_evidence, continuous)
     if hyper.preferred and coarse.hyper in hyper.preferred and coarse.log_evidence > continuous:
         return coarse
-    return ScoredEffect(candidate, float(fine[best]), total, total - float(peak[best]))
+    return ScoredEffect(candidate, best[0], total, total - best[1])
+
+
+def refined(projected: CandidateScoring, candidate: Candidate, low: float, high: float) -> tuple[float, tuple[float, float]]:
+    """Log of the integral of the Bayes factor from low to high, in units of half that range, and the best value with its log factor."""
+    step = (high - low) / 2
+    mass, best = -np.inf, (low, -np.inf)
+    for _ in range(ROUNDS):
+        fine = np.linspace(low, high, FINE)
+        peak = log_factors(projected, candidate, fine)
+        j = int(peak.argmax())
+        before, after = max(j - 1, 0), min(j + 1, FINE - 1)
+        mass = float(np.logaddexp.reduce(peak)) + float(np.log((high - low) / (FINE - 1) / step))
+        best = float(fine[j]), float(peak[j])
+        if peak[j] - min(peak[before], peak[after]) < RESOLVED:
+            break
+        low, high = float(fine[before]), float(fine[after])
+    return mass, best

@@ -108,15 +108,21 @@ def with_sizes(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Memb
 
 def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis:
     """The hypothesis with its noise estimated anew, from a start."""
-    point, remaining = start, rounds
-    while True:
-        sized, log_factor = with_sizes(point, members)
-        gradient, information = point.score(conditioned(point, sized))
+    point = start
+    sized, log_factor, gradient, information = at_noise(point, members)
+    for _ in range(rounds):
         new, change = point.moved(gradient, information)
-        if change < STEADY or remaining == 0:
+        if change < STEADY:
             break
-        point, remaining = new, remaining - 1
+        point = new
+        sized, log_factor, gradient, information = at_noise(point, members)
     return Hypothesis(sized, point, integrated(point.log_likelihood + log_factor, gradient, information), log_prior)
+
+
+def at_noise(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Member, ...], float, np.ndarray, np.ndarray]:
+    """The effects at their most probable sizes, the log Bayes factor, and gradient and information by the noise."""
+    sized, log_factor = with_sizes(point, members)
+    return sized, log_factor, *point.score(conditioned(point, sized))
 
 
 def first_order(members: Sequence[Member], start: NoisePoint, log_prior: float) -> Hypothesis:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
@@ -36,5 +35,5 @@ def moment_std(hypothesis: Hypothesis, member: Member) -> float:
     assert member.hyper is not None, "a change has a moment"
     others = conditioned(hypothesis.point, [m for m in hypothesis.members if m is not member])
     logs = log_factors(others, member.candidate, hyper.values)
-    probability = np.exp(logs - logsumexp(logs))
+    probability = np.exp(logs - np.logaddexp.reduce(logs))
     return float(np.hypot(BETWEEN_POSES, np.sqrt(probability @ (hyper.values - member.hyper) ** 2)))

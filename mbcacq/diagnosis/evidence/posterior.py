@@ -56,9 +56,9 @@ def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:
     best: dict[str, Rival] = {}
     for h in fit.hypotheses:
         others = h.labels - rest
-        if label in h.labels or not others or not rest <= h.labels:
+        if label in h.labels or len(others) != 1 or not rest <= h.labels:
             continue
-        name = " and ".join(sorted(others))
+        (name,) = others
         odds = float(np.exp(min(h.log_posterior - reported.log_posterior, 0.0)))
         if name not in best:
             best[name] = Rival(name, odds, h)

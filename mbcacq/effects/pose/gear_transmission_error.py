@@ -44,7 +44,7 @@ def candidates(context: Context) -> list[Candidate]:
                 (("joint", i, 0),),
                 functions,
                 several=True,
-                described=lambda h, i=i: [DescribedPart("joint", i, 0, (sine(f"q{i + 1}", h), cosine(f"q{i + 1}", h)))],
+                described=lambda h, i=i: [DescribedPart("joint", i, 0, (sine(f"q{i + 1}", h or 1.0), cosine(f"q{i + 1}", h or 1.0)))],
             )
         )
     return out

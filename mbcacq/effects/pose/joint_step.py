@@ -31,7 +31,7 @@ def candidates(context: Context) -> list[Candidate]:
             hyper,
             (("joint", i, 0),),
             functions,
-            described=lambda h: [DescribedPart("joint", i, 0, (of("pose", "step", h),))],
+            described=lambda h: [DescribedPart("joint", i, 0, (of("pose", "step", float(h or 0.0)),))],
         )
 
     return [of_joint(i) for i in range(context.n)]
