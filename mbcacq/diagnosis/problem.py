@@ -13,7 +13,7 @@ from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Parameters, Part
+from mbcacq.effects.effect import Candidate, ParameterEstimate, Parameters, Part
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
@@ -26,7 +26,7 @@ from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
 ON_THE_ARM = ("A", "link", "base")  # locations that several recordings of one arm share
-DIFFERS = "recording "  # variant of an effect that differs in one recording
+EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
 
 
 @dataclass(frozen=True)
@@ -78,25 +78,34 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
 
 
 def differing(candidates: Sequence[Candidate], obs: Observations) -> list[Candidate]:
-    """Of several recordings: each effect of one coefficient on the arm once more, for every later recording in which it may differ."""
+    """Of several recordings: each effect of one coefficient on the arm once more, with a coefficient of its own in every recording."""
     if obs.recording is None:
         return []
     alike = [c for c in candidates if c.k == 1 and c.hyper is None and not c.separable and c.where[0].startswith(ON_THE_ARM)]
-    return [of_recording(c, r, obs) for c in alike for r in range(1, obs.n_recordings)]
+    return [of_each_recording(c, obs) for c in alike]
 
 
-def of_recording(candidate: Candidate, r: int, obs: Observations) -> Candidate:
-    """The candidate acting in recording ``r`` alone; what it does there differs from what it does in all."""
-    assert obs.recording is not None, "asked of several recordings only"
-    here = (obs.recording == r)[:, None].astype(float)
+def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
+    """The candidate with one coefficient for each recording."""
+    count = obs.n_recordings
+    here = (obs.recording[:, None] == np.arange(count)).astype(float)  # pyright: ignore[reportOptionalSubscript] -- there are several
 
     def build(hyper: float | None) -> list[Part]:
         return [replace(p, basis=p.basis * (here if p.place in PER_POSE else here[obs.pose])) for p in candidate.build(hyper)]
 
     def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
-        return {f"recording_{r + 1}.{name}": value for name, value in candidate.report(c, v, hyper).items()}
+        each = [candidate.report(c[r : r + 1], v[r : r + 1, r : r + 1], hyper) for r in range(count)]
+        return {
+            name: ParameterEstimate(tuple(_first(e[name].value) for e in each), tuple(_first(e[name].std) for e in each))
+            for name in each[0]
+        }
 
-    return replace(candidate, build=build, report=report, positive=False, variant=f"{DIFFERS}{r + 1}", described=None)
+    typical = np.repeat(candidate.typical, count)
+    return replace(candidate, build=build, report=report, typical=typical, positive=False, variant=EACH_RECORDING, described=None)
+
+
+def _first(value: float | tuple[float, ...]) -> float:
+    return float(np.atleast_1d(value)[0])
 
 
 def not_grossly_off(residual: np.ndarray) -> np.ndarray:

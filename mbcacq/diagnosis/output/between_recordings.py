@@ -12,10 +12,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.problem import DIFFERS
+from mbcacq.diagnosis.problem import EACH_RECORDING
 from mbcacq.diagnosis.result import BetweenRecordings
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.effects.effect import Candidate, Parameters
+from mbcacq.effects.effect import Candidate
 
 GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
 
@@ -23,24 +23,21 @@ GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between rec
 def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     """One entry for each parameter of each effect; none of a single recording."""
     obs = full.geometry_only.linear.obs
-    shared = [(c, h) for c, h in full.model.effects if not c.variant.startswith(DIFFERS) and (c.hyper is None or c.hyper.name != "at_pose")]
+    shared = [(c, h) for c, h in full.model.effects if c.hyper is None or c.hyper.name != "at_pose"]
     if obs.recording is None or not shared:
         return ()
-    each = values_of_recordings(full, shared)
     out = []
-    for (candidate, _), reports in zip(shared, each, strict=True):
-        for name, first in reports[0].items():
-            if isinstance(first.value, tuple):
-                continue
-            values = np.array([float(np.atleast_1d(r[name].value)[0]) for r in reports])
-            std = np.array([float(np.atleast_1d(r[name].std)[0]) for r in reports])
-            if np.all(std > 0):
-                out.append(summarised(candidate.name, candidate.where, name, values, std))
+    for candidate, values, std in values_of_recordings(full, shared):
+        for name, value in values.items():
+            if np.all(std[name] > 0):
+                out.append(summarised(candidate.name, candidate.where, name, value, std[name]))
     return tuple(out)
 
 
-def values_of_recordings(full: ModelFit, effects: Sequence[tuple[Candidate, float | None]]) -> list[list[Parameters]]:
-    """For each effect its parameters in each recording, all of them fitted together."""
+def values_of_recordings(
+    full: ModelFit, effects: Sequence[tuple[Candidate, float | None]]
+) -> list[tuple[Candidate, dict[str, np.ndarray], dict[str, np.ndarray]]]:
+    """For each effect its parameters of one component, values (R,) and standard deviations (R,), all of them fitted together."""
     projected = full.geometry_only
     obs = projected.linear.obs
     count = obs.n_recordings
@@ -49,8 +46,9 @@ def values_of_recordings(full: ModelFit, effects: Sequence[tuple[Candidate, floa
     blocks, weights = [], []
     for candidate, hyper in effects:
         X = projected.block(candidate, hyper)
-        blocks += [np.where(of_row[:, None] == r, X, 0.0) for r in range(count)]
-        weights += [prior_weight(candidate)] * count
+        own = candidate.variant == EACH_RECORDING
+        blocks += [X] if own else [np.where(of_row[:, None] == r, X, 0.0) for r in range(count)]
+        weights += [prior_weight(candidate)] * (1 if own else count)
     X = np.concatenate(blocks, axis=1)
     absorbed = projected.Q.T @ X
     S = X.T @ X - absorbed.T @ absorbed + np.diag(np.concatenate(weights))
@@ -59,12 +57,16 @@ def values_of_recordings(full: ModelFit, effects: Sequence[tuple[Candidate, floa
     coefficients = covariance @ (X.T @ projected.beyond_geometry())
     out, first = [], 0
     for candidate, hyper in effects:
+        times = 1 if candidate.variant == EACH_RECORDING else count
         reports = []
-        for _ in range(count):
+        for _ in range(times):
             own = slice(first, first + candidate.k)
             first = own.stop
             reports.append(candidate.report(coefficients[own], covariance[own, own], hyper))
-        out.append(reports)
+        single = [name for name, p in reports[0].items() if times == 1 or not isinstance(p.value, tuple)]
+        values = {name: np.concatenate([np.atleast_1d(r[name].value) for r in reports]) for name in single}
+        std = {name: np.concatenate([np.atleast_1d(r[name].std) for r in reports]) for name in single}
+        out.append((candidate, values, std))
     return out
 
 
