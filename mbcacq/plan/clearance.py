@@ -87,12 +87,12 @@ class Clearance:
         return arm_bodies(self._loaded)
 
     def _own_pairs(self) -> list[Pair]:
-        """All bodies of the arm against each other, except neighbours: those that are too close in every one of many random postures."""
+        """All bodies of the arm against each other, except neighbours: those that touch, or nearly, in each of many random postures."""
         robot = self._loaded.cell.robot
         q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (self._loaded.planning.neighbour_postures, robot.n))
         pairs = [self._pair(a, b) for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1)]
         postures = [Posture(frames) for frames in robot.chain.frames(q)]
-        return [p for p in pairs if any(posture.distance(p) > self._loaded.plan.clearance_mm for posture in postures)]
+        return [p for p in pairs if any(posture.distance(p) > self._loaded.planning.neighbour_gap_mm for posture in postures)]
 
     def _against(self, body: Body) -> list[Pair]:
         """What stands still, against all that moves; link 1 turns on the spot, where the arm is bolted down."""

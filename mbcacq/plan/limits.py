@@ -41,7 +41,8 @@ class PlanningLimits:
 
     # Clearance along a motion.
     finest_travel_mm: float = 4.0  # a motion is divided until nothing moves further between two examined postures
-    neighbour_postures: int = 100  # random postures: bodies of the arm too close in all of them are neighbours, not collisions
+    neighbour_postures: int = 100  # random postures: bodies of the arm that overlap in all of them are neighbours, not collisions
+    neighbour_gap_mm: float = 10.0  # and so are those never farther apart than this: only a short link lies between them
 
     # Detours.
     retractions_mm: tuple[float, ...] = (80.0, 160.0, 260.0)  # tried in turn, along the scanner's axis away from the artefact

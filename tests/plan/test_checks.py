@@ -70,7 +70,7 @@ def test_check_of_a_plan_without_a_reachable_pose(folder):
     assert "plan.yaml:24: step 'views'" in done.output
     assert "0 poses" in done.output
     found = json.loads(CliRunner().invoke(command, ["check", str(far), "--json"]).output)
-    assert {f["code"] for f in found["findings"]} == {"reach"}
+    assert {f["code"] for f in found["findings"]} == {"reach", "move-station"}
 
 
 def test_calibrating_with_two_balls_only_is_refused(folder):
