@@ -115,8 +115,8 @@ def main() -> None:
         print(f"| {name} | {what} | {'; '.join(map(str, found)) or 'nothing'} | {'yes' if named else 'no'} | {seconds:.1f} |", flush=True)
     clean = [name for name, o in recordings.items() if wrong_descriptions(o)]
     print(
-        "\nPositions alone do not tell one mirror from another: a reversed coordinate and two exchanged columns of points or certificate differ by a "
-        "rotation, which the pose of the station or the scanner absorbs. The right change is then among those said to fit as well."
+        "\nPositions alone do not tell one mirror from another: a reversed coordinate and two exchanged columns of points or certificate "
+        "differ by a rotation, which the pose of the station or the scanner absorbs. The right change is then among those said to fit as well."
     )
     print(f"\n{right} of {len(CASES)} named; of the {len(recordings)} recordings as they are, {len(clean)} were suspected.")
 
