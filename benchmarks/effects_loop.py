@@ -81,9 +81,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--protocols", action="store_true")
     given = parser.parse_args()
-    print(
-        "| seed | found | bar, geometry alone mm | bar, with effects mm | expected mm | second run, geometry mm | with effects mm | chi2/dof |"
-    )
+    header = ("seed", "found", "bar, geometry mm", "effects mm", "expected mm", "2nd run, geometry mm", "effects mm", "chi2/dof")
+    print("| " + " | ".join(header) + " |")
     print("|---|---|---|---|---|---|---|---|")
     for seed in range(1, given.seeds + 1):
         print("| " + " | ".join(study(given.plan, seed, given.protocols)) + " |", flush=True)

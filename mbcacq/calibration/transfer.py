@@ -27,6 +27,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 
 PLACES = ("fitted", "known")
+GROSS = 20.0  # medians, from which a centre is an outlier where nothing is fitted
 MOST_JUDGED = 1500  # centres at which the normalised error is computed: its mean is known to 2 % then
 
 
@@ -161,6 +162,22 @@ def check_transfer(
 
 
 @dataclass(frozen=True)
+class _Fitted:
+    """What is asked of a fit of a recording's own places; see :class:`mbcacq.calibration.calibration_fit.CalibrationFit`."""
+
+    observations: Observations
+    options: CalibrationOptions
+    layout: parameters.ParameterLayout
+    state: CellState
+    residual: np.ndarray
+    used: np.ndarray
+
+    @classmethod
+    def of(cls, c: Calibration) -> _Fitted:
+        return cls(c.observations, c.options, c.layout, c.state, c.residual, c.used)
+
+
+@dataclass(frozen=True)
 class _Trial:
     """Fits of what belongs to a recording alone."""
 
@@ -168,19 +185,23 @@ class _Trial:
     cell: Calibrated
     place: str
 
-    def fit(self, chain: Chain, model: EffectModel | None) -> Calibration:
+    def fit(self, chain: Chain, model: EffectModel | None) -> _Fitted:
         """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
         obs = with_arm(self.obs, chain)
         options = CalibrationOptions(kinematics=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs))
         if self.place == "fitted":
-            return calibrate(obs, options)
+            return _Fitted.of(calibrate(obs, options))
         known = self._known(obs)
         hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
         cell = known.cell
         placed = np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations])
         start = CellState(chain, cell.T_flange_scanner, placed, cell.ball_centres.copy())
-        return calibrate(known, replace(options, hold=hold, start=start))
+        options = replace(options, hold=hold)
+        layout = parameters.build(known, options)
+        _, residual = Lineariser(known, layout, options).residual(Estimate(start))
+        distance = np.linalg.norm(residual[:, :3], axis=1)
+        return _Fitted(known, options, layout, start, residual, distance <= GROSS * np.median(distance))
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them. Raises ConfigError where it has none of these."""
@@ -193,11 +214,11 @@ class _Trial:
         found = tuple(replace(s, T_base_station=placed[s.id], sigma_mm=1e-6) if s.id in placed else s for s in obs.cell.stations)
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
-    def figures(self, fitted: Calibration, used: np.ndarray) -> TransferFigures:
+    def figures(self, fitted: _Fitted, used: np.ndarray) -> TransferFigures:
         r = fitted.residual[used, :3]
         distance = np.linalg.norm(r, axis=1)
         noise = self.cell.noise
-        J = Lineariser(fitted.observations, fitted.layout, fitted.options)(Estimate(fitted.state, fitted.coefficients))
+        J = Lineariser(fitted.observations, fitted.layout, fitted.options)(Estimate(fitted.state))
         sigma = _sigma(J.J, fitted, noise.point, noise.joint)[used]
         chi2 = float(np.sum((r / sigma) ** 2) / r.size)
         return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
@@ -210,10 +231,10 @@ class _Trial:
             own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
-        return self.figures(own, used) if self.place == "fitted" else None
+        return self.figures(_Fitted.of(own), used) if self.place == "fitted" else None
 
 
-def _sigma(J: np.ndarray, fitted: Calibration, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
+def _sigma(J: np.ndarray, fitted: _Fitted, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """(M, 3) mm: standard deviation of each coordinate of a centre by scanner noise and joint repeatability."""
     from mbcacq.estimation.whitening import PoseRows
 
@@ -223,7 +244,7 @@ def _sigma(J: np.ndarray, fitted: Calibration, point: np.ndarray, joint: np.ndar
     return np.sqrt(own**2 + point**2)
 
 
-def normalised_error(fitted: Calibration, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
+def normalised_error(fitted: _Fitted, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
     """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects, of which the fitted places absorb
     a part, and the noise of measuring.
     """
