@@ -10,7 +10,7 @@ class EvidenceOptions:
     """Prior weights, discrepancy of a model and effort of the search."""
 
     # Prior of effects
-    sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
+    sizes: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
     further: float = 0.1  # prior probability of one more effect
     same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue

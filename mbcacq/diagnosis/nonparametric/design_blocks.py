@@ -189,6 +189,16 @@ def of_scanner(s: Context) -> list[BlockGroup]:
             if not len(index):  # no other ball was measured: its shift is that of all points
                 continue
             entries.append((f"ball{ball}", (0, 1, 2), BasisFunction("x", index, np.ones(len(index)))))
+            loose = at_each_station(s, table, measured)
+            if len(loose) > 1:
+                entries.append((f"ball{ball}", (0, 1, 2), BasisFunction("station", loose, np.ones(len(loose)))))
     if entries:
         out.append(BlockGroup(3, table.values, entries, tuple(("ball", 0, c) for c in range(3)), np.eye(3), False))
     return out
+
+
+def at_each_station(s: Context, table: BasisTable, measured: np.ndarray) -> np.ndarray:
+    """Columns of a ball that lies elsewhere at every station; measured: (M,) bool of its centres."""
+    station = s.obs.station[s.obs.pose]
+    each = [measured & (station == k) for k in np.unique(station[measured])]
+    return table.add(np.stack(each, axis=1)) if len(each) > 1 else np.zeros(0, int)
