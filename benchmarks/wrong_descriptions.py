@@ -116,7 +116,8 @@ def main() -> None:
     clean = [name for name, o in recordings.items() if wrong_descriptions(o)]
     print(
         "\nPositions alone do not tell one mirror from another: a reversed coordinate and two exchanged columns of points or certificate "
-        "differ by a rotation, which the pose of the station or the scanner absorbs. The right change is then among those said to fit as well."
+        "differ by a rotation, which the pose of the station or the scanner absorbs. The right change is then among those said to fit as "
+        "well."
     )
     print(f"\n{right} of {len(CASES)} named; of the {len(recordings)} recordings as they are, {len(clean)} were suspected.")
 
