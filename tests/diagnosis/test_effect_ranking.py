@@ -35,7 +35,7 @@ def test_a_mount_shift_is_not_reported_as_scanner_warmup(plan):
 
 
 def test_a_shifted_ball_is_reported_as_a_parametric_effect(plan):
-    observed = simulated.observe(plan, 132, [("ball_shift", ("ball3",), [0.004, -0.002, 0.003], None)])
+    observed = simulated.observe(plan, 132, [("ball_shift", ("ball3",), [0.006, -0.003, 0.0045], None)])
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
