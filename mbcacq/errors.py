@@ -109,3 +109,7 @@ class CalibrationError(MbcacqError):
     """The data do not determine what was asked for, or the result misses the plan's limits."""
 
     exit_code = ExitCode.NOT_ACCEPTABLE
+
+
+class ContradictionError(CalibrationError):
+    """The measurements contradict the cell as it is described: a sign, a unit, an order of columns or a certificate is wrong."""

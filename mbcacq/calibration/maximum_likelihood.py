@@ -10,7 +10,8 @@ from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway
 from mbcacq.calibration.uncertainty import expected_accuracy
-from mbcacq.errors import CalibrationError
+from mbcacq.description import with_likely_cause
+from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
@@ -25,6 +26,8 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         return _calibrate(observations, options)
+    except ContradictionError as error:
+        raise with_likely_cause(error, observations) from error
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "

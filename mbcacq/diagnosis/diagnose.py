@@ -16,7 +16,8 @@ from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.verdict import WEAK, conclude
-from mbcacq.errors import CalibrationError
+from mbcacq.description import with_likely_cause
+from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
@@ -43,6 +44,8 @@ def diagnose(
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
         return _diagnose(recordings, folds, progress, workers, options_for(first, options or CalibrationOptions()))
+    except ContradictionError as error:
+        raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.errors import CalibrationError
+from mbcacq.errors import ContradictionError
 from mbcacq.estimation import initial_guess as starting
 from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.forward_model import CellState
@@ -31,7 +31,7 @@ THIN = 200  # poses that settle geometry and noise before all of a large recordi
 def adjust_recording(obs: Observations, options: CalibrationOptions) -> Adjustment:
     """The adjustment of a whole recording; of a long one, that of a part of its poses is the start.
 
-    Raises CalibrationError where the data contradict the cell or, with ``options.refuse``, leave it undetermined.
+    Raises ContradictionError where the data contradict the cell or, with ``options.refuse``, leave it undetermined.
     """
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not (options.terms or options.displaced) else None
     return adjust(obs, options, first)
@@ -122,7 +122,7 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0)
     apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
     if apart > CONTRADICTION_MM:
-        raise CalibrationError(
+        raise ContradictionError(
             f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
             "check the robot model (signs, units), the certificate, and that joint angles and scans belong together"
         )
@@ -132,7 +132,7 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
 def robust_solve(
     lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions, tolerance: float
 ) -> tuple[Solution, Weights]:
-    """Solve and reject outliers by turns until no weight changes. Raises CalibrationError where more than REJECTED_SHARE would go."""
+    """Solve and reject outliers by turns until no weight changes. Raises ContradictionError where more than REJECTED_SHARE would go."""
     solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
     for _ in range(OUTLIER_ROUNDS if options.robust else 0):
         d = outlier_distances(lineariser.rows, solution.linear.J, solution.linear.residual, noise, weights)
@@ -145,7 +145,7 @@ def robust_solve(
                 # So many are structure, not outliers.
                 everything = Weights(np.ones_like(weights.centre), np.ones_like(weights.pose))
                 return solve(lineariser, solution, noise, everything, tolerance=tolerance), everything
-            raise CalibrationError(
+            raise ContradictionError(
                 f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
                 "artefact, the stations, and that joint angles and scans belong together"
             )

@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mbcacq.calibration import calibrate
 from mbcacq.description import wrong_descriptions
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
@@ -78,3 +81,11 @@ def test_the_fit_that_is_given_judges_and_may_fail(tracked):
     found = wrong_descriptions(replace(tracked, q=tracked.q * [1, 1, 1, -1, 1, 1]), fit)
     assert (found[0].what, found[0].after_mm) == ("A4 reversed", 0.02)
     assert found[0].before_mm == np.inf
+
+
+@pytest.mark.parametrize("ask", [calibrate, diagnose])
+def test_who_is_refused_a_recording_is_told_the_likely_slip(tracked, ask):
+    turned = replace(tracked, q=tracked.q + [0, 0, np.pi / 2, 0, 0, 0])
+
+    with pytest.raises(CalibrationError, match=r"90 deg added to A3 the residual falls"):
+        ask(turned)

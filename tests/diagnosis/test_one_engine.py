@@ -1,0 +1,64 @@
+"""Calibration and diagnosis are two questions asked of one adjustment."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.recording import load_observations
+
+
+def assert_same_cell(observations):
+    calibrated = calibrate(observations, CalibrationOptions(refuse=False))
+    problem = prepare(observations)
+    state = problem.linear.state
+
+    np.testing.assert_array_equal(problem.linear.obs.pose_id, calibrated.observations.pose_id)
+    for name in ("point", "joint"):
+        np.testing.assert_array_equal(getattr(problem.noise, name), getattr(calibrated.noise, name))
+    np.testing.assert_array_equal(state.chain.rows, calibrated.state.chain.rows)
+    np.testing.assert_array_equal(state.T_flange_scanner, calibrated.state.T_flange_scanner)
+    np.testing.assert_array_equal(state.T_base_station, calibrated.state.T_base_station)
+
+
+def test_a_simulated_recording_is_one_cell_to_both(plan):
+    assert_same_cell(simulated.observe(plan, 41))
+
+
+def test_verification_poses_take_part_in_neither(plan):
+    observed = simulated.observe(plan, 42)
+    phase = np.where(np.arange(observed.n_poses) < 20, "verification", "position")
+    phased = dataclasses.replace(observed, phase=phase)
+
+    assert_same_cell(phased)
+    assert prepare(phased).linear.obs.n_poses == observed.n_poses - 20
+
+
+@pytest.mark.shared_data
+@pytest.mark.parametrize("name", ["example-none", "panda-sockets", "iiwa14-sockets"])
+def test_an_open_recording_is_one_cell_to_both(shared_data, name):
+    assert_same_cell(load_observations(shared_data / name))
+
+
+def test_a_clean_recording_keeps_the_noise_of_its_calibration(plan):
+    observed = simulated.observe(plan, 43)
+
+    full = fit_model(prepare(observed))
+
+    assert full.model.effects == ()
+    np.testing.assert_allclose(full.noise.joint, calibrate(observed, CalibrationOptions(refuse=False)).noise.joint, rtol=1e-12)
+
+
+def test_a_latency_of_the_exposure_is_no_other_robot(plan):
+    """Fast poses put the centres off by many millimetres: the damped fit ends at the cell, and the diagnosis goes on."""
+    rng = np.random.default_rng(9)
+    moving = dataclasses.replace(plan, velocity=rng.normal(0, np.radians(20.0), plan.q.shape))
+
+    problem = prepare(simulated.observe(moving, 44, [("exposure_latency", ("scanner",), [0.02], None)]))
+
+    assert np.median(np.linalg.norm(problem.linear.residual[problem.linear.keep, :3], axis=1)) < 30.0
+    assert "exposure_latency" in {c.name for c in problem.candidates}
