@@ -19,13 +19,3 @@ __all__ = [
     "state_from_dict",
     "verify",
 ]
-    "CalibratedCell",
-    "Calibration",
-    "Noise",
-    "CalibrationOptions",
-    "Verification",
-    "calibrate",
-    "calibrate_with_effects",
-    "state_from_dict",
-    "verify",
-]
