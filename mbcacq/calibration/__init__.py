@@ -5,6 +5,17 @@ from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.result_io import state_from_dict
 from mbcacq.calibration.verification import Verification, verify
+from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.estimation.options import CalibrationOptions, Noise
 
-__all__ = ["CalibratedCell", "Calibration", "Noise", "CalibrationOptions", "Verification", "calibrate", "state_from_dict", "verify"]
+__all__ = [
+    "CalibratedCell",
+    "Calibration",
+    "CalibrationOptions",
+    "Noise",
+    "Verification",
+    "calibrate",
+    "calibrate_with_effects",
+    "state_from_dict",
+    "verify",
+]

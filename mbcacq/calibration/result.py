@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,6 +16,10 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 
 __all__ = ["Calibration", "Parameter", "Rejected"]
+
+
+# How a calibration is made anew with effects; ``with_effects`` enters it, which stands above and is imported with this package.
+REFIT: list[Callable[[Calibration, EffectModel, bool], Calibration]] = []
 
 
 class HasModel(Protocol):
@@ -40,12 +45,10 @@ class Calibration(CalibrationFit, CalibratedCellMethods):
         """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.
         hold: keep their coefficients as they are. Raises ConfigError where there are none, or they are of another arm.
         """
-        from mbcacq.calibration.with_effects import calibrate_with_effects
-
         model = found if isinstance(found, EffectModel) else found.model
         if not model:
             raise ConfigError("this diagnosis found no effects that a calibration could take")
-        return calibrate_with_effects(self.observations, self.options, model, hold=hold)
+        return REFIT[0](self, model, hold)
 
     @staticmethod
     def from_json(source: str | Path) -> CalibratedCell:

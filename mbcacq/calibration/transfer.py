@@ -162,7 +162,7 @@ def check_transfer(
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class _PlacedFit:
     """What is asked of a fit of a recording's own places; see :class:`mbcacq.calibration.calibration_fit.CalibrationFit`."""
 
     observations: Observations
@@ -173,7 +173,7 @@ class _Fitted:
     used: np.ndarray
 
     @classmethod
-    def of(cls, c: Calibration) -> _Fitted:
+    def of(cls, c: Calibration) -> _PlacedFit:
         return cls(c.observations, c.options, c.layout, c.state, c.residual, c.used)
 
 
@@ -185,13 +185,13 @@ class _Trial:
     cell: Calibrated
     place: str
 
-    def fit(self, chain: Chain, model: EffectModel | None) -> _Fitted:
+    def fit(self, chain: Chain, model: EffectModel | None) -> _PlacedFit:
         """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
         obs = with_arm(self.obs, chain)
         options = CalibrationOptions(kinematics=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs))
         if self.place == "fitted":
-            return _Fitted.of(calibrate(obs, options))
+            return _PlacedFit.of(calibrate(obs, options))
         known = self._known(obs)
         hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
         cell = known.cell
@@ -201,7 +201,7 @@ class _Trial:
         layout = parameters.build(known, options)
         _, residual = Lineariser(known, layout, options).residual(Estimate(start))
         distance = np.linalg.norm(residual[:, :3], axis=1)
-        return _Fitted(known, options, layout, start, residual, distance <= GROSS * np.median(distance))
+        return _PlacedFit(known, options, layout, start, residual, distance <= GROSS * np.median(distance))
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them. Raises ConfigError where it has none of these."""
@@ -214,7 +214,7 @@ class _Trial:
         found = tuple(replace(s, T_base_station=placed[s.id], sigma_mm=1e-6) if s.id in placed else s for s in obs.cell.stations)
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
-    def figures(self, fitted: _Fitted, used: np.ndarray) -> TransferFigures:
+    def figures(self, fitted: _PlacedFit, used: np.ndarray) -> TransferFigures:
         r = fitted.residual[used, :3]
         distance = np.linalg.norm(r, axis=1)
         noise = self.cell.noise
@@ -231,10 +231,10 @@ class _Trial:
             own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
-        return self.figures(_Fitted.of(own), used) if self.place == "fitted" else None
+        return self.figures(_PlacedFit.of(own), used) if self.place == "fitted" else None
 
 
-def _sigma(J: np.ndarray, fitted: _Fitted, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
+def _sigma(J: np.ndarray, fitted: _PlacedFit, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """(M, 3) mm: standard deviation of each coordinate of a centre by scanner noise and joint repeatability."""
     from mbcacq.estimation.whitening import PoseRows
 
@@ -244,7 +244,7 @@ def _sigma(J: np.ndarray, fitted: _Fitted, point: np.ndarray, joint: np.ndarray)
     return np.sqrt(own**2 + point**2)
 
 
-def normalised_error(fitted: _Fitted, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
+def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
     """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects, of which the fitted places absorb
     a part, and the noise of measuring.
     """

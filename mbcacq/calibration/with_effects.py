@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.result import REFIT, Calibration
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import Curve, find_common_pattern
 from mbcacq.effects.covariates import Covariates
@@ -276,3 +276,6 @@ def fixed_point(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], start: np
         if np.all(np.abs(np.log(variance[still] / before[still])) < OPTIONS.converged):
             break
     return np.sqrt(variance)
+
+
+REFIT.append(lambda c, model, hold: calibrate_with_effects(c.observations, c.options, model, hold=hold))

@@ -24,7 +24,7 @@ POSE = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
 
 
 @dataclass(frozen=True)
-class Targets:
+class ProgrammedPoints:
     """The points of a file. q: (P, n) rad as programmed, NaN where a file gives a pose alone; goals: (P, 4, 4) mm of the flange in the
     base, or None where the joints say it; names: (P,) for reports; lines: (P,) number in the file.
     """
@@ -35,7 +35,7 @@ class Targets:
     lines: tuple[int, ...]
 
 
-def read_targets(path: Path, n: int) -> Targets:
+def read_targets(path: Path, n: int) -> ProgrammedPoints:
     """The points of a .src, .dat or .csv file for an arm of n axes. Raises ConfigError naming file and line."""
     suffix = path.suffix.lower()
     if suffix in (".src", ".dat"):
@@ -47,7 +47,9 @@ def read_targets(path: Path, n: int) -> Targets:
     )
 
 
-def written(path: Path, targets: Targets, q: np.ndarray, errors_mm: np.ndarray, reached: np.ndarray, reasons: Sequence[str]) -> str:
+def written(
+    path: Path, targets: ProgrammedPoints, q: np.ndarray, errors_mm: np.ndarray, reached: np.ndarray, reasons: Sequence[str]
+) -> str:
     """The text of the file with corrected angles q (P, n) rad; of a point that cannot be reached the programmed ones stay."""
     text = _text(path)
     if path.suffix.lower() == ".csv":
@@ -64,7 +66,7 @@ def written(path: Path, targets: Targets, q: np.ndarray, errors_mm: np.ndarray, 
     return _outside_comments(text, corrected)
 
 
-def _read_krl(path: Path, text: str, n: int) -> Targets:
+def _read_krl(path: Path, text: str, n: int) -> ProgrammedPoints:
     found: list[np.ndarray] = []
     lines: list[int] = []
     names: list[str] = []
@@ -82,7 +84,7 @@ def _read_krl(path: Path, text: str, n: int) -> Targets:
         raise ConfigError(
             f"{path}: has no E6AXIS point with {', '.join(f'A{i + 1}' for i in range(n))}; poses (E6POS) have no joint angles"
         )
-    return Targets(np.radians(np.array(found)), None, tuple(names), tuple(lines))
+    return ProgrammedPoints(np.radians(np.array(found)), None, tuple(names), tuple(lines))
 
 
 def _angles(group: str, n: int) -> np.ndarray | None:
@@ -111,7 +113,7 @@ def _outside_comments(text: str, replace) -> str:
     return "".join(out)
 
 
-def _read_csv(path: Path, text: str, n: int) -> Targets:
+def _read_csv(path: Path, text: str, n: int) -> ProgrammedPoints:
     rows = list(csv.reader(io.StringIO(text)))
     if len(rows) < 2:
         raise ConfigError(f"{path}: has no points; give a header and one line a point")
@@ -130,7 +132,7 @@ def _read_csv(path: Path, text: str, n: int) -> Targets:
             v = _values(path, number, row, pose)
             goals.append(se3.from_abc(v[:3], np.radians(v[3:])))
     names = tuple(f"line {number}" for number in lines)
-    return Targets(np.array(q), np.array(goals) if goals else None, names, tuple(lines))
+    return ProgrammedPoints(np.array(q), np.array(goals) if goals else None, names, tuple(lines))
 
 
 def _columns(header: list[str], wanted: list[list[str]]) -> list[int] | None:
