@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
+from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
@@ -16,7 +17,6 @@ from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.verdict import WEAK, conclude
-from mbcacq.description import with_likely_cause
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
