@@ -13,7 +13,7 @@ LINK = re.compile(r"(\]\()((?:\.\./)+)(docs|benchmarks)/")
 
 def on_files(files: Files, config) -> Files:
     """Add every page of benchmarks/ at the same place in the site."""
-    for page in sorted((ROOT / "benchmarks").glob("*.md")):
+    for page in sorted(p for p in (ROOT / "benchmarks").iterdir() if p.suffix in (".md", ".svg")):
         files.append(File.generated(config, f"benchmarks/{page.name}", abs_src_path=str(page)))
     return files
 

@@ -23,7 +23,7 @@ INCH_MM = 25.4
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Misreading:
     """what: the change in words, to be read after 'with'; kind: of which several hold apart from it, they are the same mistake."""
 
     what: str
@@ -31,7 +31,7 @@ class Hypothesis:
     change: Change
 
 
-def hypotheses(o: Observations) -> Iterator[Hypothesis]:
+def hypotheses(o: Observations) -> Iterator[Misreading]:
     """Every simple change of convention that these observations allow."""
     yield from _units(o)
     yield from _axes(o)
@@ -41,52 +41,52 @@ def hypotheses(o: Observations) -> Iterator[Hypothesis]:
     yield from _columns(o)
 
 
-def _units(o: Observations) -> Iterator[Hypothesis]:
+def _units(o: Observations) -> Iterator[Misreading]:
     if np.degrees(np.abs(o.q)).max() < RADIANS:
-        yield Hypothesis("the angles read as radians, not degrees", "unit", lambda o: replace(o, q=np.degrees(o.q)))
+        yield Misreading("the angles read as radians, not degrees", "unit", lambda o: replace(o, q=np.degrees(o.q)))
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
     if lengths.max() < LONGEST_ROW_M:
-        yield Hypothesis("the robot's a and d read as metres, not millimetres", "unit", lambda o: _with_chain(o, _scaled_lengths))
+        yield Misreading("the robot's a and d read as metres, not millimetres", "unit", lambda o: _with_chain(o, _scaled_lengths))
     alpha = np.abs(o.cell.robot.chain.alpha)
     if np.degrees(alpha).max() < RADIANS and alpha.any():
-        yield Hypothesis("the robot's alpha and theta read as radians, not degrees", "unit", lambda o: _with_chain(o, _scaled_angles))
+        yield Misreading("the robot's alpha and theta read as radians, not degrees", "unit", lambda o: _with_chain(o, _scaled_angles))
     for what, factor in (("metres", 1e3), ("inches", INCH_MM), ("micrometres", 1e-3)):
-        yield Hypothesis(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
+        yield Misreading(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
         if np.any(o.cell.ball_centres):
-            yield Hypothesis(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
+            yield Misreading(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
 
 
-def _axes(o: Observations) -> Iterator[Hypothesis]:
+def _axes(o: Observations) -> Iterator[Misreading]:
     n = o.cell.robot.n
     for j in range(n):
-        yield Hypothesis(f"A{j + 1} reversed", "sign", lambda o, j=j: _angles(o, np.eye(n) - 2 * np.diag(np.eye(n)[j])))
+        yield Misreading(f"A{j + 1} reversed", "sign", lambda o, j=j: _angles(o, np.eye(n) - 2 * np.diag(np.eye(n)[j])))
         for quarter in (1, -1, 2):
             offset = quarter * QUARTER * np.eye(n)[j]
-            yield Hypothesis(f"{90 * quarter:+d} deg added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
-    yield Hypothesis("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
+            yield Misreading(f"{90 * quarter:+d} deg added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
+    yield Misreading("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
     for i, j in combinations(range(n), 2):
         order = np.arange(n)
         order[[i, j]] = j, i
-        yield Hypothesis(f"the columns of A{i + 1} and A{j + 1} exchanged", "order", lambda o, p=order: replace(o, q=o.q[:, p]))
-    yield Hypothesis("the columns of the axes in reverse order", "order", lambda o: replace(o, q=o.q[:, ::-1]))
+        yield Misreading(f"the columns of A{i + 1} and A{j + 1} exchanged", "order", lambda o, p=order: replace(o, q=o.q[:, p]))
+    yield Misreading("the columns of the axes in reverse order", "order", lambda o: replace(o, q=o.q[:, ::-1]))
     for shift, word in ((1, "left"), (-1, "right")):
         what = f"the columns of the axes shifted by one to the {word}"
-        yield Hypothesis(what, "order", lambda o, s=shift: replace(o, q=np.roll(o.q, -s, axis=1)))
+        yield Misreading(what, "order", lambda o, s=shift: replace(o, q=np.roll(o.q, -s, axis=1)))
     if n >= 3:
         for sign, word in ((1, "added to"), (-1, "subtracted from")):
             coupled = np.eye(n)
             coupled[2, 1] = sign
-            yield Hypothesis(f"A2 {word} A3, which is counted from the horizontal", "coupling", lambda o, m=coupled: _angles(o, m))
+            yield Misreading(f"A2 {word} A3, which is counted from the horizontal", "coupling", lambda o, m=coupled: _angles(o, m))
 
 
-def _measured(o: Observations) -> Iterator[Hypothesis]:
+def _measured(o: Observations) -> Iterator[Misreading]:
     for k, axis in enumerate(AXES):
         mirror = np.ones(3)
         mirror[k] = -1.0
-        yield Hypothesis(f"{axis} of the measured points reversed", "handedness", lambda o, m=mirror: replace(o, xyz=o.xyz * m))
+        yield Misreading(f"{axis} of the measured points reversed", "handedness", lambda o, m=mirror: replace(o, xyz=o.xyz * m))
         if o.rotation is not None:
             # The reflection of a rotation is D R D.
-            yield Hypothesis(
+            yield Misreading(
                 f"{axis} of the measured points reversed, in the orientation too",
                 "handedness",
                 lambda o, m=mirror: replace(o, xyz=o.xyz * m, rotation=m[:, None] * _rotation(o) * m),
@@ -94,53 +94,53 @@ def _measured(o: Observations) -> Iterator[Hypothesis]:
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             names = ", ".join(AXES[k] for k in order)
-            yield Hypothesis(f"the columns of the measured points read as {names}", "order", lambda o, p=order: replace(o, xyz=o.xyz[:, p]))
+            yield Misreading(f"the columns of the measured points read as {names}", "order", lambda o, p=order: replace(o, xyz=o.xyz[:, p]))
     if o.rotation is not None:
-        yield Hypothesis("the orientation inverted", "orientation", lambda o: replace(o, rotation=np.swapaxes(_rotation(o), 1, 2)))
+        yield Misreading("the orientation inverted", "orientation", lambda o: replace(o, rotation=np.swapaxes(_rotation(o), 1, 2)))
         xyzw = "the orientation's quaternion read as x, y, z, w"
-        yield Hypothesis(xyzw, "orientation", lambda o: replace(o, rotation=_requaternion(o, (3, 0, 1, 2))))
+        yield Misreading(xyzw, "orientation", lambda o: replace(o, rotation=_requaternion(o, (3, 0, 1, 2))))
         for k, axis in enumerate(AXES):
             mirror = np.ones(3)
             mirror[k] = -1.0
-            yield Hypothesis(
+            yield Misreading(
                 f"the orientation mirrored along {axis} (left-handed)",
                 "orientation",
                 lambda o, m=mirror: replace(o, rotation=m[:, None] * _rotation(o) * m),
             )
 
 
-def _certified(o: Observations) -> Iterator[Hypothesis]:
+def _certified(o: Observations) -> Iterator[Misreading]:
     if len(o.cell.ball_ids) < 2:
         return
     for k, axis in enumerate(AXES):
         mirror = np.ones(3)
         mirror[k] = -1.0
         if np.ptp(o.cell.ball_centres[:, k]) > 0:
-            yield Hypothesis(f"{axis} of the certified centres reversed", "handedness", lambda o, m=mirror: _certified_times(o, m))
+            yield Misreading(f"{axis} of the certified centres reversed", "handedness", lambda o, m=mirror: _certified_times(o, m))
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             names = ", ".join(AXES[k] for k in order)
-            yield Hypothesis(f"the columns of the certified centres read as {names}", "order", lambda o, p=order: _certified_order(o, p))
+            yield Misreading(f"the columns of the certified centres read as {names}", "order", lambda o, p=order: _certified_order(o, p))
 
 
-def _frames(o: Observations) -> Iterator[Hypothesis]:
+def _frames(o: Observations) -> Iterator[Misreading]:
     if o.cell.measurement == "target_in_base":
-        yield Hypothesis("the measured points taken in the scanner's frame (measurement: artefact_in_scanner)", "frame", _other_measurement)
+        yield Misreading("the measured points taken in the scanner's frame (measurement: artefact_in_scanner)", "frame", _other_measurement)
     if all(s.T_base_station is None for s in o.cell.stations):
         return
-    yield Hypothesis("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
+    yield Misreading("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
     for quarter in (1, -1, 2):
         turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, quarter * QUARTER]))
-        yield Hypothesis(f"the base turned by {90 * quarter:+d} deg about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+        yield Misreading(f"the base turned by {90 * quarter:+d} deg about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
     for k, axis in enumerate("xy"):
         turn = se3.exp(np.r_[np.zeros(3), np.pi * np.eye(3)[k]])
-        yield Hypothesis(f"the base turned by 180 deg about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+        yield Misreading(f"the base turned by 180 deg about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
 
 
-def _columns(o: Observations) -> Iterator[Hypothesis]:
+def _columns(o: Observations) -> Iterator[Misreading]:
     for shift in (1, -1):
         word = "next" if shift == 1 else "previous"
-        yield Hypothesis(f"each measurement belonging to the {word} pose", "rows", lambda o, s=shift: _shifted(o, s))
+        yield Misreading(f"each measurement belonging to the {word} pose", "rows", lambda o, s=shift: _shifted(o, s))
 
 
 def _angles(o: Observations, matrix: np.ndarray) -> Observations:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.description.hypotheses import Hypothesis, hypotheses
+from mbcacq.description.hypotheses import Misreading, hypotheses
 from mbcacq.description.plain_fit import residual_mm, subset
 from mbcacq.model.observations import Observations
 
@@ -80,12 +80,12 @@ def _best(observations: Observations, fit: Fit | None) -> DescriptionFinding | N
     return _finding(sorted(same, key=lambda pair: LIKELIER.index(pair[1].kind)), own_before)
 
 
-def _finding(near: list[tuple[float, Hypothesis]], before: float) -> DescriptionFinding:
+def _finding(near: list[tuple[float, Misreading]], before: float) -> DescriptionFinding:
     score, best = near[0]
     return DescriptionFinding(best.what, before, score, tuple(h.what for _, h in near[1:]), best.change)
 
 
-def _score(observations: Observations, hypothesis: Hypothesis, screening: bool) -> float:
+def _score(observations: Observations, hypothesis: Misreading, screening: bool) -> float:
     """Infinite where the change leaves nothing that can be fitted."""
     try:
         return residual_mm(hypothesis.change(observations), screening)

@@ -45,7 +45,7 @@ def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
     outcome = replace(challenger, folder=tmp_path).take(scenario)
     s = outcome.score
     assert s.counts
-    assert 0.4 < s.achievable < 0.9
+    assert 0.3 < s.achievable < 0.9
     assert s.placed
     assert s.share > 0.9
     assert s.sigmas

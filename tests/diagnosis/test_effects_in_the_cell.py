@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from mbcacq.diagnosis.linearized import geometry_fit
 
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
 from mbcacq.calibration.transfer import check_transfer
@@ -28,7 +27,7 @@ OPTIONS = CalibrationOptions(refuse=False)  # a few poses of each station: what 
 
 @pytest.fixture(scope="module")
 def context(plan):
-    state = geometry_fit.initial_state(plan)
+    state = simulated.nominal_state(plan)
     return Context(plan, state, forward_model.predict(plan, state))
 
 

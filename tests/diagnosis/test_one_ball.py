@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from mbcacq.diagnosis.linearized import geometry_fit
+import simulated
 
 from mbcacq.diagnosis.nonparametric.design_blocks import of_scanner
 from mbcacq.effects.context import Context
@@ -10,7 +10,7 @@ from mbcacq.estimation import forward_model
 
 
 def test_the_shift_of_the_only_ball_is_no_block_of_its_own(plan):
-    state = geometry_fit.initial_state(plan)
+    state = simulated.nominal_state(plan)
     mine = plan.ball == plan.ball[0]
     obs = replace(plan, pose=plan.pose[mine], ball=plan.ball[mine], xyz=plan.xyz[mine])
     groups = of_scanner(Context(obs, state, forward_model.predict(obs, state)))

@@ -77,6 +77,7 @@ def test_the_keys_stand_in_the_order_of_the_format():
         "dropped",
         "notes",
         "exclusion_limits",
+        "between_recordings",
         "model",
     ]
     assert list(content["effects"][0])[:7] == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]

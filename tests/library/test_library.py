@@ -206,11 +206,6 @@ def test_a_dry_run_returns_the_calibrated_cell(plan, tmp_path):
         mbcacq.run(plan, out="a", resume="b")
 
 
-def test_trajectory_and_observations_are_not_diagnosed_together(data):
-    with pytest.raises(ConfigError, match="only if all are trajectory sets"):
-        mbcacq.diagnose([data, data])
-
-
 def test_a_diagnosis_goes_to_json_and_back():
     figures = {"before_rms_mm": 0.1, "after_rms_mm": 0.02, "before_chi2_dof": 9.0, "after_chi2_dof": 1.0}
     content = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.inertial_consistency import Bodies, _solve, is_consistent, pseudo_inertia
+from mbcacq.diagnosis.motion.inertial_consistency import InertialBodies, _solve, is_consistent, pseudo_inertia
 
 
 def body(points, masses):
@@ -33,7 +33,7 @@ def test_a_tensor_that_breaks_the_triangle_inequality_is_not_consistent():
 
 def test_a_consistent_target_is_reached_and_another_is_brought_to_the_border():
     described, truth = four_points(2), four_points(3)
-    bodies = Bodies(described[None], np.ones((1, 10)), np.arange(10)[None], np.array([10]))
+    bodies = InertialBodies(described[None], np.ones((1, 10)), np.arange(10)[None], np.array([10]))
     free = np.ones((1, 10), dtype=bool)
     target = np.r_[truth - described, 0.7]
     np.testing.assert_allclose(_solve(bodies, free, np.eye(11), target), target, atol=1e-4)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import EffectPrior, Hypothesis, Member, estimated, first_order
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
@@ -21,12 +21,12 @@ MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 
 
 @dataclass
-class BeamSearch:
+class EvidenceSearch:
     """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects."""
 
     candidates: list[Candidate]
     unmodelled: UnmodelledEffects | None
-    prior: EffectPrior
+    prior: SetPrior
     context: Context | None = None
     beam: int = OPTIONS.beam
     estimated: int = OPTIONS.estimated

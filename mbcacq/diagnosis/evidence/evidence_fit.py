@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import BeamSearch, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
-from mbcacq.diagnosis.evidence.hypothesis import EffectPrior, Hypothesis, estimated
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
@@ -44,12 +44,12 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
     prior = problem.prior_noise
     blocks = UnmodelledEffects(problem.design_blocks) if unmodelled else None
-    effects = EffectPrior.of(problem.candidates, blocks.locations if blocks else 1)
+    effects = SetPrior.of(problem.candidates, blocks.locations if blocks else 1)
 
     effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
 
     def searched(linear: LinearProblem, start: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
-        search = BeamSearch(problem.candidates, blocks, effects, problem.context, *effort)
+        search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort)
         ranked = search.run(NoisePoint(linear, prior, start), from_set)
         return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
 

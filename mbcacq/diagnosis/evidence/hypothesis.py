@@ -140,14 +140,14 @@ def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray
 
 
 @dataclass(frozen=True)
-class EffectPrior:
+class SetPrior:
     """Prior probabilities of sets: every kind alike, every location of a kind alike. locations: number of candidates of each kind."""
 
     locations: Counter[str]
     unmodelled_locations: int
 
     @classmethod
-    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int) -> EffectPrior:
+    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int) -> SetPrior:
         return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:

@@ -22,8 +22,8 @@ from mbcacq.diagnosis.motion.result import (
     MotionDiagnosis,
     MotionEffect,
     MotionMismatch,
+    MotionNotSeparable,
     MotionStep,
-    NotSeparable,
     UnmodelledMotionEffect,
 )
 from mbcacq.effects.motion.effect import MotionSignals
@@ -107,7 +107,7 @@ def assemble(
 def _verdict(
     effects: list[MotionEffect | UnmodelledMotionEffect],
     channels: list[ChannelFit],
-    not_separable: tuple[NotSeparable, ...],
+    not_separable: tuple[MotionNotSeparable, ...],
     options: MotionOptions,
 ) -> str:
     named = any(isinstance(e, MotionEffect) for e in effects)
@@ -163,11 +163,11 @@ def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
     return ChannelFit(fit.group.name, _axis(fit, j), unit, scale * floor, train, error(table.before[j], table.after[j]), refused)
 
 
-def _not_separable(fit: MotionFit) -> list[NotSeparable]:
-    return [NotSeparable((f"{u.name}:{'+'.join(u.where)}", u.other), u.correlation) for u in fit.undetermined]
+def _not_separable(fit: MotionFit) -> list[MotionNotSeparable]:
+    return [MotionNotSeparable((f"{u.name}:{'+'.join(u.where)}", u.other), u.correlation) for u in fit.undetermined]
 
 
-def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[MotionAdvice]:
+def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSeparable, ...]) -> list[MotionAdvice]:
     """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
     together over a small range of angles, and apart over a large one."""
     robot = runs[0].robot

@@ -28,7 +28,7 @@ ROUNDS = 200  # of the solver; it stops earlier where it converges
 
 
 @dataclass(frozen=True)
-class Bodies:
+class InertialBodies:
     """The links of the description, then the tool that was found, if any.
 
     described: (b, 10) parameters of the description; scale: (b, 10) of one unit of a coefficient, zero where a parameter is not free;
@@ -45,7 +45,7 @@ class Bodies:
         return self.described + np.where(self.at >= 0, self.scale * x[np.maximum(self.at, 0)], 0.0)
 
 
-def bodies(model: MotionModel, chosen: np.ndarray) -> Bodies | None:
+def bodies(model: MotionModel, chosen: np.ndarray) -> InertialBodies | None:
     """The bodies of a model of torques; None for another channel."""
     robot = model.runs[0].robot
     if model.group.name != "tau" or robot is None:
@@ -61,7 +61,7 @@ def bodies(model: MotionModel, chosen: np.ndarray) -> Bodies | None:
             described = np.concatenate([described, np.zeros((1, BODY))])
             sigma = np.concatenate([sigma, np.ones((1, BODY))])
             at = np.concatenate([at, position[effect.variant.ids][None]])
-    return Bodies(described, sigma, at, position[base[len(base) - n :]])
+    return InertialBodies(described, sigma, at, position[base[len(base) - n :]])
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
@@ -116,7 +116,7 @@ def consistent_coefficients(model: MotionModel, weights: np.ndarray, chosen: np.
     return out
 
 
-def _solve(found: Bodies, free: np.ndarray, root: np.ndarray, target: np.ndarray) -> np.ndarray:
+def _solve(found: InertialBodies, free: np.ndarray, root: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Coefficients of the free inertial parameters and the rotors that minimise |root (z - target)| among those of bodies that exist."""
     b, r = len(found.described), len(found.rotors)
     scale, described = found.scale[free], found.described[free]

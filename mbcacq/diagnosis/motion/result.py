@@ -176,14 +176,14 @@ class ChannelFit:
 
 
 @dataclass(frozen=True)
-class NotSeparable:
+class MotionNotSeparable:
     """Effects that the recordings ask for without telling them apart. correlation: of their estimates."""
 
     effects: tuple[str, ...]
     correlation: float
 
     @classmethod
-    def from_json(cls, content: Json) -> NotSeparable:
+    def from_json(cls, content: Json) -> MotionNotSeparable:
         return cls(tuple(content["effects"]), _number(content["correlation"]))
 
 
@@ -229,7 +229,7 @@ class MotionDiagnosis:
     effects: tuple[MotionEffect | UnmodelledMotionEffect, ...]
     channels: tuple[ChannelFit, ...]
     split: str
-    not_separable: tuple[NotSeparable, ...] = ()
+    not_separable: tuple[MotionNotSeparable, ...] = ()
     advice: tuple[MotionAdvice, ...] = ()
     inertial: tuple[BodyInertia, ...] = ()
     suspicions: tuple[str, ...] = ()
@@ -274,7 +274,7 @@ class MotionDiagnosis:
             effects,
             channels,
             content["fit"]["held_out"]["split"],
-            tuple(NotSeparable.from_json(n) for n in content["not_separable"]),
+            tuple(MotionNotSeparable.from_json(n) for n in content["not_separable"]),
             tuple(MotionAdvice.from_json(a) for a in content["advice"]),
             tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
             tuple(content.get("suspicions", ())),

@@ -15,7 +15,7 @@ CHANGES = ("joint_step", "mount_shift", "station_drift", "thermal_growth", "scan
 
 
 @dataclass(frozen=True)
-class Pause:
+class Interruption:
     """after, before: numbers of the poses on either side; temperatures: name -> values on either side (deg C)."""
 
     seconds: float
@@ -29,7 +29,7 @@ class Pause:
         return ", ".join([f"a pause of {hours} after pose {self.after}", *changes])
 
 
-def pauses(obs: Observations) -> list[Pause]:
+def pauses(obs: Observations) -> list[Interruption]:
     """Interruptions much longer than the usual time from pose to pose."""
     if obs.time_s is None or obs.n_poses < 3:
         return []
@@ -39,7 +39,7 @@ def pauses(obs: Observations) -> list[Pause]:
     for j in np.flatnonzero(gap > max(LONG * float(np.median(gap)), LEAST_S)):
         a, b = order[j], order[j + 1]
         changed = {name: (float(T[a]), float(T[b])) for name, T in obs.temperatures.items() if abs(T[b] - T[a]) > LEAST_C}
-        out.append(Pause(float(gap[j]), int(obs.pose_id[a]), int(obs.pose_id[b]), changed))
+        out.append(Interruption(float(gap[j]), int(obs.pose_id[a]), int(obs.pose_id[b]), changed))
     return out
 
 
