@@ -18,11 +18,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np  # noqa: E402
-from mbcacq.diagnosis.linearized import geometry_fit  # noqa: E402
 from real_data_figures import bars, spectrum  # noqa: E402
 
 from mbcacq.effects.context import Context  # noqa: E402
+from mbcacq.estimation.adjustment import adjust_recording  # noqa: E402
 from mbcacq.estimation.linear_problem import LinearProblem  # noqa: E402
+from mbcacq.estimation.options import CalibrationOptions  # noqa: E402
 from mbcacq.recording import load_observations  # noqa: E402
 
 SETS = ("ur5-tracker", "ur10-tracker-c", "ur10-tracker-a", "panda-sockets", "iiwa14-sockets")
@@ -41,9 +42,9 @@ class Data:
             chosen = np.zeros(obs.n_poses, bool)
             chosen[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True
             obs = obs.select(chosen)
-        state, keep = geometry_fit.gauss_newton_fit(obs, geometry_fit.stated_noise(obs))
-        self.obs, self.linear = obs, LinearProblem.of(obs, state, keep)
-        self.context = Context(obs, state, self.linear.prediction)
+        adjusted = adjust_recording(obs, CalibrationOptions(refuse=False))
+        self.obs, self.linear = obs, LinearProblem.of(obs, adjusted.state, adjusted.used)
+        self.context = Context(obs, adjusted.state, self.linear.prediction)
         self.n = self.context.n
         self.places = len(np.unique(obs.station)) > 1
 
@@ -135,7 +136,7 @@ class Data:
     def held_out(self, blocks, tests: list[np.ndarray]) -> np.ndarray:
         """Residual (M, R) of every centre while its poses took no part; NaN where none of the tests covers it."""
         linear, pose = self.linear, self.obs.pose
-        columns, sigma, _ = linear.nuisance()
+        columns, sigma = linear.nuisance()
         X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
         sigma = np.concatenate([sigma, *(s for _, s in blocks)])
         weight = 1 / TRAINED_NOISE[linear.width]
@@ -231,7 +232,7 @@ def lines(data: Data) -> dict[str, list[list[float]]]:
     rest = [] if data.places else data.periodic(1, 32)(own)
     elastic = data.compliance(own) + (data.bending(own) if data.places else [])
     weight = 1 / TRAINED_NOISE[linear.width]
-    columns, sigma, _ = linear.nuisance()
+    columns, sigma = linear.nuisance()
     orders = np.arange(1.0, 281.0)
     out = {}
     for i in range(n):

@@ -22,7 +22,7 @@ SLOWEST, FASTEST = 5, 32
 def whole(data: Data) -> tuple[np.ndarray, int, np.ndarray]:
     """Coefficients (z,) of geometry, elasticity, bending and orders 1..32 on all poses; how many are geometry's; their columns."""
     own, linear = np.arange(data.obs.n_poses), data.linear
-    columns, sigma, _ = linear.nuisance()
+    columns, sigma = linear.nuisance()
     blocks = data.compliance(own) + data.bending(own) + data.periodic(1, FASTEST)(own)
     X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
     sigma = np.concatenate([sigma, *(s for _, s in blocks)])

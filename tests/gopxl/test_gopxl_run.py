@@ -31,7 +31,7 @@ def over_gopxl(folder, name):
 
 
 def test_poses_of_every_phase_of_the_published_plan_are_measured_over_gopxl(tmp_path):
-    """The first of each; the whole plan: docs/gopxl.md."""
+    """The first of each phase; the whole plan differs only in their number."""
     loaded = load(over_gopxl(tmp_path, "kuka.yaml"))
     phases = ("translation", "orientation", "position", "verification")
     poses = [next(p for p in expand(loaded) if p.phase == phase) for phase in phases]
