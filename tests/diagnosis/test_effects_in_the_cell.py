@@ -12,7 +12,7 @@ import simulated
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
-from mbcacq.diagnosis.output.kept_model import term_of
+from mbcacq.diagnosis.output.kept_model import kept_group, term_of
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
@@ -144,3 +144,8 @@ def test_leaving_the_learnt_range_is_said(recording, fitted):
     said = " ".join(str(d) for d in fitted.effects.departures(beyond))
     assert "q4 leaves the range" in said
     assert not fitted.effects.departures(recording)
+
+
+def test_an_unmodelled_effect_by_the_tilt_has_no_group_that_can_be_kept(plan):
+    """The tilt of the artefact to the scanner follows from the fitted stations: no other recording states it."""
+    assert kept_group(Covariates(plan), "scanner", "tilt") is None

@@ -11,7 +11,7 @@ from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of, learnt_ranges
 
@@ -61,8 +61,15 @@ def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm
         elastic = {t.where for t in named if t.name == "joint_compliance"}
         found = [g for g in unmodelled.everywhere(here) if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
         return found + unmodelled.of_clock(here)
-    found = [unmodelled.group(here, at, e.depends_on) for e in reported for at in e.where]
-    return [g for g in found if g is not None]
+    return [g for e in reported for at in e.where if (g := kept_group(here, at, e.depends_on)) is not None]
+
+
+def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
+    """The group of an unmodelled effect; None where it depends on what no other recording states (tilt, place in the field)."""
+    try:
+        return unmodelled.group(here, at, depends_on)
+    except Missing:
+        return None
 
 
 def _unit(candidate: Candidate) -> str:
