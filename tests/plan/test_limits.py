@@ -28,5 +28,5 @@ def test_a_wider_margin_to_the_limits_gives_more_warnings():
 def test_thicker_links_leave_less_clearance():
     loaded = load(PLANS / "quick.yaml")
     home = np.radians(loaded.plan.robot.home_deg)
-    thick = with_planning(loaded, link_radius_shares=tuple(1.5 * share for share in loaded.planning.link_radius_shares))
+    thick = with_planning(loaded, link_radius_shares=tuple(1.1 * share for share in loaded.planning.link_radius_shares))
     assert Clearance(thick).at(home, "p1").distance < Clearance(loaded).at(home, "p1").distance
