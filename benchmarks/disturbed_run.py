@@ -126,15 +126,15 @@ class DisturbedRuns:
     def run(self, prepare: Callable[[], object], folder: Path, resume: bool, subscribers: Sequence[Any] = ()) -> Ending:
         """Fork a process that owns the fake cell and forks the run; ``prepare`` is called in the latter. resume: go on with the folder
         afterwards, undisturbed, to the end."""
-        told = self.work / "ending.json"
-        told.unlink(missing_ok=True)
+        written = self.work / "ending.json"
+        written.unlink(missing_ok=True)
         keeper = os.fork()
         if not keeper:
             os.setsid()
             status = 1
             try:
                 ending = self._in_a_cell(prepare, folder, resume, subscribers)
-                told.write_text(json.dumps(ending.__dict__))
+                written.write_text(json.dumps(ending.__dict__))
                 status = 0
             finally:
                 os._exit(status)
@@ -144,7 +144,7 @@ class DisturbedRuns:
         except ProcessLookupError:
             pass
         return (
-            Ending(**json.loads(told.read_text())) if told.exists() else Ending("hangs", wrong=["the process that keeps the cell failed"])
+            Ending(**json.loads(written.read_text())) if written.exists() else Ending("hangs", wrong=["the process that keeps the cell failed"])
         )
 
     def _in_a_cell(self, prepare: Callable[[], object], folder: Path, resume: bool, subscribers: Sequence[Any]) -> Ending:
@@ -162,13 +162,13 @@ class DisturbedRuns:
         return ending
 
     def _forked(self, prepare: Callable[[], object], folder: Path, overrides: Any, subscribers: Sequence[Any]) -> Ending:
-        told = self.work / "run.json"
-        told.unlink(missing_ok=True)
+        written = self.work / "run.json"
+        written.unlink(missing_ok=True)
         run = os.fork()
         if not run:
             try:
                 os.dup2(os.open(self.work / "output", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
-                self._execute(prepare, folder, overrides, subscribers, told)
+                self._execute(prepare, folder, overrides, subscribers, written)
             finally:
                 os._exit(3)
         status = _wait(run, LIMIT_S)
@@ -178,9 +178,9 @@ class DisturbedRuns:
             return Ending("hangs", "", True, wrong=["the run hangs"])
         if os.WIFSIGNALED(status):
             return Ending(f"killed by signal {os.WTERMSIG(status)}", _tail(self.work / "output"), True)
-        return Ending(**json.loads(told.read_text())) if told.exists() else Ending("foreign error", _tail(self.work / "output"), True)
+        return Ending(**json.loads(written.read_text())) if written.exists() else Ending("foreign error", _tail(self.work / "output"), True)
 
-    def _execute(self, prepare: Callable[[], object], folder: Path, overrides: Any, subscribers: Sequence[Any], told: Path) -> None:
+    def _execute(self, prepare: Callable[[], object], folder: Path, overrides: Any, subscribers: Sequence[Any], written: Path) -> None:
         from mbcacq.cli.app import refused_by_the_system
         from mbcacq.errors import MbcacqError
         from mbcacq.recording.run_folder.lock import write_lock
@@ -206,7 +206,7 @@ class DisturbedRuns:
                 detail += f" at {Path(place.filename).name}:{place.lineno}"
         struck = bool(library.fault_disarm())
         counts = {library.fault_name(k).decode(): library.fault_count(k) for k in range(32) if library.fault_name(k)}
-        told.write_text(json.dumps({"how": how, "detail": detail[:600], "struck": struck, "counts": counts}))
+        written.write_text(json.dumps({"how": how, "detail": detail[:600], "struck": struck, "counts": counts}))
         os._exit(0)
 
     def left_behind(self, folder: Path, ending: Ending) -> list[str]:

@@ -18,27 +18,7 @@ class DiagnosisOptions:
     most_poses: int = 4000  # a longer recording is thinned, so that memory stays below 2 GiB (ur10-tracker-a, benchmarks/diagnosis.md)
     searched_poses: int = 800  # poses of a long recording in which parametric effects are searched: bounds time and memory (diagnosis.md)
 
-    # Geometry: prior sigma, wider than the error of any real arm, mount or station
-    geometry_prior: tuple[float, ...] = (0.02, 3.0, 3.0, 0.02, 0.02)  # theta rad, d mm, a mm, alpha rad, beta rad
-    mount_prior: tuple[float, ...] = (500.0, 500.0, 500.0, 2.0, 2.0, 2.0)  # mm, rad
-    station_prior: tuple[float, ...] = (1e4, 1e4, 1e4, 3.0, 3.0, 3.0)  # mm, rad
-    wrong_robot_mm: float = 5.0  # median residual that no arm has once its geometry is free: the recording is another robot's
-    structural_share: float = 0.4  # share of a station's centres that are off from which the station is wrong as a whole
-    structural_centres: int = 8  # and the number of centres that it must have for that
-    station_step: tuple[float, ...] = (1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2)  # mm, rad: typical size of a station's displacement
-
-    # Noise: log-normal priors of the standard deviations, as standard deviations of their logarithms
-    log_sd_stated: float = 0.3  # a stated instrument noise is right within a third
-    log_sd_guessed: float = 1.5  # of an instrument of which nothing is stated, only the order of magnitude is known
-    log_sd_axis: float = 0.35  # the axes of one instrument differ little, or one of them could hide a mismatch
-    log_sd_common: float = 1.0  # the level that all joints of one arm share
-    log_sd_joint: float = 0.35  # deviation of a joint from that level
-    worst_point: float = 3.0  # no instrument is taken to be worse than this many times its stated noise
-    worst_stated: float = 8.0  # nor a joint than this many times its stated repeatability, or it would pass a strong effect for noise
-    worst_joint: float = 10.0  # the same in a long recording, where unmodelled structure must not pass for the noise of a joint
-    initial_point_mm: float = 0.02  # instrument noise of a scanner of which nothing is stated
-    initial_repeatability_mm: float = 0.06  # repeatability of an arm of which nothing is stated
-    outlier_level: float = 1e-7  # false-alarm rate at which a centre is an outlier with the model in place
+    # Outliers
     gross_medians: float = 8.0  # distance, in medians, up to which a centre takes part in a search although geometry alone rejects it
     gross_quantiles: float = 1.5  # or in distances that 97 % are within: more than 3 % are structure
     most_outliers: float = 0.05  # share of outliers beyond which they are structure, and stay
@@ -70,8 +50,6 @@ class DiagnosisOptions:
     smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
 
     # Search and validation
-    most_passes: int = 4  # turns of search and noise at most; they end where the set of effects stands still
-    known_effect_reduction: float = 10.0  # chi2 by which a first effect may miss its threshold in a fold, where one is known to exist
     few_stations: int = 6  # up to which each is left out alone
     usual_folds: int = 4  # of a recording of more stations
     weak_folds: int = 8  # for an effect that three quarters of the data might not show

@@ -6,7 +6,7 @@ same a turn further on; everything else is held at the end of its learnt range.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -207,8 +207,3 @@ def _term(
 def _sum(*weighted: tuple[float, Column]) -> Column:
     """Sum of columns, each times its factor."""
     return tuple(Product(float(factor) * p.factor, p.functions) for factor, column in weighted for p in column)
-
-
-def names_of(terms: Iterable[EffectTerm]) -> str:
-    """The locations of some groups, for a sentence."""
-    return ", ".join(dict.fromkeys(f"{'+'.join(t.where)} by {t.depends_on}" for t in terms))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
-from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import term
 
@@ -73,8 +72,3 @@ def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: 
     """Each effect is wrong, at each pose, by a share of what it displaces there: columns (M, R) as those of a joint's repeatability."""
     extra = [linear.rows.pad(share * d[:, :, None]) for d in displaced]
     return replace(linear, joint=np.concatenate([linear.joint, *extra], axis=2))
-
-
-def start_of(point: NoisePoint, linear: LinearProblem) -> NoisePoint:
-    """The same noise as a start for another linearisation."""
-    return NoisePoint(linear, point.prior, point.theta)

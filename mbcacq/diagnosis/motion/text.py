@@ -13,7 +13,7 @@ CHANNELS = {
     "q_set": "actual angle against set point",
     "tau": "torque against the rigid arm",
 }
-CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be told apart."
+CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be separated."
 MOST_ROWS = 12  # of the mismatch
 
 
@@ -34,7 +34,7 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
         lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
         lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
     for pair in diagnosis.not_separable:
-        lines.append(f"Not told apart: {' and '.join(pair.effects)} (correlation of the estimates {pair.correlation:.3f})")
+        lines.append(f"Not separated: {' and '.join(pair.effects)} (correlation of the estimates {pair.correlation:.3f})")
     lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
