@@ -143,9 +143,9 @@ class DisturbedRuns:
             os.killpg(keeper, signal.SIGKILL)  # whatever is left of its session
         except ProcessLookupError:
             pass
-        return (
-            Ending(**json.loads(written.read_text())) if written.exists() else Ending("hangs", wrong=["the process that keeps the cell failed"])
-        )
+        if not written.exists():
+            return Ending("hangs", wrong=["the process that keeps the cell failed"])
+        return Ending(**json.loads(written.read_text()))
 
     def _in_a_cell(self, prepare: Callable[[], object], folder: Path, resume: bool, subscribers: Sequence[Any]) -> Ending:
         from mbcacq.devices import load_driver
