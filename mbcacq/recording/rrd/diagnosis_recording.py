@@ -15,6 +15,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
+from mbcacq.recording.rrd.new_stream import new_stream
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
@@ -34,7 +35,7 @@ def write_diagnosis(path: Path | str, observations: Observations, text: str, pic
     scale = _scale(point, before)
     times, recording_id = _of_run(run)
     partial = path.with_name(f".{path.stem}.part.rrd")
-    stream = rr.RecordingStream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
+    stream = new_stream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
     try:
         viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
         stream.save(rerun_path(partial), default_blueprint=alone(viewpoint, scale) if run is None else None)

@@ -14,6 +14,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
+from mbcacq.recording.rrd.new_stream import new_stream
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
@@ -35,7 +36,7 @@ def log_result(run: Path | str, observations: Observations, after: CellState, be
     times = {int(row["pose"][0]): float(row["time_s"][0]) for recording in recordings for row in recording.observed()}
     path = run / layout.RESULT_FILE
     partial = path.with_name(".result.part.rrd")
-    stream = rr.RecordingStream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
+    stream = new_stream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
     try:
         states = {"before": before, "after": after} if before is not None else {"after": after}
         errors = {name: residual(observations, predict(observations, state))[:, :3] for name, state in states.items()}

@@ -114,6 +114,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
 
     from mbcacq.recording.datasets.cell_yaml import parse_cell
     from mbcacq.recording.rrd.blueprint import for_cell
+    from mbcacq.recording.rrd.new_stream import new_stream
     from mbcacq.recording.rrd.reader import Recording
 
     try:
@@ -122,7 +123,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
     except MbcacqError:
         return list(sources)
     path = folder / "layout.rrd"
-    stream = rr.RecordingStream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
+    stream = new_stream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
     stream.save(rerun_path(path), default_blueprint=for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
     stream.flush(timeout_sec=10.0)
