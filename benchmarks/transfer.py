@@ -1,4 +1,4 @@
-"""Learn here, check there: an arm with its effects on recordings that took no part.
+"""Learn here, check there: an arm with its effects on recordings that it was not fitted to.
 
     python benchmarks/transfer.py [--data ../shared/data] [--poses 3000]
 

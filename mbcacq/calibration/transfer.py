@@ -1,4 +1,4 @@
-"""A calibrated arm, with its effects, tried on a recording that took no part: another day, another placement of base and tool.
+"""A calibrated arm, with its effects, tried on a recording that it was not fitted to: another day, another placement of base and tool.
 
 The arm and its effects stay as they were learnt. What belongs to the other recording alone (base, tool, stations) is fitted to it, or
 nothing at all where its places are known.

@@ -23,7 +23,7 @@ COMMANDS = {
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",
-    "verify": "try a calibrated arm with its effects on a recording that took no part",
+    "verify": "try a calibrated arm with its effects on a recording that it was not fitted to",
     "correct": "joint angles that reach the nominal places with the calibrated arm",
     "simulate": "write what the calibrated model says a plan would record",
     "challenge": "inject effects into the fake cell, diagnose without knowing them, score",

@@ -23,7 +23,7 @@ def parameters(result: dict[str, Any]) -> Table:
 
 
 def effects(result: dict[str, Any]) -> list[str]:
-    """What the arm does beyond its geometry: the coefficients of each effect, and the groups of what has no name."""
+    """What the arm does beyond its geometry: the coefficients of each effect, and the groups of the unmodelled effects."""
     terms = (result.get("effects") or {}).get("terms", ())
     if not terms:
         return []

@@ -84,14 +84,14 @@ class FitFigures:
 
 @dataclass(frozen=True)
 class HeldOutFigures(FitFigures):
-    """The same figures on data that took no part in any choice or fit. split: ``station`` or ``block``, what was left out at a time."""
+    """The same figures on held-out data: in no choice and no fit. split: ``station`` or ``block``, what was left out at a time."""
 
     split: str
 
 
 @dataclass(frozen=True)
 class FitSummary:
-    """repeatability_floor_mm: 3D rms that the estimated noise alone makes at one centre."""
+    """repeatability_floor_mm: 3D rms expected at one centre from the estimated noise alone."""
 
     train: FitFigures
     held_out: HeldOutFigures

@@ -69,7 +69,7 @@ def verify(
 
 
 def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | Path | str, *, place: str = "fitted") -> Transfer:
-    """A calibrated arm, with its effects, on a recording that took no part: both stay as they were learnt.
+    """A calibrated arm, with its effects, on a recording that it was not fitted to: both stay as they were learnt.
 
     place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is). Raises ConfigError where the
     recording is of another arm, CalibrationError where it does not determine its own places.
