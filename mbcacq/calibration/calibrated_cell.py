@@ -21,7 +21,7 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True, repr=False)
 class CalibratedCell(CalibratedCellMethods):
-    """What :class:`mbcacq.calibration.calibrated.Calibrated` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
+    """What ``mbcacq.calibration.calibrated.Calibrated`` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
     those of ``state.balls`` (K, 3) mm. content: the whole of result.json, as it was read. effects: as terms of the cell, or None."""
 
     robot: str
@@ -69,7 +69,7 @@ class CalibratedCell(CalibratedCellMethods):
         return self.content
 
     def to_json(self) -> str:
-        """:meth:`to_dict` as JSON text."""
+        """``to_dict`` as JSON text."""
         return json.dumps(self.content, indent=1)
 
     @property

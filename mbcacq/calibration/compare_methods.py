@@ -62,7 +62,7 @@ class Comparison(Sequence[ComparisonRow]):
         return len(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, read back by :meth:`from_dict`."""
+        """JSON form, read back by ``from_dict``."""
         return {"format": FORMAT, "rows": [row.to_dict() for row in self.rows]}
 
     @classmethod
@@ -86,7 +86,7 @@ class Comparison(Sequence[ComparisonRow]):
 
 
 def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
-    """One row a method of :data:`mbcacq.calibration.methods.COMPARED_METHODS`, in that order; a method that these data do not determine has
+    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order; a method that these data do not determine has
     the reason in place of figures. Raises CalibrationError where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:

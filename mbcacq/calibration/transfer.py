@@ -85,7 +85,7 @@ class Transfer:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Transfer:
-        """The transfer that :meth:`to_dict` wrote. Raises KeyError or TypeError where it is damaged."""
+        """The transfer that ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
         own = content["own_geometry"]
         return cls(
             content["place"],
@@ -163,7 +163,7 @@ def check_transfer(
 
 @dataclass(frozen=True)
 class _PlacedFit:
-    """What is asked of a fit of a recording's own places; see :class:`mbcacq.calibration.calibration_fit.CalibrationFit`."""
+    """What is asked of a fit of a recording's own places; see ``mbcacq.calibration.calibration_fit.CalibrationFit``."""
 
     observations: Observations
     options: CalibrationOptions

@@ -49,7 +49,7 @@ def calibrate_with_effects(
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
     hold: the effects stay as they were learnt, the geometry alone is fitted. Raises ConfigError where the effects are of another arm, and
-    CalibrationError as :func:`mbcacq.calibration.maximum_likelihood.calibrate`.
+    CalibrationError as ``mbcacq.calibration.maximum_likelihood.calibrate``.
     """
     options = options or CalibrationOptions()
     if options.method != "ml":

@@ -35,7 +35,7 @@ def diagnose(
 
     recordings: one, or several of one arm, which share the arm and its effects and keep their own base, tool, stations and noise.
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
-    options: of the adjustment, as :func:`mbcacq.calibrate` takes them; the same poses, noise and geometry come out.
+    options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out.
     Raises CalibrationError where the data do not even determine the geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]

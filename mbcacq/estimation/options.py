@@ -17,7 +17,7 @@ PAIRS = ("one", "four", "all")
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """How :func:`mbcacq.calibration.maximum_likelihood` works.
+    """How ``mbcacq.calibration.maximum_likelihood`` works.
 
     method: 'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage).
     pairs: which balls enter the distance constraint of method 'paper': 'one' pair, as printed; all pairs of the 'four' balls that make the

@@ -72,7 +72,7 @@ def solve(
 ) -> Solution:
     """Iterate until the next step would take less than ``tolerance`` off the cost (chi square).
 
-    A :class:`Solution` of the same lineariser as start saves evaluating it anew.
+    A ``Solution`` of the same lineariser as start saves evaluating it anew.
     """
     layout = lineariser.layout
     damping, share = 0.0, 1.0

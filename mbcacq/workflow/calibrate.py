@@ -41,8 +41,8 @@ def calibrate(
 ) -> Calibration:
     """Identify the cell: errors of the arm's MD-H parameters (n, 5) in rad and mm, T_flange_scanner (4, 4), stations, ball centres, noise.
 
-    data: observations, or where they are (see :func:`mbcacq.load_observations`). Poses of phase 'verification' are kept apart.
-    effects: what :func:`mbcacq.diagnose` found (or its JSON file, or a list of these): they become terms of the cell, their coefficients
+    data: observations, or where they are (see ``mbcacq.load_observations``). Poses of phase 'verification' are kept apart.
+    effects: what ``mbcacq.diagnose`` found (or its JSON file, or a list of these): they become terms of the cell, their coefficients
     fitted with everything else or, with ``hold_effects``, kept as they are. Raises CalibrationError naming what the poses leave
     undetermined, ConfigError for options that do not fit.
     """
@@ -60,8 +60,8 @@ def verify(
 ) -> Verification:
     """Sphere spacing errors (mm) at the verification poses, before and after calibration, with the uncertainty expected of each.
 
-    calibration: what :func:`mbcacq.calibrate` returned, or a result.json, or a run folder that holds one. Of a bare
-    :class:`mbcacq.estimation.forward_model.CellState`, ``before`` is what to compare with. limit_mm: largest error permitted.
+    calibration: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. Of a bare
+    ``mbcacq.estimation.forward_model.CellState``, ``before`` is what to compare with. limit_mm: largest error permitted.
     """
     if isinstance(calibration, Path | str):
         calibration = room.CalibratedCell.from_json(Path(calibration))

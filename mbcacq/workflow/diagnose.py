@@ -45,7 +45,7 @@ class DiagnosisResult:
 
     @property
     def model(self) -> EffectModel | None:
-        """The effects found in the poses as terms that :func:`mbcacq.calibrate` takes; None where there are none."""
+        """The effects found in the poses as terms that ``mbcacq.calibrate`` takes; None where there are none."""
         return self.poses.model if self.poses is not None else None
 
     @property
@@ -101,7 +101,7 @@ class DiagnosisResult:
         keep_in_run(self.main.to_json(), self._words_of_poses(), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON content, format mbcacq-diagnosis/2 (see :func:`mbcacq.diagnosis.schema.diagnosis_schema`); where there are both, the
+        """The JSON content, format mbcacq-diagnosis/2 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
         motion stands under its own key. Trajectories alone give version 1."""
         from mbcacq.diagnosis.motion.combine import combined
         from mbcacq.diagnosis.result import plain
@@ -145,7 +145,7 @@ class DiagnosisResult:
         return [plain(one) for one in (learnt, *tried)]
 
     def to_json(self) -> str:
-        """:meth:`to_dict` as JSON text."""
+        """``to_dict`` as JSON text."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     @classmethod
@@ -203,7 +203,7 @@ def diagnose(
     recordings of poses of one arm share the arm and its effects, and so do several trajectories. Of a run whose controller recorded
     torques or joint-side angles, the motion between the poses is compared too.
     progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core). options: of the
-    adjustment of poses, as :func:`mbcacq.calibrate` takes them (which phases are used, what is held). check: further recordings of the
+    adjustment of poses, as ``mbcacq.calibrate`` takes them (which phases are used, what is held). check: further recordings of the
     arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing.
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
