@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from mbcacq.calibration.compare_methods import Comparison
     from mbcacq.calibration.result import Calibration
     from mbcacq.calibration.verification import Verification
+    from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.exports.folder import Targets
     from mbcacq.model.observations import Observations
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
     from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
+    from mbcacq.workflow.new_plan import new_plan
     from mbcacq.workflow.report import write_report
     from mbcacq.workflow.run import Operator, run
     from mbcacq.workflow.simulate import simulate
@@ -53,6 +55,7 @@ __all__ = [
     "Comparison",
     "DiagnosisResult",
     "LoadedPlan",
+    "NewPlanOptions",
     "Observations",
     "Operator",
     "RunResult",
@@ -68,6 +71,7 @@ __all__ = [
     "load_observations",
     "load_plan",
     "load_trajectories",
+    "new_plan",
     "run",
     "simulate",
     "verify",
@@ -80,6 +84,7 @@ _MODULES = {
     "calibration.compare_methods": ("Comparison",),
     "calibration.result": ("Calibration",),
     "calibration.verification": ("Verification",),
+    "design.new_plan": ("NewPlanOptions",),
     "estimation.options": ("CalibrationOptions",),
     "exports.folder": ("Targets",),
     "model.observations": ("Observations",),
@@ -91,6 +96,7 @@ _MODULES = {
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),
     "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
+    "workflow.new_plan": ("new_plan",),
     "workflow.report": ("write_report",),
     "workflow.run": ("Operator", "run"),
     "workflow.simulate": ("simulate",),
