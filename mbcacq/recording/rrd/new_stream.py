@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import rerun as rr
-from rerun import bindings
+import rerun_bindings
 
 
 def new_stream(application: str, recording_id: str | None = None, **options: Any) -> rr.RecordingStream:
@@ -14,5 +14,5 @@ def new_stream(application: str, recording_id: str | None = None, **options: Any
     The library keeps two threads for every stream until the program ends, also where nobody holds the stream any more; those that were
     closed before are freed here.
     """
-    bindings.flush_and_cleanup_orphaned_recordings()
+    rerun_bindings.flush_and_cleanup_orphaned_recordings()
     return rr.RecordingStream(application, recording_id=recording_id, **options)
