@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -41,6 +41,7 @@ class GroupSizeOptions:
 
 
 OPTIONS = GroupSizeOptions()
+Fit = Callable[[Observations, CalibrationOptions], Calibration]
 
 
 def calibrate_with_effects(
@@ -55,13 +56,17 @@ def calibrate_with_effects(
     if options.method != "ml":
         raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
     refuse_other_arm(observations, model)
-    obs = select_phases(observations, options)
-    alone = calibrate(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
+    return fitted_with_effects(select_phases(observations, options), options, model, hold, calibrate)
+
+
+def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:
+    """The observations calibrated with effects by ``fit``, which calibrates them under any options."""
+    alone = fit(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))
-        return _beside(alone, replace(calibrate(obs, replace(options, displaced=known)), effects=model))
+        return _beside(alone, replace(fit(obs, replace(options, displaced=known)), effects=model))
     parametric, unmodelled = model.parametric, model.select(lambda t: t.name == UNKNOWN)
-    fitted = calibrate(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
+    fitted = fit(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
     found = with_unmodelled(fitted, options, parametric, unmodelled)
@@ -120,11 +125,13 @@ def refuse_other_arm(obs: Observations, model: EffectModel) -> None:
 
 
 def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:
-    """The model with the coefficients of a calibration, whose terms it has, in their order."""
+    """The model with the coefficients of a calibration that has its terms."""
     std = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
-    position = {name: j for j, name in enumerate(fitted.names)}
-    deviations = [np.array([std[position[name]] if name in position else 0.0 for name in t.names]) for t in model.terms]
-    return model.with_coefficients(fitted.coefficients, deviations)
+    free = {name: float(std[j]) for j, name in enumerate(fitted.names)}
+    blocks = fitted.layout.blocks[len(fitted.layout.blocks) - len(fitted.coefficients) :]
+    value = {name: float(v) for b, c in zip(blocks, fitted.coefficients, strict=True) for name, v in zip(b.names, c, strict=True)}
+    coefficients = [np.array([value[name] for name in t.names]) for t in model.terms]
+    return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 
 def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> Calibration:
@@ -134,7 +141,7 @@ def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric
     parametric effects free; groups that the data do not ask for are dropped.
     """
     prior = noise_prior(fitted.cell, options.noise)
-    stage = _Stage.first(fitted, options, parametric, unmodelled)
+    stage = _Stage.first(fitted, options, unmodelled)
     noise, at = fitted.noise, stage.system(fitted.noise)
     for turn in range(OPTIONS.turns):
         stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
@@ -165,10 +172,10 @@ class _Stage:
     estimate: Estimate
 
     @classmethod
-    def first(cls, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
+    def first(cls, fitted: Calibration, options: CalibrationOptions, unmodelled: EffectModel) -> _Stage:
         obs, groups = fitted.observations, unmodelled.terms
         start = Estimate(fitted.state, (*fitted.coefficients, *(np.zeros(g.k) for g in groups)))
-        return cls(fitted, options, (*parametric.at(obs), *unmodelled.at(obs)), groups, np.ones(len(groups)), start)
+        return cls(fitted, options, (*fitted.options.terms, *unmodelled.at(obs)), groups, np.ones(len(groups)), start)
 
     @property
     def named(self) -> tuple[Term, ...]:
