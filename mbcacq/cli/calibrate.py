@@ -112,12 +112,13 @@ def command(
     if hold_effects and not effects:
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
-    if len(data) > 1:
+    first, *others = data
+    if others:
         if split or with_map or l_curve:
             raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
         result = joint_content(data, options, **known)
     else:
-        result = calibration_content(data[0], options, held_out=split, with_map=with_map, **known)
+        result = calibration_content(first, options, held_out=split, with_map=with_map, **known)
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:
@@ -128,7 +129,7 @@ def command(
         result["files"] = {"result": str(out)}
     if as_json:
         echo(json.dumps(result))
-    elif len(data) > 1:
+    elif others:
         print_joint_result(result)
     else:
         print_result(result)

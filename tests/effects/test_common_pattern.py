@@ -80,7 +80,10 @@ def test_the_term_of_a_pattern_turns_each_joint_by_its_own_copy():
     term = unmodelled.common_pattern(unmodelled.Covariates(obs), [0.4, 2.2], [1, -1], [0, 2])
     values = rng.standard_normal(term.k)
     orders = np.arange(1, 61)
-    joint = EffectModel(robot, (term.__class__(**{**term.__dict__, "coefficients": values}),)).displacements(obs).joint
+    moved = EffectModel(robot, (term.__class__(**{**term.__dict__, "coefficients": values}),)).displacements(obs)
+    assert moved is not None
+    joint = moved.joint
+    assert joint is not None
 
     def f(x):
         return np.sin(np.outer(x, orders)) @ values[:60] + np.cos(np.outer(x, orders)) @ values[60:]
