@@ -9,6 +9,7 @@
     mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
     better = mbcacq.calibrate(data, effects=mbcacq.diagnose(data))   # the same cell with the effects that were found
     mbcacq.verify_elsewhere("another-day", better)        # that arm and its effects on another recording
+    mbcacq.calibrate_together(["monday", "friday"])       # one arm from several recordings
     mbcacq.compare(data)                                  # the methods of calibration on the same data
     found = mbcacq.diagnose(data)                         # found.verdict, found.effects, found.write_html("diagnosis.html")
     twin = mbcacq.simulate(plan, cell)                    # what that cell would record
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
-    from mbcacq.workflow.calibrate import calibrate, compare, verify, verify_elsewhere
+    from mbcacq.workflow.calibrate import calibrate, calibrate_together, compare, verify, verify_elsewhere
     from mbcacq.workflow.correct import correct
     from mbcacq.workflow.diagnose import DiagnosisResult, diagnose
     from mbcacq.workflow.evaluate import RunResult
@@ -64,6 +65,7 @@ __all__ = [
     "Verification",
     "__version__",
     "calibrate",
+    "calibrate_together",
     "compare",
     "correct",
     "diagnose",
@@ -90,7 +92,7 @@ _MODULES = {
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
-    "workflow.calibrate": ("calibrate", "compare", "verify", "verify_elsewhere"),
+    "workflow.calibrate": ("calibrate", "calibrate_together", "compare", "verify", "verify_elsewhere"),
     "workflow.correct": ("correct",),
     "workflow.diagnose": ("DiagnosisResult", "diagnose"),
     "workflow.evaluate": ("RunResult",),

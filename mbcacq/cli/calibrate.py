@@ -14,7 +14,7 @@ from mbcacq.cli.terminal import echo
 
 
 @click.command("calibrate")
-@click.argument("data", type=RunPath())
+@click.argument("data", nargs=-1, required=True, type=RunPath())
 @click.option(
     "--method",
     type=click.Choice(["ml", "paper"]),
@@ -61,7 +61,7 @@ from mbcacq.cli.terminal import echo
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 def command(
-    data: Path,
+    data: tuple[Path, ...],
     method: str,
     pairs: str,
     held_out: str | None,
@@ -84,15 +84,18 @@ def command(
 ) -> None:
     """Calibrate the cell from DATA: a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set.
 
+    Several recordings of one arm are calibrated together: arm and effects are shared; base, tool, stations, artefacts and noise are not.
+
     \b
     Examples:
       mbcacq calibrate latest
+      mbcacq calibrate runs/monday runs/friday --effects diagnosis.json --out arm.json
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
       mbcacq calibrate latest --effects diagnosis.json --out result.json
     """
     import mbcacq
     from mbcacq.errors import ConfigError
-    from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve
+    from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve, joint_content
 
     options = mbcacq.CalibrationOptions(
         method=method,
@@ -109,7 +112,13 @@ def command(
     if hold_effects and not effects:
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
-    result = calibration_content(data, options, held_out=split, with_map=with_map, **known)
+    first, *others = data
+    if others:
+        if split or with_map or l_curve:
+            raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
+        result = joint_content(data, options, **known)
+    else:
+        result = calibration_content(first, options, held_out=split, with_map=with_map, **known)
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:
@@ -120,12 +129,33 @@ def command(
         result["files"] = {"result": str(out)}
     if as_json:
         echo(json.dumps(result))
+    elif others:
+        print_joint_result(result)
     else:
         print_result(result)
 
 
-def print_result(result: dict[str, Any]) -> None:
-    """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout."""
+def print_joint_result(joint: dict[str, Any]) -> None:
+    """Show a joint result: the arm and its effects once, then what belongs to each recording."""
+    from mbcacq.cli import tables
+
+    console = terminal_console(highlight=False, soft_wrap=True)
+    first = joint["recordings"][0]["result"]
+    if tables.identifies_arm(first):
+        console.print(tables.parameters(first))
+    for line in [*tables.effects(first), *tables.day_to_day(joint)]:
+        console.print(line, markup=False)
+    for number, one in enumerate(joint["recordings"], 1):
+        console.print(f"\nRecording {number}: {one['name']}", markup=False)
+        shown = {key: value for key, value in one["result"].items() if key != "effects"}
+        print_result(shown, arm=False)
+    for name, path in (joint.get("files") or {}).items():
+        console.print(f"{name}: {path}", soft_wrap=True)
+
+
+def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
+    """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout, with
+    the table of the arm or without."""
 
     from mbcacq.calibration.caveats import caveats
     from mbcacq.cli import tables
@@ -133,7 +163,7 @@ def print_result(result: dict[str, Any]) -> None:
     console = terminal_console(highlight=False, soft_wrap=True)
     for sentence in caveats(result):
         console.print(f"*** {sentence} ***", markup=False)
-    if tables.identifies_arm(result):
+    if arm and tables.identifies_arm(result):
         console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
     for line in [*tables.effects(result), *tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:

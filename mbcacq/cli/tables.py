@@ -41,6 +41,19 @@ def effects(result: dict[str, Any]) -> list[str]:
     return out
 
 
+def day_to_day(joint: dict[str, Any]) -> list[str]:
+    """Each coefficient of the effects in several recordings: what it has in common, and what differs from day to day."""
+    out = ["From day to day (common value; standard deviation between recordings; value in each):"] if joint.get("day_to_day") else []
+    for d in joint.get("day_to_day") or ():
+        each = ", ".join(f"{v:.4g} +- {s:.2g}" for v, s in zip(d["values"], d["std"], strict=True))
+        differs = f"differs by {d['between_std']:.2g}" if d["between_std"] > 0 else "does not differ"
+        out.append(
+            f"  {d['name']} at {', '.join(d['where'])}: {d['common']:.4g} +- {d['common_std']:.2g} {d['unit']}, {differs} "
+            f"(p = {d['p_value']:.1g}); {each}"
+        )
+    return out
+
+
 def arm_parameters(result: dict[str, Any]) -> set[str]:
     """Names of the MD-H parameters."""
     return {f"{p}_{i + 1}" for p in ("theta", "d", "a", "alpha", "beta") for i in range(len(result["robot"]["sign"]))}

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mbcacq import calibration as room
-from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.calibration import Calibration, CalibrationOptions, Verification, several
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
+from mbcacq.calibration.joint_result import JointCalibration
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
@@ -51,6 +52,25 @@ def calibrate(
     return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
 
 
+def calibrate_together(
+    data: Sequence[Observations | Path | str],
+    options: CalibrationOptions | None = None,
+    *,
+    effects: Effects | None = None,
+    hold_effects: bool = False,
+) -> JointCalibration:
+    """Several recordings of one arm: arm and effects are shared; base, tool, stations, artefacts and noise are each recording's own.
+
+    A sequence of one :class:`Calibration` for each recording, with the covariance that all of them together give. effects: as
+    :func:`calibrate` takes them; a coefficient that differs from day to day gets a variance between recordings. Raises ConfigError where
+    the recordings are not of one arm, CalibrationError as :func:`calibrate`.
+    """
+    names = tuple(str(one) if isinstance(one, Path | str) else f"recording {i + 1}" for i, one in enumerate(data))
+    recordings = [as_observations(one) for one in data]
+    model = None if effects is None else as_effects(effects)
+    return JointCalibration(several.calibrate_together(recordings, options, model, hold=hold_effects), names)
+
+
 def verify(
     data: Observations | Path | str,
     calibration: Calibrated | CellState | Path | str,
@@ -76,7 +96,10 @@ def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | 
     """
     from mbcacq.calibration.result_io import chain_of
 
-    cell = room.CalibratedCell.from_json(Path(calibration)) if isinstance(calibration, Path | str) else calibration
+    cell = calibration
+    if isinstance(calibration, Path | str):
+        cell = room.CalibratedCell.from_json(Path(calibration), any_of_them=place == "fitted")
+    assert not isinstance(cell, Path | str), "it was read"
     content = cell.content if isinstance(cell, room.CalibratedCell) else getattr(cell, "extra", {})
     alone = content.get("geometry_alone")
     chain = None
@@ -128,6 +151,22 @@ def calibration_content(
     if held_out is not None:
         split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
         content["held_out"] = split.to_dict()
+    return content
+
+
+def joint_content(
+    data: Sequence[Path], options: CalibrationOptions, *, effects: Effects | None = None, hold_effects: bool = False
+) -> dict[str, Any]:
+    """Calibrate several recordings of one arm together and verify each; content of format 'mbcacq-joint-result/1', with 'verification' and
+    'gaps' in the result of each. Raises CalibrationError, ConfigError.
+    """
+    from mbcacq.recording import find_gaps
+
+    joint = calibrate_together(data, options, effects=effects, hold_effects=hold_effects)
+    content = joint.to_dict()
+    for path, calibration, one in zip(data, joint, content["recordings"], strict=True):
+        one["result"]["verification"] = room.verify(as_observations(path), calibration).to_dict()
+        one["result"]["gaps"] = find_gaps(path)
     return content
 
 
