@@ -95,17 +95,6 @@ def gravity_compensator(world: World) -> Errors:
     return Errors(joint=at_joint(1, -lever * (BALANCER["preload"] + BALANCER["stretched"] * longer)))
 
 
-def carousel(world: World) -> Errors:
-    """The first link's bearing tilts across its axis; the frame behind the link is turned about its own origin."""
-    out = []
-    for q in world.q:
-        T = plain.frames(q)[1]
-        beyond = plain.masses(q)[1:]
-        moment = np.sum([np.cross(r - T[:3, 3], m * plain.G * plain.DOWN) * 1e-3 for m, r in beyond], axis=0)
-        out.append(2e-9 * (moment - moment[2] * np.array([0, 0, 1.0])))
-    return Errors(carousel=np.array(out))
-
-
 def leaning(depth: float, side: float) -> Physics:
     """Too deep by the squared sine of the incidence, and aside along the lean."""
 
@@ -223,13 +212,7 @@ CASES = (
         hyper=30.0,
         depends_on="gravity_torque_3",
     ),
-    Case(
-        "hysteresis",
-        ("A2",),
-        hysteresis,
-        {"A2.hysteresis_deg": np.nan, "A2.half_width_rad_per_Nm": 2e-9},
-        depends_on="direction_2",
-    ),
+    Case("hysteresis", ("A2",), hysteresis, {"A2.hysteresis_deg": np.nan, "A2.half_width_rad_per_Nm": 2e-9}, depends_on="direction_2"),
     Case(
         "gravity_compensator",
         ("A2",),
@@ -237,7 +220,6 @@ CASES = (
         {"A2.preload_deg": -np.degrees(2e-6), "A2.stretched_deg": -np.degrees(1e-6), "A2.zero_deg": -106.3},
         hyper=0.25,
     ),
-    Case("carousel_compliance", ("link1",), carousel, {"compliance_rad_per_Nm": 2e-9}),
     Case("incidence_bias", ("scanner",), leaning(1e-5, 0.0), {"depth_mm": 1e-5}, variant="depth"),
     Case("incidence_bias", ("scanner",), leaning(1e-5, -6e-6), {"depth_mm": 1e-5, "side_mm": -6e-6}, variant=""),
     Case("joint_scale", ("A2",), joint_scale, {"A2.ratio": 3e-7}, depends_on="q2"),

@@ -82,15 +82,13 @@ def tool_weight(q: np.ndarray) -> np.ndarray:
 class Errors:
     """What is wrong in the cell, at each pose; the default is a perfect one.
 
-    joint (P, 6): rad beyond the reported angles. base (P, 3): rotation vector of the whole arm about the base's origin. carousel (P, 3): of everything behind the first link, in base axes, about the
-    origin behind it. growth: link ->
+    joint (P, 6): rad beyond the reported angles. base (P, 3): rotation vector of the whole arm about the base's origin. growth: link ->
     (P,) mm. mount: (P, 4, 4) between flange and scanner. balls (8, 3): true minus certified. station (P, 3): shift in base axes.
     reading: true points (M, 3) and their poses (M,) -> what the scanner says.
     """
 
     joint: np.ndarray | None = None
     base: np.ndarray | None = None
-    carousel: np.ndarray | None = None
     growth: dict[int, np.ndarray] = field(default_factory=dict)
     mount: np.ndarray | None = None
     balls: np.ndarray | None = None
@@ -138,10 +136,6 @@ class World:
         for p, q in enumerate(self.q):
             true_q = q if wrong.joint is None else q + wrong.joint[p]
             arm = frames(true_q, {i: mm[p] for i, mm in wrong.growth.items()})[-1]
-            if wrong.carousel is not None:
-                at = frames(true_q)[1][:3, 3]
-                turn = rotation(wrong.carousel[p])
-                arm = pose(turn, at - turn @ at) @ arm
             if wrong.base is not None:
                 arm = pose(rotation(wrong.base[p]), np.zeros(3)) @ arm
             scanner = arm @ (np.eye(4) if wrong.mount is None else wrong.mount[p]) @ T_FLANGE_SCANNER

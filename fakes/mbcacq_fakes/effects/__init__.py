@@ -32,7 +32,6 @@ CATALOGUED = (
     "lost_motion",
     "hysteresis",
     "gravity_compensator",
-    "carousel_compliance",
     "incidence_bias",
     "payload",
     "exposure_latency",

@@ -28,7 +28,7 @@ class LostMotion(InjectedEffect):
         share = float(self.rng.uniform(0.12, 0.4))
         self.breakpoint = share * reach if given["breakpoint_Nm"] is None else float(given["breakpoint_Nm"])
         beyond = given["compliance_rad_per_Nm"]
-        self.beyond = float(self.rng.uniform(0.3, 1.0)) * 1.5e-4 / reach if beyond is None else float(beyond)
+        self.beyond = self.strength * float(self.rng.uniform(0.3, 1.0)) * 1.5e-4 / reach if beyond is None else float(beyond)
 
     def _wound(self, torque: np.ndarray) -> np.ndarray:
         """Two springs in series, of which the soft one meets its stops at T1."""

@@ -37,6 +37,8 @@ def candidates(context: Context) -> list[Candidate]:
         return {name: number(c[j], np.sqrt(v[j, j])) for j, name in enumerate(names)}
 
     return [
-        Candidate(NAME, ("scanner",), "tilt", built(context, parts), report, np.full(k, TYPICAL), variant=variant, described=lambda _, d=parts: d)
+        Candidate(
+            NAME, ("scanner",), "tilt", built(context, parts), report, np.full(k, TYPICAL), variant=variant, described=lambda _, d=parts: d
+        )
         for parts, k, variant in ((depth_only, 1, "depth"), (both, 2, ""), (linear, 2, "linear"))
     ]

@@ -23,11 +23,7 @@ def candidates(context: Context) -> list[Candidate]:
     if not context.masses_known:
         raise Missing("no masses of the links given")
     torque = context.gravity_torque
-    return [
-        of_joint(context, i)
-        for i in range(context.n)
-        if np.ptp(torque[:, i]) > max(0.02 * np.ptp(torque, axis=0).max(), LEAST_TORQUE)
-    ]
+    return [of_joint(context, i) for i in range(context.n) if np.ptp(torque[:, i]) > max(0.02 * np.ptp(torque, axis=0).max(), LEAST_TORQUE)]
 
 
 def of_joint(context: Context, i: int) -> Candidate:
