@@ -13,8 +13,9 @@ LEAST_WIDTH = 5.0  # mm, second singular value of centres that are not on one li
 def artefact_normals(obs: Observations, R_base_flange: np.ndarray) -> np.ndarray:
     """(P, 3) unit vectors in the scanner's axes.
 
-    R_base_flange: (P, 3, 3) of the nominal arm. A pose that sees three balls not on one line shows the normal by itself. For others it is the
-    mean normal of the station in the base; at a station without such poses, which holds a bar or a single ball, the mean direction towards the scanner.
+    R_base_flange: (P, 3, 3) of the nominal arm. A pose that sees three balls not on one line shows the normal by itself. For others it is
+    the mean normal of the station in the base; at a station without such poses, which holds a bar or a single ball, the mean direction
+    towards the scanner.
     """
     R_base_scanner = R_base_flange @ obs.cell.T_flange_scanner.reshape(-1, 4, 4)[0, :3, :3]
     towards = R_base_scanner[:, :, 2] * _side(obs)

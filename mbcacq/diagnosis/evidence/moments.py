@@ -18,7 +18,7 @@ FINE = 61  # torques about the found one, from a third to three times as much
 
 
 def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate:
-    """The candidate of a member, which reports its moment, or its torque, with the standard deviation over all others; the rest as it is."""
+    """The candidate of a member, which reports its moment, or its torque, with the standard deviation over all others."""
     candidate = member.candidate
     if candidate.hyper is None or not candidate.separable or member.hyper is None:
         return candidate
