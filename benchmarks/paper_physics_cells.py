@@ -122,7 +122,7 @@ def catalogue() -> list[Effect]:
             "link_bending",
             "loose_anchor",
             "short_memory",
-            "tilt_bias",
+            "incidence_bias",
         )
     ]
     return out

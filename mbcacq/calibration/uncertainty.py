@@ -104,15 +104,25 @@ def distance_uncertainty(
 
     repeats: how many poses each end was averaged over, to include the noise of measuring; None: the cell's parameters only.
     """
-    pa, pb = to_base(calibration, qa, a), to_base(calibration, qb, b)
-    u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
-    A = point_columns(calibration, qb, b) - point_columns(calibration, qa, a)
-    row = np.einsum("pi,pig->pg", u, A)
+    u, row = distance_rows(calibration, qa, a, qb, b)
     variance = np.einsum("pg,gh,ph->p", row, calibration.covariance, row)
     if repeats is not None:
         for q, x, count in ((qa, a, repeats[0]), (qb, b, repeats[1])):
             variance = variance + np.einsum("pi,pij,pj->p", u, measuring_covariance(calibration, q, x), u) / count
     return np.sqrt(variance)
+
+
+def common_distance_uncertainty(calibration: Calibrated, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> float:
+    """mm standard uncertainty, from the cell's parameters alone, of the mean of the errors of these distances: what all of them share."""
+    mean = distance_rows(calibration, qa, a, qb, b)[1].mean(axis=0)
+    return float(np.sqrt(mean @ calibration.covariance @ mean))
+
+
+def distance_rows(calibration: Calibrated, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (P, 3) from a to b, and derivatives (P, g) of their distance by the free parameters."""
+    pa, pb = to_base(calibration, qa, a), to_base(calibration, qb, b)
+    u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
+    return u, np.einsum("pi,pig->pg", u, point_columns(calibration, qb, b) - point_columns(calibration, qa, a))
 
 
 def expected_accuracy(calibration: CalibrationFit, postures: int = 300, seed: int = 1) -> float:

@@ -9,7 +9,7 @@ each figure with the uncertainty of measuring it in mind: pass only where it kee
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated import Calibrated
-from mbcacq.calibration.uncertainty import distance_uncertainty
+from mbcacq.calibration.uncertainty import common_distance_uncertainty, distance_uncertainty
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
@@ -25,6 +25,8 @@ from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 
 CLEAR = 1.645  # one-sided 95 %
+# (station, ball id) -> q (1, n), xyz (1, 3) and number of poses
+Ends = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray, int]]
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,14 @@ class VerifiedPair:
 @dataclass(frozen=True, repr=False)
 class Verification:
     """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
-    independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts."""
+    independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts. common_mm:
+    standard uncertainty of the mean signed error after, as far as it comes from the calibration and is common to all places."""
 
     places: tuple[VerifiedPair, ...]
     limit_mm: float | None = None
     independent: bool | None = True
     figures: tuple[dict, ...] = ()
+    common_mm: float | None = None
 
     def errors(self, which: str) -> np.ndarray:
         """(places,) signed errors in mm, 'before' or 'after'."""
@@ -62,6 +66,7 @@ class Verification:
         if expected:
             # For a normal error the mean of |error| is sqrt(2 / pi) of its standard deviation.
             out["expected_mean_mm"] = float(np.sqrt(2 / np.pi) * np.mean(expected))
+        out["common_mm"] = self.common_mm
         out["limit_mm"] = self.limit_mm
         out["independent"] = self.independent
         out["figures"] = list(self.figures)
@@ -74,7 +79,7 @@ class Verification:
         if content is None:
             return cls(())
         pairs = tuple(VerifiedPair(**{**p, "balls": tuple(p["balls"])}) for p in content["places"])
-        return cls(pairs, content["limit_mm"], content["independent"], tuple(content["figures"]))
+        return cls(pairs, content["limit_mm"], content["independent"], tuple(content["figures"]), content.get("common_mm"))
 
     def __repr__(self) -> str:
         if not self.places:
@@ -127,7 +132,17 @@ def verify(
     took_part = fitted.took_part(obs)
     found = Verification(tuple(places), limit_mm, None if took_part is None else not took_part)
     figures = judge(observations, fitted, Limits(sphere_spacing_error_mm=limit_mm), found.errors("after"))
-    return replace(found, figures=tuple(f.to_dict() for f in figures))
+    return replace(found, figures=tuple(f.to_dict() for f in figures), common_mm=common_uncertainty(fitted, found.places, ends, obs))
+
+
+def common_uncertainty(calibration: Calibrated, places: Sequence[VerifiedPair], ends: Ends, obs: Observations) -> float | None:
+    """mm, of the mean signed error of the places; None of a single place, which has nothing in common with another."""
+    if len(places) < 2:
+        return None
+    index = {s.id: i for i, s in enumerate(obs.cell.stations)}
+    first, second = ([ends[index[p.station], p.balls[k]] for p in places] for k in (0, 1))
+    qa, a, qb, b = (np.concatenate([end[k] for end in one]) for one in (first, second) for k in (0, 1))
+    return common_distance_uncertainty(calibration, qa, a, qb, b)
 
 
 def verification_poses(obs: Observations) -> Observations:

@@ -27,19 +27,27 @@ CATALOGUED = (
     "ball_shift",
     "artefact_expansion",
     "station_drift",
+    "lost_motion",
+    "hysteresis",
+    "gravity_compensator",
+    "incidence_bias",
     "payload",
 )
-OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
+OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory")
 NONE, TWO = "none", "two"
-# What goes with an effect and is no false name: a wrong tool shows only through elastic joints.
-COMPANIONS: Mapping[str, tuple[str, ...]] = {"payload": ("joint_compliance",)}
+# What goes with an effect and is no false name: a wrong tool, a soft gearbox and a balancer show through elastic joints.
+COMPANIONS: Mapping[str, tuple[str, ...]] = {
+    "payload": ("joint_compliance",),
+    "lost_motion": ("joint_compliance",),
+    "gravity_compensator": ("joint_compliance",),
+}
 WEAKEST, STRONGEST = 0.05, 10.0  # by how much of the noise the effect raises chi2 per degree of freedom
 
 # Columns that a recording may lack, and the effects that need them.
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "time_s": ("scanner_warmup", "station_drift", "thermal_growth", "floor_heave"),
     "temperature": ("thermal_growth", "floor_heave"),
-    "direction": ("backlash", "short_memory"),
+    "direction": ("backlash", "hysteresis", "short_memory"),
 }
 
 

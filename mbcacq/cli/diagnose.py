@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
+
+if TYPE_CHECKING:
+    import mbcacq
 
 
 @click.command(name="diagnose")
@@ -33,6 +37,13 @@ from mbcacq.cli.terminal import echo
     metavar="OTHER",
     help="Try what was learnt on this recording of the same arm (repeatable): its base, tool and stations are fitted, nothing else.",
 )
+@click.option(
+    "--calibrate",
+    "with_found",
+    is_flag=True,
+    help="Then calibrate with what was found: result.json and bar.svg (the bar before, after geometry, after effects) go into the folder "
+    "with-effects of the run, or of the current folder.",
+)
 @click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
 def command(
     data: tuple[Path, ...],
@@ -44,6 +55,7 @@ def command(
     hold: tuple[str, ...],
     free: tuple[str, ...],
     check: tuple[Path, ...],
+    with_found: bool,
     place: str,
 ) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
@@ -52,7 +64,7 @@ def command(
 
     \b
     Examples:
-      mbcacq diagnose latest
+      mbcacq diagnose latest --calibrate
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --json diagnosis.json
     """
@@ -71,9 +83,22 @@ def command(
         if is_run_folder(data[0]):
             found.keep(data[0])
     as_json = found.to_json()
+    calibrated = with_effects(data, found, options) if with_found else []
     if json_file is not None and str(json_file) == "-":
         echo(as_json)
         return
     if json_file is not None:
         json_file.write_text(as_json + "\n", encoding="utf-8")
     echo(found.text)
+    for line in calibrated:
+        echo(line)
+
+
+def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
+    """Calibrate with what was found, write the result, and say what came of it."""
+    from mbcacq.workflow.calibrate_with_found import FOLDER, calibrate_with_found
+    from mbcacq.workflow.load import is_run_folder
+
+    result = calibrate_with_found(found, options)
+    files = result.write(data[0] / FOLDER if is_run_folder(data[0]) else Path(FOLDER))
+    return ["", result.text, *(str(file) for file in files)]

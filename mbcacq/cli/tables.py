@@ -173,14 +173,33 @@ def stages(result: dict[str, Any]) -> list[str]:
     return out
 
 
+MOSTLY_COMMON = 2.0  # times what remains of the expected error without it: the common part is what is seen at every place
+
+
 def figures(v: dict[str, Any]) -> list[str]:
-    """Figures after the manner of VDI/VDE 2634 Part 3."""
-    out = []
+    """Figures after the manner of VDI/VDE 2634 Part 3, and what the expected error at all places has in common."""
+    out = common_error(v)
     for f in v.get("figures") or []:
         if f["value_mm"] is not None and f["name"] != "sphere spacing error":
             limit = "" if f["limit_mm"] is None else f", limit {f['limit_mm']:g} mm: {f['verdict']}"
             out.append(f"{f['name'].capitalize()}: {f['value_mm']:.4f} mm, largest of {f['count']}{limit}")
     return out
+
+
+def common_error(v: dict[str, Any]) -> list[str]:
+    """A sentence where the calibration's own uncertainty is mostly one and the same error at all places."""
+    expected = [p["expected_mm"] for p in v["places"] if p["expected_mm"] is not None]
+    common = v.get("common_mm")
+    if common is None or not expected:
+        return []
+    whole = float(np.sqrt(np.mean(np.square(expected))))
+    if common < MOSTLY_COMMON * np.sqrt(max(whole**2 - common**2, 0.0)):
+        return []
+    return [
+        f"Of the expected +-{whole:.3f} mm, +-{common:.3f} mm are common to all places: noise of this calibration appears at each of them "
+        "with one sign, as a stretch of the arm would, because the poses hardly see the arm's size. A length longer than the view seen end "
+        "by end (phase length), or the artefact in different corners of the view, determines it."
+    ]
 
 
 def verification(v: dict[str, Any]) -> Table:

@@ -13,12 +13,14 @@ from functools import cached_property
 
 import numpy as np
 
+from mbcacq.effects.artefact_normals import artefact_normals
 from mbcacq.effects.effect import Missing
 from mbcacq.geometry import gravity
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 OF_CENTRES = ("x", "y", "z", "ball")
+LEAN = ("lean_x", "lean_y", "lean_z")
 OF_RECORDING = ("time", "pose", "station")  # they have no meaning in another recording
 _INDEXED = re.compile(r"^(q|qd|tau|direction_|gravity_torque_)([1-9][0-9]*)$")
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
@@ -140,6 +142,11 @@ class Covariates:
         np.minimum.at(first, self.obs.recording, self.obs.time_s)
         return self.obs.time_s - first[self.obs.recording]
 
+    @cached_property
+    def lean(self) -> np.ndarray:
+        """(P, 3) unit normal of the artefact that each pose looks at, in the scanner's axes."""
+        return artefact_normals(self.obs, self.nominal_frames[:, -1, :3, :3])
+
     def value(self, name: str) -> np.ndarray:
         """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
         obs = self.obs
@@ -154,6 +161,8 @@ class Covariates:
             return plain[name]()
         if name in ("x", "y", "z"):
             return obs.xyz[:, "xyz".index(name)]
+        if name in LEAN and self.scanner_on_flange:
+            return self.lean[:, LEAN.index(name)]
         if name in obs.temperatures:
             return np.asarray(obs.temperatures[name], dtype=float)
         found = self._of_joint(name)

@@ -36,7 +36,7 @@ class CalibrationOptions:
     """
 
     method: str = "ml"
-    pairs: str = "one"
+    pairs: str = "four"
     phases: tuple[str, ...] | None = None
     kinematics: bool = True
     hold: tuple[str, ...] = ()

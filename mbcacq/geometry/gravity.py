@@ -36,3 +36,15 @@ def gravity_torque(
     total = np.cumsum(mass[::-1])[::-1] + load[:, None]
     arm = moment - total[..., None] * origin
     return np.einsum("pij,pij->pi", axis, np.cross(arm, weight)) * 1e-3
+
+
+def upright_angle(chain: Chain, gravity: np.ndarray) -> float | None:
+    """Angle of A2 at which the third joint is highest above the second; None where A2 does not lift it."""
+    H = chain.link_transforms(np.zeros((1, chain.n)))[0]
+    axis, up = H[0, :3, :3] @ np.array([0.0, 0.0, 1.0]), -np.asarray(gravity)
+    lever = H[0, :3, :3] @ H[1, :3, 3]
+    lever, up = lever - axis * (axis @ lever), up - axis * (axis @ up)
+    if np.linalg.norm(lever) < 1.0 or np.linalg.norm(up) < 0.1:
+        return None
+    turn = float(np.arctan2(axis @ np.cross(lever, up), lever @ up) * chain.sign[1])
+    return (turn + np.pi) % (2 * np.pi) - np.pi

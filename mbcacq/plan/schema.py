@@ -78,7 +78,7 @@ class View(Strict):
 
 class Step(Strict):
     name: str
-    phase: Literal["translation", "orientation", "position", "verification"]
+    phase: Literal["translation", "orientation", "position", "length", "verification"]
     exposures: int | None = Field(default=None, ge=1)
 
 

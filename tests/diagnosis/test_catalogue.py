@@ -26,6 +26,10 @@ CONTRACT = {
     "station_drift",
     "payload",
     "exposure_latency",
+    "lost_motion",
+    "hysteresis",
+    "gravity_compensator",
+    "incidence_bias",
 }
 
 

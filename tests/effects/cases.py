@@ -70,6 +70,48 @@ def backlash_under_load(world: World) -> Errors:
     return Errors(joint=at_joint(3, 0.5 * np.radians(3e-4) * np.sign(torque(world)[:, 3])))
 
 
+def lost_motion(world: World) -> Errors:
+    """Slope 1/K1 up to 30 N m, nothing beyond: the arm of a joint between two stops of a soft spring."""
+    load = torque(world)[:, 2]
+    return Errors(joint=at_joint(2, np.where(np.abs(load) < 30.0, load / 30.0, np.sign(load)) * 0.5 * np.radians(3e-4)))
+
+
+def hysteresis(world: World) -> Errors:
+    """The joint stays behind its motion by 2e-9 rad for each N m that it carries."""
+    return Errors(joint=at_joint(1, -2e-9 * np.abs(torque(world)[:, 1]) * world.direction[:, 1]))
+
+
+BALANCER = {"preload": 2e-6, "stretched": 1e-6, "upright": np.radians(-106.3), "ratio": 0.25}  # rad of wind-up
+
+
+def gravity_compensator(world: World) -> Errors:
+    """A rod between (0, 1) and a point a quarter as far from the axis, which turns with the link: it pulls the link upright."""
+    angle = world.q[:, 1] - BALANCER["upright"]
+    end = BALANCER["ratio"] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    rod = np.array([0.0, 1.0]) - end
+    length = np.linalg.norm(rod, axis=1)
+    lever = (end[:, 0] * rod[:, 1] - end[:, 1] * rod[:, 0]) / length / BALANCER["ratio"]
+    longer = (length - (1 - BALANCER["ratio"])) / (2 * BALANCER["ratio"])
+    return Errors(joint=at_joint(1, -lever * (BALANCER["preload"] + BALANCER["stretched"] * longer)))
+
+
+def leaning(depth: float, side: float) -> Physics:
+    """Too deep by the squared sine of the incidence, and aside along the lean."""
+
+    def physics(world: World) -> Errors:
+        up = np.array(
+            [
+                (plain.frames(q)[-1] @ plain.T_FLANGE_SCANNER)[:3, :3].T @ world.stations[s][:3, 2]
+                for q, s in zip(world.q, world.station, strict=True)
+            ]
+        )
+        sine2 = up[:, 0] ** 2 + up[:, 1] ** 2
+        bias = sine2[:, None] * (side * up * [1, 1, 0] + depth * np.array([0, 0, 1.0]))
+        return Errors(reading=lambda points, of: points + bias[of])
+
+    return physics
+
+
 def joint_scale(world: World) -> Errors:
     return Errors(joint=at_joint(1, 3e-7 * world.q[:, 1]))
 
@@ -162,6 +204,24 @@ CASES = (
     ),
     Case("backlash", ("A5",), backlash, {"A5.width_deg": 3e-4}, depends_on="direction_5"),
     Case("backlash", ("A4",), backlash_under_load, {"A4.width_deg": 3e-4}, hyper=0.0, depends_on="gravity_torque_4"),
+    Case(
+        "lost_motion",
+        ("A3",),
+        lost_motion,
+        {"A3.lost_motion_deg": 3e-4, "A3.excess_compliance_rad_per_Nm": 0.5 * np.radians(3e-4) / 30.0, "A3.breakpoint_Nm": 30.0},
+        hyper=30.0,
+        depends_on="gravity_torque_3",
+    ),
+    Case("hysteresis", ("A2",), hysteresis, {"A2.hysteresis_deg": np.nan, "A2.half_width_rad_per_Nm": 2e-9}, depends_on="direction_2"),
+    Case(
+        "gravity_compensator",
+        ("A2",),
+        gravity_compensator,
+        {"A2.preload_deg": -np.degrees(2e-6), "A2.stretched_deg": -np.degrees(1e-6), "A2.zero_deg": -106.3},
+        hyper=0.25,
+    ),
+    Case("incidence_bias", ("scanner",), leaning(1e-5, 0.0), {"depth_mm": 1e-5}, variant="depth"),
+    Case("incidence_bias", ("scanner",), leaning(1e-5, -6e-6), {"depth_mm": 1e-5, "side_mm": -6e-6}, variant=""),
     Case("joint_scale", ("A2",), joint_scale, {"A2.ratio": 3e-7}, depends_on="q2"),
     Case("wrist_coupling", ("A4", "A5"), wrist_coupling, {"ratio": -4e-7}, depends_on="q4"),
     Case("joint_step", ("A6",), joint_step, {"A6.at_pose": np.nan, "A6.step_deg": 2e-4}, hyper=float(MOMENT), depends_on="pose"),
@@ -226,4 +286,6 @@ CASES = (
 def expected(case: Case, world: World) -> dict[str, float | list[float]]:
     """The parameters, with the number of the pose at which a sudden change happens."""
     at = float(FIRST_POSE + np.flatnonzero(world.order == MOMENT)[0])
-    return {k: at if k.endswith("at_pose") else v for k, v in case.parameters.items()}
+    width = float(np.degrees(2 * 2e-9 * np.abs(torque(world)[:, 1]).max()))
+    found = {"at_pose": at, "hysteresis_deg": width}
+    return {k: found.get(k.rpartition(".")[2], v) for k, v in case.parameters.items()}

@@ -12,7 +12,7 @@ from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload
 from mbcacq.estimation import terms
 
-ESTIMATED_WITH_A_CURVE = ("order", "phase_deg", "time_constant_s", "at_pose")  # not linear in the coefficients
+ESTIMATED_WITH_A_CURVE = ("order", "phase_deg", "time_constant_s", "at_pose", "breakpoint_Nm")  # not linear in the coefficients
 WIDENED = {("scanner_warmup", "offset_mm"): np.sqrt(2.0)}  # for a time constant that is estimated too
 
 

@@ -29,10 +29,14 @@ CATALOGUED = (
     "ball_shift",
     "artefact_expansion",
     "station_drift",
+    "lost_motion",
+    "hysteresis",
+    "gravity_compensator",
+    "incidence_bias",
     "payload",
     "exposure_latency",
 )
-UNCATALOGUED = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory", "tilt_bias")
+UNCATALOGUED = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory")
 
 
 def make(name: str, strength: float = 1.0, seed: int | None = None, **options: Any) -> InjectedEffect:

@@ -25,7 +25,7 @@ MOST_VALUES = 12  # of a hyper-parameter that are tried
 ABSORBED = 1e-10  # share of an effect's information below which the geometry absorbs it: it has no limit
 HARMLESS_MM = 1e-6  # error of a length by an effect of typical size
 LENGTH_PAIRS = 400  # pairs of postures between which a length is measured
-NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm")
+NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from mbcacq.effects.motion.effect import (
     plain_report,
     standard_deviations,
 )
-from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.gravity import upright_angle
 
 NAME = "gravity_compensator"
 THIRD_HARMONIC = 0.1  # prior sigma, as a share of that of the first two: the series of a spring converges as fast
@@ -42,7 +42,7 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
         MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(3), third, extends=True, form="third", sigma=THIRD_HARMONIC * weight),
     ]
     robot = runs[0].robot
-    upright = None if robot is None else _upright(robot.chain, robot.gravity)
+    upright = None if robot is None else upright_angle(robot.chain, robot.gravity)
     if upright is not None:
         sigma = (2.0 * weight, weight, 2.0 * weight * float(UPRIGHT_SIGMA))
         out.append(
@@ -62,18 +62,6 @@ def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Mot
             )
         )
     return out
-
-
-def _upright(chain: Chain, gravity: np.ndarray) -> float | None:
-    """Angle of A2 at which the third joint is highest above the second; None where A2 does not lift it."""
-    H = chain.link_transforms(np.zeros((1, chain.n)))[0]
-    axis, up = H[0, :3, :3] @ np.array([0.0, 0.0, 1.0]), -np.asarray(gravity)
-    lever = H[0, :3, :3] @ H[1, :3, 3]
-    lever, up = lever - axis * (axis @ lever), up - axis * (axis @ up)
-    if np.linalg.norm(lever) < 1.0 or np.linalg.norm(up) < 0.1:
-        return None
-    turn = float(np.arctan2(axis @ np.cross(lever, up), lever @ up) * chain.sign[1])
-    return (turn + np.pi) % (2 * np.pi) - np.pi
 
 
 def _harmonics(*harmonics: int) -> Columns:

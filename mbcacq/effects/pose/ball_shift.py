@@ -8,6 +8,7 @@ from mbcacq.effects.effect import Candidate, Missing, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "ball_shift"
+TYPICAL = 0.02  # mm: a ball that was knocked, or a certificate that aged
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -30,7 +31,7 @@ def candidates(context: Context) -> list[Candidate]:
                 "x",
                 built(context, parts),
                 lambda c, v, _: {"shift_mm": vector(c, v)},
-                np.full(3, 0.05),
+                np.full(3, TYPICAL),
                 described=lambda _, d=parts: d,
             )
         )

@@ -11,7 +11,7 @@ from mbcacq_fakes.world.hooks import Moments
 from mbcacq_fakes.world.rigid import invert
 
 
-class TiltBias(InjectedEffect):
+class IncidenceBias(InjectedEffect):
     def draw(self) -> None:
         self.depth, self.side = self.size(0.25), self.size(0.12)
 
@@ -22,4 +22,4 @@ class TiltBias(InjectedEffect):
         return points + (self.depth * sine2[:, None] * np.array([0, 0, 1.0]) + self.side * sine2[:, None] * up * [1, 1, 0])[pose]
 
     def truth(self) -> dict[str, Any]:
-        return {"where": ["scanner"], "depends_on": ["tilt"], "depth_mm": self.depth, "side_mm": self.side}
+        return {"where": ["scanner"], "depth_mm": self.depth, "side_mm": self.side}

@@ -1,0 +1,54 @@
+"""A gearbox that is soft about zero torque: a stack of a soft spring between two stops and a stiff one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.world.hooks import Moments, Moved
+
+
+class LostMotion(InjectedEffect):
+    """Stiffness K1 up to the torque T1, K2 beyond: drawn as a lost motion and a compliance beyond, as data sheets give them."""
+
+    options = {"where": None, "lost_motion_deg": None, "breakpoint_Nm": None, "compliance_rad_per_Nm": None}
+
+    def draw(self) -> None:
+        loaded = [i for i in (1, 2) if i < self.cell.n]
+        self._axes = self.axes(loaded)
+        (i,) = self._axes
+        planned = self.cell.planned_q
+        if planned is None or len(planned) < 2:
+            planned = np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n))
+        reach = float(np.abs(self.cell.masses.torque(self.arm, planned)[:, i]).max())
+        given = self.given
+        self.lost = abs(self.size(4e-4)) if given["lost_motion_deg"] is None else float(np.radians(given["lost_motion_deg"]))
+        share = float(self.rng.uniform(0.12, 0.4))
+        self.breakpoint = share * reach if given["breakpoint_Nm"] is None else float(given["breakpoint_Nm"])
+        beyond = given["compliance_rad_per_Nm"]
+        self.beyond = self.strength * float(self.rng.uniform(0.3, 1.0)) * 1.5e-4 / reach if beyond is None else float(beyond)
+
+    def _wound(self, torque: np.ndarray) -> np.ndarray:
+        """Two springs in series, of which the soft one meets its stops at T1."""
+        soft = self.lost / 2 / self.breakpoint
+        gap = np.minimum(np.abs(torque) * soft, self.lost / 2)
+        return np.sign(torque) * (gap + np.abs(torque) * self.beyond)
+
+    def displace(self, at: Moments, moved: Moved) -> None:
+        (i,) = self._axes
+        commanded, wound = at.q + moved.joint, at.q + moved.joint
+        for _ in range(4):
+            torque = self.cell.masses.torque(self.arm, wound)[:, i]
+            wound = commanded.copy()
+            wound[:, i] += self._wound(torque)
+        moved.joint += wound - commanded
+
+    def truth(self) -> dict[str, Any]:
+        return {
+            "where": names(self._axes),
+            "lost_motion_deg": float(np.degrees(self.lost)),
+            "breakpoint_Nm": self.breakpoint,
+            "beyond_rad_per_Nm": self.beyond,
+        }

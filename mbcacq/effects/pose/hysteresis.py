@@ -1,0 +1,55 @@
+"""Hysteresis of a gearbox under load: friction that grows with the torque leaves the joint behind its last motion."""
+
+import numpy as np
+
+from mbcacq.effects.context import Context
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, Report, number
+from mbcacq.effects.functions import DescribedPart, Function, Product
+
+NAME = "hysteresis"
+
+
+def candidates(context: Context) -> list[Candidate]:
+    """For each loaded joint that came from both sides: rad/(N m), negative where the joint stays behind its motion.
+
+    What does not depend on the load is ``backlash`` by the direction.
+    """
+    direction, torque = context.obs.direction, context.gravity_torque
+    if direction is None:
+        raise Missing("no senses of motion recorded (dir1..)")
+    if not context.masses_known:
+        raise Missing("no masses of the links given")
+    out = []
+    for i in range(context.n):
+        if np.ptp(direction[:, i]) == 0 or np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
+            continue
+        load = Function(f"gravity_torque_{i + 1}")
+        size = (Function(f"direction_{i + 1}"), Function(f"gravity_torque_{i + 1}", "sign", ()), load)
+        parts = [DescribedPart("joint", i, 0, ((Product(1.0, size),),))]
+        largest = float(np.abs(torque[:, i]).max())
+        out.append(
+            Candidate(
+                NAME,
+                (f"A{i + 1}",),
+                f"direction_{i + 1}",
+                built(context, parts),
+                report_of(i, largest),
+                np.array([5e-5 / max(largest, 1e-9)]),
+                described=lambda _, d=parts: d,
+            )
+        )
+    return out
+
+
+def report_of(i: int, largest: float) -> Report:
+    """Full width at the largest torque of the recording, and half of it for each N m."""
+
+    def report(c, v, _):
+        half, std = float(abs(c[0])), float(np.sqrt(v[0, 0]))
+        return {
+            f"A{i + 1}.hysteresis_deg": number(np.degrees(2 * half * largest), np.degrees(2 * std * largest)),
+            f"A{i + 1}.half_width_rad_per_Nm": number(half, std),
+        }
+
+    return report

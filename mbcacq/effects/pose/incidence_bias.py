@@ -1,0 +1,44 @@
+"""A bias of the scanner by incidence: the more the artefact leans away, the more its centres come out too deep and to the side."""
+
+import numpy as np
+
+from mbcacq.effects.context import Context
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.functions import ZERO, DescribedPart, monomial
+
+NAME = "incidence_bias"
+TYPICAL = 0.1  # mm at grazing incidence, of a squared sine
+LEAST = 0.02  # of the squared sine of the incidence, range over the poses
+
+
+def candidates(context: Context) -> list[Candidate]:
+    """By the squared sine of the angle between the scanner's axis and the artefact's normal: along z, and across along the lean too."""
+    if not context.scanner_on_flange or np.ptp(context.obs.xyz, axis=0).max() == 0:
+        raise Missing("no incidence: the measured points are all at one place, or not a scanner's")
+    if np.ptp(1 - context.value("lean_z") ** 2) < LEAST:
+        raise Missing("the artefact leans alike in all poses")
+    sine2 = (monomial(), monomial(-1.0, lean_z=2))
+    side = {c: (monomial(**{f"lean_{c}": 1}), monomial(-1.0, lean_z=2, **{f"lean_{c}": 1})) for c in "xy"}
+    depth_only = [DescribedPart("point", 0, 2, (sine2,))]
+    both = [
+        DescribedPart("point", 0, 0, (ZERO, side["x"])),
+        DescribedPart("point", 0, 1, (ZERO, side["y"])),
+        DescribedPart("point", 0, 2, (sine2, ZERO)),
+    ]
+    linear = [
+        DescribedPart("point", 0, 0, (ZERO, (monomial(lean_x=1),))),
+        DescribedPart("point", 0, 1, (ZERO, (monomial(lean_y=1),))),
+        DescribedPart("point", 0, 2, (sine2, ZERO)),
+    ]
+
+    def report(c, v, _):
+        names = ("depth_mm", "side_mm")[: len(c)]
+        return {name: number(c[j], np.sqrt(v[j, j])) for j, name in enumerate(names)}
+
+    return [
+        Candidate(
+            NAME, ("scanner",), "tilt", built(context, parts), report, np.full(k, TYPICAL), variant=variant, described=lambda _, d=parts: d
+        )
+        for parts, k, variant in ((depth_only, 1, "depth"), (both, 2, ""), (linear, 2, "linear"))
+    ]

@@ -1,0 +1,59 @@
+"""Lost motion: a gearbox that is soft about zero torque and stiff beyond, as data sheets give it by K1, K2 and the torque T1 between them.
+
+A wind-up with the slope 1/K1 up to the torque T1 and 1/K2 beyond is the linear one, tau / K2, which is ``joint_compliance``, and a part
+that grows up to T1 and stays: h clip(tau / T1, -1, 1), with h = T1 (1/K1 - 1/K2). The lost motion is 2 h, the angle between the two
+stiff branches, prolonged to zero torque.
+"""
+
+import numpy as np
+
+from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Part, number
+from mbcacq.effects.functions import DescribedPart, Function, Product
+
+NAME = "lost_motion"
+BREAKPOINT = "breakpoint_Nm"
+SHARES = np.geomspace(0.05, 0.7, 12)  # of the largest torque; below, it is backlash under load, above, it is compliance
+LEAST_TORQUE = 0.5  # N m
+LEAST_TYPICAL = 5e-5  # rad: half a lost motion of a third of an arc minute
+
+
+def candidates(context: Context) -> list[Candidate]:
+    """For each joint whose gravity torque is on both sides of a breakpoint: half the lost motion in rad, and the breakpoint to be found."""
+    if not context.masses_known:
+        raise Missing("no masses of the links given")
+    torque = context.gravity_torque
+    return [of_joint(context, i) for i in range(context.n) if np.ptp(torque[:, i]) > max(0.02 * np.ptp(torque, axis=0).max(), LEAST_TORQUE)]
+
+
+def of_joint(context: Context, i: int) -> Candidate:
+    tau, cause = context.gravity_torque[:, i], f"gravity_torque_{i + 1}"
+    values = SHARES * np.abs(tau).max()
+
+    def functions(at: np.ndarray) -> np.ndarray:
+        return np.clip(tau[None] / np.asarray(at)[:, None], -1.0, 1.0)[..., None]
+
+    def described(at):
+        return [DescribedPart("joint", i, 0, ((Product(1.0 / at, (Function(cause, "clip", (float(at),)),)),),))]
+
+    def report(c, v, at):
+        h, std = float(c[0]), float(np.sqrt(v[0, 0]))
+        return {
+            f"A{i + 1}.lost_motion_deg": number(np.degrees(2 * h), np.degrees(2 * std)),
+            f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at, std / at),
+            f"A{i + 1}.{BREAKPOINT}": number(at, at * std / max(abs(h), 1e-30)),
+        }
+
+    return Candidate(
+        NAME,
+        (f"A{i + 1}",),
+        cause,
+        lambda at: [Part("joint", i, 0, functions(np.array([at]))[0])],
+        report,
+        np.array([LEAST_TYPICAL]),
+        Hyperparameter(BREAKPOINT, values, 3.0),
+        (("joint", i, 0),),
+        functions,
+        positive=True,
+        described=described,
+    )

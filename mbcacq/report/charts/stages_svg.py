@@ -1,0 +1,48 @@
+"""Picture of the bar's error at every place before calibration, after geometry and after effects, as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+
+from mbcacq.report.charts.spacing_svg import ticks
+from mbcacq.report.charts.style import AFTER, BEFORE
+
+WIDTH, LEFT, RIGHT, HEAD, FOOT, THICK = 620.0, 64.0, 62.0, 54.0, 44.0, 8.0
+COLOURS = (BEFORE, AFTER, "#009E73")  # Okabe and Ito's
+
+
+def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray]) -> str:
+    """SVG with a bar for each place and stage. stages: at most three, name -> (places,) signed errors in mm; drawn are their magnitudes."""
+    size = {name: np.abs(errors) for name, errors in stages.items()}
+    top = 1.06 * max(max(float(e.max()) for e in size.values()), 1e-9)
+    unit, pitch = (WIDTH - LEFT - RIGHT) / top, THICK * len(size) + 8.0
+    bottom = HEAD + pitch * len(places)
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {bottom + FOOT:g}" role="img" '
+        f'font-family="Helvetica, Arial, sans-serif" font-size="13" aria-label="Sphere spacing error at {len(places)} places by stage">',
+        f'<rect width="{WIDTH:g}" height="{bottom + FOOT:g}" fill="white"/>',
+    ]
+    for value in ticks(top):
+        x = LEFT + value * unit
+        out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{HEAD:g}" y2="{bottom:g}" stroke="#e4e4e4"/>')
+        out.append(f'<text x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle" fill="#555">{value:g}</text>')
+    middle = (LEFT + WIDTH - RIGHT) / 2
+    out.append(f'<text x="{middle:.1f}" y="{bottom + 35:g}" text-anchor="middle" fill="#333">size of the sphere spacing error / mm</text>')
+    for row, place in enumerate(places):
+        y = HEAD + pitch * row + 4
+        out.append(f'<text x="{LEFT - 7:g}" y="{y + pitch / 2:.1f}" text-anchor="end" fill="#222">{escape(place[:9])}</text>')
+        for k, errors in enumerate(size.values()):
+            at, wide = y + THICK * k, max(errors[row] * unit, 1)
+            out.append(f'<rect x="{LEFT:g}" y="{at:.1f}" width="{wide:.1f}" height="{THICK:g}" fill="{COLOURS[k]}"/>')
+            out.append(f'<text x="{LEFT + wide + 4:.1f}" y="{at + THICK - 0.5:.1f}" font-size="9" fill="#444">{errors[row]:.3f}</text>')
+    for k, (name, errors) in enumerate(size.items()):
+        x = LEFT + k * (WIDTH - LEFT) / 3
+        out.append(
+            f'<rect x="{x:.1f}" y="8" width="12" height="10" fill="{COLOURS[k]}"/><text x="{x + 17:.1f}" y="18">{escape(name)}</text>'
+        )
+        out.append(f'<text x="{x + 17:.1f}" y="36" fill="#444">mean {errors.mean():.4f} mm</text>')
+    out.append(f'<line x1="{LEFT:g}" x2="{LEFT:g}" y1="{HEAD:g}" y2="{bottom:g}" stroke="#222"/></svg>')
+    return "".join(out)

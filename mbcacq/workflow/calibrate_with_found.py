@@ -1,0 +1,87 @@
+"""Calibrate a recording with the effects that its diagnosis found, and compare the bar before, after geometry and after effects."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.workflow.calibrate import calibrate, verify
+from mbcacq.workflow.diagnose import DiagnosisResult
+
+FOLDER = "with-effects"  # in the folder of a run
+
+
+@dataclass(frozen=True)
+class CalibratedWithFound:
+    """geometry, with_effects: the two calibrations; by_geometry, by_effects: their verifications on the same poses.
+
+    with_effects is None where nothing was found that a calibration could take.
+    """
+
+    geometry: Calibration
+    by_geometry: Verification
+    with_effects: Calibration | None = None
+    by_effects: Verification | None = None
+
+    @property
+    def stages(self) -> dict[str, np.ndarray]:
+        """Name of the stage -> (places,) signed sphere spacing errors in mm; without verification poses they are empty."""
+        out = {"before": self.by_geometry.errors("before"), "after geometry": self.by_geometry.errors("after")}
+        return out if self.by_effects is None else out | {"after effects": self.by_effects.errors("after")}
+
+    @property
+    def places(self) -> list[str]:
+        """Station of each sphere spacing."""
+        return [str(place.station) for place in self.by_geometry.places]
+
+    @property
+    def text(self) -> str:
+        """A sentence with the errors of the stages."""
+        if not self.places:
+            return "There are no verification poses: nothing says how good the calibration is."
+        figures = ", ".join(
+            f"{name} {np.abs(errors).mean():.4f} mm (largest {np.abs(errors).max():.4f})" for name, errors in self.stages.items()
+        )
+        nothing = "" if self.with_effects else " No effect was found that a calibration could take."
+        return f"Sphere spacing error at {len(self.places)} places, mean: {figures}.{nothing}"
+
+    def result(self) -> dict[str, Any]:
+        """The content of result.json of the better described cell."""
+        calibration, verified = self.with_effects or self.geometry, self.by_effects or self.by_geometry
+        return calibration.to_dict() | {"verification": verified.to_dict()}
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""
+        from mbcacq.report.charts.stages_svg import stages_picture
+
+        files = {folder / "result.json": json.dumps(self.result(), indent=1)}
+        if self.places:
+            files[folder / "bar.svg"] = stages_picture(self.places, self.stages)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for path, text in files.items():
+                path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"cannot write into {folder}: {error.strerror}; free the disk, or make it writable") from error
+        return list(files)
+
+
+def calibrate_with_found(found: DiagnosisResult, options: CalibrationOptions | None = None) -> CalibratedWithFound:
+    """Both calibrations of the recording that was diagnosed, verified. Raises ConfigError for a diagnosis without poses, CalibrationError
+    where they do not determine the cell.
+    """
+    obs = found.observations
+    if obs is None:
+        raise ConfigError("--calibrate needs one recording of poses at standstill; give it alone")
+    geometry = calibrate(obs, options)
+    by_geometry = verify(obs, geometry)
+    if not found.model:
+        return CalibratedWithFound(geometry, by_geometry)
+    better = calibrate(obs, options, effects=found.model)
+    return CalibratedWithFound(geometry, by_geometry, better, verify(obs, better))

@@ -1,0 +1,66 @@
+"""plans/concealed.yaml: what is concealed in the fake cell is found, and a calibration with it is better at the bar."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import mbcacq
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.plan import expand, load
+from mbcacq.workflow.calibrate_with_found import CalibratedWithFound, calibrate_with_found
+
+PLAN = Path(__file__).parents[2] / "plans" / "concealed.yaml"
+
+
+@pytest.fixture(scope="module")
+def hidden() -> list[dict]:
+    return yaml.safe_load(PLAN.read_text(encoding="utf-8"))["fake"]["hidden"]
+
+
+@pytest.fixture(scope="module")
+def found(hidden) -> mbcacq.DiagnosisResult:
+    loaded = load(PLAN)
+    recording, _ = observe(loaded, expand(loaded), Scenario(0, "concealed", 1, (), 1, 1.0), hidden)
+    return mbcacq.diagnose(recording, workers=1)
+
+
+@pytest.fixture(scope="module")
+def calibrated(found) -> CalibratedWithFound:
+    return calibrate_with_found(found)
+
+
+def test_all_that_is_concealed_is_found_and_nothing_else(found, hidden):
+    reported = {(e.name, w) for e in found.effects for w in e.where}
+
+    assert reported == {(h["name"], h.get("where", "scanner")) for h in hidden}
+    assert found.verdict == "explained"
+
+
+def test_the_bar_is_better_after_geometry_and_again_after_effects(calibrated):
+    before, geometry, effects = (np.abs(e).mean() for e in calibrated.stages.values())
+
+    assert list(calibrated.stages) == ["before", "after geometry", "after effects"]
+    assert effects < 0.02 < geometry < before
+    assert effects < 0.5 * geometry
+
+
+def test_result_and_picture_are_written_and_the_result_is_the_cell_with_effects(calibrated, tmp_path):
+    result, picture = calibrated.write(tmp_path / "with-effects")
+
+    svg = picture.read_text(encoding="utf-8")
+    assert all(name in svg for name in (*calibrated.stages, *calibrated.places))
+    assert svg.count("<rect") == 1 + 3 + 3 * len(calibrated.places)
+    terms = json.loads(result.read_text(encoding="utf-8"))["effects"]["terms"]
+    assert {t["name"] for t in terms} == {"joint_compliance", "gear_transmission_error", "scanner_warmup"}
+
+
+def test_without_effects_there_are_two_stages_and_the_text_says_so(calibrated):
+    nothing = replace(calibrated, with_effects=None, by_effects=None)
+
+    assert list(nothing.stages) == ["before", "after geometry"]
+    assert "No effect was found" in nothing.text
