@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from mbcacq.calibration.verification import Verification
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.exports.folder import Targets
+    from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
+    from mbcacq.fleet.evaluation import FleetTask
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
@@ -52,6 +54,8 @@ __all__ = [
     "CalibrationOptions",
     "Comparison",
     "DiagnosisResult",
+    "Fleet",
+    "FleetTask",
     "LoadedPlan",
     "Observations",
     "Operator",
@@ -64,6 +68,7 @@ __all__ = [
     "compare",
     "correct",
     "diagnose",
+    "evaluate_fleet",
     "export",
     "load_observations",
     "load_plan",
@@ -82,6 +87,8 @@ _MODULES = {
     "calibration.verification": ("Verification",),
     "estimation.options": ("CalibrationOptions",),
     "exports.folder": ("Targets",),
+    "fleet.evaluate": ("Fleet", "evaluate_fleet"),
+    "fleet.evaluation": ("FleetTask",),
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
