@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.exports.folder import Targets
+    from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
+    from mbcacq.fleet.evaluation import FleetTask
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
@@ -55,6 +57,8 @@ __all__ = [
     "CalibrationOptions",
     "Comparison",
     "DiagnosisResult",
+    "Fleet",
+    "FleetTask",
     "LoadedPlan",
     "NewPlanOptions",
     "Observations",
@@ -69,6 +73,7 @@ __all__ = [
     "compare",
     "correct",
     "diagnose",
+    "evaluate_fleet",
     "export",
     "load_observations",
     "load_plan",
@@ -89,6 +94,8 @@ _MODULES = {
     "design.new_plan": ("NewPlanOptions",),
     "estimation.options": ("CalibrationOptions",),
     "exports.folder": ("Targets",),
+    "fleet.evaluate": ("Fleet", "evaluate_fleet"),
+    "fleet.evaluation": ("FleetTask",),
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
+
+if TYPE_CHECKING:
+    from mbcacq.estimation.options import ArmPrior
 
 
 @click.command("calibrate")
@@ -56,6 +59,12 @@ from mbcacq.cli.terminal import echo
     help="Fit the effects of this diagnosis (or result.json) with everything else (repeatable).",
 )
 @click.option("--hold-effects", is_flag=True, help="With --effects: keep their coefficients as they are.")
+@click.option(
+    "--prior",
+    type=click.Path(path_type=Path),
+    metavar="FLEET",
+    help="Take what other arms of this type were like as prior: a folder or table of mbcacq fleet.",
+)
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
@@ -77,6 +86,7 @@ def command(
     even_if_undetermined: bool,
     effects: tuple[Path, ...],
     hold_effects: bool,
+    prior: Path | None,
     with_map: bool,
     l_curve: Path | None,
     out: Path | None,
@@ -107,6 +117,7 @@ def command(
         noise=noise,
         robust=not keep_outliers,
         refuse=not even_if_undetermined,
+        priors=learnt_priors(prior),
     )
     split = HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
     if hold_effects and not effects:
@@ -133,6 +144,15 @@ def command(
         print_joint_result(result)
     else:
         print_result(result)
+
+
+def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:
+    """What a fleet says about the next arm; nothing where there is none."""
+    if fleet is None:
+        return ()
+    from mbcacq.fleet.arm_prior import read_priors
+
+    return read_priors(fleet)
 
 
 def print_joint_result(joint: dict[str, Any]) -> None:

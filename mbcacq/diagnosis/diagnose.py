@@ -16,6 +16,7 @@ from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
+from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import WEAK, conclude
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
@@ -43,7 +44,8 @@ def diagnose(
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        return _diagnose(recordings, folds, progress, workers, options_for(first, options or CalibrationOptions()))
+        with WorkerPool(1 if poses >= OPTIONS.many_poses else workers) as pool:
+            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()))
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
@@ -51,7 +53,7 @@ def diagnose(
 
 
 def _diagnose(
-    recordings: Observations | Sequence[Observations], folds: int | None, progress: Progress, workers: int, options: CalibrationOptions
+    recordings: Observations | Sequence[Observations], folds: int | None, progress: Progress, pool: WorkerPool, options: CalibrationOptions
 ) -> Diagnosis:
     progress("fitting the geometry")
     problem = readmit_outliers(prepare(recordings, options))
@@ -62,9 +64,7 @@ def _diagnose(
     progress("searching for effects")
     full = fit_model(problem)
     progress("proving on data left out")
-    if obs.n_poses >= OPTIONS.many_poses:
-        workers = 1  # each would need as much memory as all of them in turn
-    validation = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
+    validation = cross_validate(problem, full, folds or usual_folds(obs, full), pool)
     result = conclude(problem, full, validation)
     return replace(result, notes=(*result.notes, *notes))
 

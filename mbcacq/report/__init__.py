@@ -10,8 +10,9 @@ from mbcacq.report.sources.run_folder import read_run_identity, read_run_info
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
+    from mbcacq.report.content import FleetContent
 
-__all__ = ["read_run_identity", "read_run_info", "report_from_result", "write_diagnosis_page"]
+__all__ = ["read_run_identity", "read_run_info", "report_from_result", "write_diagnosis_page", "write_fleet_page"]
 
 
 def report_from_result(
@@ -35,3 +36,10 @@ def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, An
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
     return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title), path)
+
+
+def write_fleet_page(fleet: FleetContent, path: str | Path, title: str = "Fleet") -> Path:
+    """Write the page of a fleet. Raises RecordingError where the file cannot be written."""
+    from mbcacq.report.page import render_fleet, write
+
+    return write(render_fleet(fleet, title), path)

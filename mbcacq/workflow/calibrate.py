@@ -119,16 +119,18 @@ def compare(data: Observations | Path | str, methods: Iterable[str] | None = Non
 
 
 def calibration_content(
-    data: Path,
+    data: Path | str,
     options: CalibrationOptions,
     *,
     held_out: HeldOutOptions | None = None,
     with_map: bool = False,
     effects: Effects | None = None,
     hold_effects: bool = False,
+    observations: Observations | None = None,
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
-    where asked for. Of a plan without phase 'position' it is what its run calibrates (``options_for``).
+    where asked for. observations: where they have been read from ``data`` already. Of a plan without phase 'position' it is what its run
+    calibrates (``options_for``).
 
     Raises CalibrationError, ConfigError.
     """
@@ -138,12 +140,12 @@ def calibration_content(
 
     if effects is not None and held_out is not None:
         raise ConfigError("held-out figures are of the geometry alone; try a calibration with effects on another recording: mbcacq verify")
-    observations = as_observations(data)
+    observations = as_observations(data) if observations is None else observations
     asked, options = options, options_for(observations, options)
     calibration = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
     content = calibration.to_dict()
     content["verification"] = room.verify(observations, calibration).to_dict()
-    content["gaps"] = find_gaps(data)
+    content["gaps"] = find_gaps(Path(data))
     if asked.kinematics and not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
     if with_map:
