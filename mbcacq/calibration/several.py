@@ -59,7 +59,7 @@ def calibrate_together(
     Base, tool, stations, artefacts and noise are each recording's own. effects: terms of the arm, refitted to all recordings or, with
     ``hold``, kept. A coefficient that differs between the recordings by more than they explain is a random effect: the common value is
     reported, its variance is that of the common value and that between recordings together, as it holds on another day; 'day_to_day' of
-    ``extra`` has a :class:`DayToDay` for each coefficient.
+    ``extra`` has a ``DayToDay`` for each coefficient.
 
     Raises ConfigError where the recordings are not of one arm, CalibrationError where one contradicts its cell.
     """

@@ -9,6 +9,7 @@ import click
 
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
     import mbcacq
@@ -45,6 +46,15 @@ if TYPE_CHECKING:
     "with-effects of the run, or of the current folder.",
 )
 @click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
+@click.option(
+    "--simulation",
+    multiple=True,
+    type=click.Path(path_type=Path, exists=True),
+    metavar="SIMULATED",
+    help="Compare with this instead of the built-in model: another simulator's set for the same poses or motion (one for each recording), "
+    "or a model file that MuJoCo runs (MJCF, URDF).",
+)
+@click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
     data: tuple[Path, ...],
     json_file: Path | None,
@@ -57,6 +67,8 @@ def command(
     check: tuple[Path, ...],
     with_found: bool,
     place: str,
+    simulation: tuple[Path, ...],
+    write_model: Path | None,
 ) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
@@ -67,20 +79,31 @@ def command(
       mbcacq diagnose latest --calibrate
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --json diagnosis.json
+      mbcacq diagnose motion1 motion2 --simulation arm.xml --check motion3 --write-model found.xml
     """
     import mbcacq
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
     found = mbcacq.diagnose(
-        data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, options=options, check=check, place=place
+        data,
+        progress=lambda text: echo(f"{text} ...", err=True),
+        workers=workers,
+        options=options,
+        check=check,
+        place=place,
+        simulation=simulation or None,
     )
+    if write_model is not None:
+        if found.simulation is None:
+            raise ConfigError("there is no model to write: --write-model needs a model file in --simulation")
+        found.simulation.write(write_model)
     if found.poses is not None:
         if report is not None:
             found.write_html(report)
         if rrd is not None:
             found.write_rrd(rrd)
-        if is_run_folder(data[0]):
+        if is_run_folder(data[0]) and not simulation:
             found.keep(data[0])
     as_json = found.to_json()
     calibrated = with_effects(data, found, options) if with_found else []

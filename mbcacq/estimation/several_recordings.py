@@ -55,7 +55,7 @@ def joint_problem(recordings: Sequence[Observations], options: CalibrationOption
 
 
 def adjust_together(recordings: Sequence[Observations], options: CalibrationOptions) -> JointAdjustment:
-    """One adjustment of several recordings; raises as :func:`joint_problem`."""
+    """One adjustment of several recordings; raises as ``joint_problem``."""
     problem = joint_problem(recordings, options)
     fitted = adjust(problem.observations, replace(options, start=problem.start))
     return JointAdjustment(problem.observations, fitted, problem.parts)

@@ -44,7 +44,7 @@ def evaluate_fleet(
 ) -> Fleet:
     """Calibrate (diagnose, verify) many recordings on a cluster and compare them.
 
-    recordings: as :func:`mbcacq.fleet.recordings.find_recordings` takes them. out: folder of the results; what is done there already is
+    recordings: as ``mbcacq.fleet.recordings.find_recordings`` takes them. out: folder of the results; what is done there already is
     not repeated. workers: processes on this computer (default: one a core); scheduler: address of a running dask cluster instead.
     progress: gets how many are done, how many there are, and the row. A script that calls this needs ``if __name__ == "__main__":``.
 

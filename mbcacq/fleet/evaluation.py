@@ -18,7 +18,7 @@ EVALUATED, REFUSED, FAILED = "evaluated", "refused", "failed"
 @dataclass(frozen=True)
 class FleetTask:
     """What is done with each recording: always calibrated, and verified at its own verification poses. diagnose: also sought for effects.
-    verify: path of a result that is tried on it; '' for none. place: as :func:`mbcacq.verify_elsewhere` takes it. options: of the
+    verify: path of a result that is tried on it; '' for none. place: as ``mbcacq.verify_elsewhere`` takes it. options: of the
     calibration."""
 
     diagnose: bool = False

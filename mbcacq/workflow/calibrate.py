@@ -61,9 +61,9 @@ def calibrate_together(
 ) -> JointCalibration:
     """Several recordings of one arm: arm and effects are shared; base, tool, stations, artefacts and noise are each recording's own.
 
-    A sequence of one :class:`Calibration` for each recording, with the covariance that all of them together give. effects: as
-    :func:`calibrate` takes them; a coefficient that differs from day to day gets a variance between recordings. Raises ConfigError where
-    the recordings are not of one arm, CalibrationError as :func:`calibrate`.
+    A sequence of one ``Calibration`` for each recording, with the covariance that all of them together give. effects: as
+    ``calibrate`` takes them; a coefficient that differs from day to day gets a variance between recordings. Raises ConfigError where
+    the recordings are not of one arm, CalibrationError as ``calibrate``.
     """
     names = tuple(str(one) if isinstance(one, Path | str) else f"recording {i + 1}" for i, one in enumerate(data))
     recordings = [as_observations(one) for one in data]

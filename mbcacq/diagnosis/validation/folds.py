@@ -77,7 +77,7 @@ def evaluated_fold(
     elsewhere: np.ndarray,
     everywhere: bool,
 ) -> FoldResult:
-    """:class:`Fold` and its evaluation in one call, which a worker process can do."""
+    """``Fold`` and its evaluation in one call, which a worker process can do."""
     return Fold(problem, noise, test, structure_expected).evaluate(keys, elsewhere, everywhere)
 
 
