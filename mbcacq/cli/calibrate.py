@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 
@@ -109,7 +110,9 @@ def command(
     if hold_effects and not effects:
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
-    result = calibration_content(data, options, held_out=split, with_map=with_map, **known)
+    with StepProgress() as progress:
+        progress("reading the recording and calibrating")
+        result = calibration_content(data, options, held_out=split, with_map=with_map, **known)
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:

@@ -7,19 +7,14 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
 @click.command(name="diagnose")
 @click.argument("data", nargs=-1, required=True, type=RunPath())
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
-    is_flag=False,
-    flag_value="-",
-    help="Write the diagnosis as JSON to a file; without a file name, print it on stdout instead of the text.",
-)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the diagnosis to this JSON file.")
+@click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as one JSON object on stdout.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
@@ -36,7 +31,8 @@ from mbcacq.cli.terminal import echo
 @click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
 def command(
     data: tuple[Path, ...],
-    json_file: Path | None,
+    out: Path | None,
+    as_json: bool,
     report: Path | None,
     rrd: Path | None,
     workers: int | None,
@@ -54,26 +50,27 @@ def command(
     Examples:
       mbcacq diagnose latest
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
-      mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --json diagnosis.json
+      mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
     """
     import mbcacq
+    from mbcacq.errors import ConfigError
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    found = mbcacq.diagnose(
-        data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, options=options, check=check, place=place
-    )
-    if found.poses is not None:
-        if report is not None:
-            found.write_html(report)
-        if rrd is not None:
-            found.write_rrd(rrd)
-        if is_run_folder(data[0]):
-            found.keep(data[0])
-    as_json = found.to_json()
-    if json_file is not None and str(json_file) == "-":
-        echo(as_json)
-        return
-    if json_file is not None:
-        json_file.write_text(as_json + "\n", encoding="utf-8")
-    echo(found.text)
+    with StepProgress() as progress:
+        progress("reading the recording")
+        found = mbcacq.diagnose(data, progress=progress, workers=workers, options=options, check=check, place=place)
+        if found.poses is not None:
+            progress("writing the pictures")
+            if report is not None:
+                found.write_html(report)
+            if rrd is not None:
+                found.write_rrd(rrd)
+            if is_run_folder(data[0]):
+                found.keep(data[0])
+    if out is not None:
+        try:
+            out.write_text(found.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
+    echo(found.to_json() if as_json else found.text)

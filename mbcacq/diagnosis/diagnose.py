@@ -61,10 +61,10 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
-    progress("proving on data left out")
     if obs.n_poses >= OPTIONS.many_poses:
         workers = 1  # each would need as much memory as all of them in turn
-    validation = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
+    validation = cross_validate(problem, full, folds or usual_folds(obs, full), workers, progress)
+    progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = conclude(problem, full, validation)
     return replace(result, notes=(*result.notes, *notes))
 

@@ -154,9 +154,9 @@ class DiagnosisResult:
         try:
             content = json.loads(text)
         except ValueError as error:
-            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --json writes") from error
+            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --out writes") from error
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
-            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --json writes")
+            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
         if "channels" in content["fit"]:
             return cls(motion=MotionDiagnosis.from_json(content))
         motion = content.get("motion")

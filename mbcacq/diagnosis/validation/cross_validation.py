@@ -5,7 +5,7 @@ What happens to a single station alone no other station can know of: whether suc
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,8 +54,11 @@ class CrossValidation:
         return float(np.clip(chi2 / max(self.before.chi2 - self.before.dof, 1e-9), 0, 1))
 
 
-def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, workers: int = 1) -> CrossValidation:
-    """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data."""
+def cross_validate(
+    problem: DiagnosisProblem, full: ModelFit, folds: int = 4, workers: int = 1, progress: Callable[[str], None] = lambda text: None
+) -> CrossValidation:
+    """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data. progress: gets a
+    sentence a fold."""
     linear = full.geometry_only.linear
     fold, how = split(linear, folds)
     left_out = [fold == k for k in range(int(fold.max()) + 1)]
@@ -65,7 +68,13 @@ def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, wo
         plain = geometry_scores(full, left_out)
         return CrossValidation(plain, plain, how, {}, (), (), (plain, plain))
     with WorkerPool(lambda k: Fold(problem, full, left_out[k], full.smooth is not None), len(left_out), workers) as pool:
-        results: list[FoldResult] = pool.ask("evaluate", keys, centres_elsewhere(full), everywhere)
+
+        def begun(done: int) -> None:
+            if done < len(left_out):
+                progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
+
+        begun(0)
+        results: list[FoldResult] = pool.ask("evaluate", keys, centres_elsewhere(full), everywhere, answered=begun)
         before, after = summed(a.before for a in results), summed(a.after for a in results)
         without = {key: summed(a.without[key] for a in results) for key in keys}
         parametric = summed(a.parametric for a in results) if everywhere else None

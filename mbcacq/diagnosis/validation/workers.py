@@ -11,8 +11,8 @@ import multiprocessing
 import os
 import sys
 import threading
-from collections.abc import Callable
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -30,13 +30,14 @@ class WorkerPool:
     """make(k): job k of ``count``, with methods to be asked. Use as a context."""
 
     def __init__(self, make: Callable[[int], Any], count: int, workers: int = 1):
+        self.count = count
         self.jobs: list[Any] = []
         self.connections: list[Connection] = []
         self.processes: list[BaseProcess] = []
         if min(workers, count) > 1 and sys.platform == "linux" and threading.active_count() == 1:
             self._fork(make, count, min(workers, count))
         else:
-            self.jobs = [make(k) for k in range(count)]
+            self.make = make
 
     def _fork(self, make: Callable[[int], Any], count: int, workers: int) -> None:
         context = multiprocessing.get_context("fork")
@@ -48,22 +49,32 @@ class WorkerPool:
             self.connections.append(here)
             self.processes.append(process)
 
-    def ask(self, method: str, *args: Any) -> list[Any]:
-        """Answers of all jobs, in order. Raises the error of a job, and CalibrationError where a process was killed."""
-        if not self.connections:
-            return [getattr(job, method)(*args) for job in self.jobs]
+    def ask(self, method: str, *args: Any, answered: Callable[[int], None] = lambda count: None) -> list[Any]:
+        """Answers of all jobs, in order. answered: gets the number of answers so far, after each. Raises the error of a job, and
+        CalibrationError where a process was killed."""
         answers: dict[int, Any] = {}
+        for k, answer in self._answers(method, args):
+            if isinstance(answer, Exception):
+                raise answer
+            answers[k] = answer
+            answered(len(answers))
+        return [answers[k] for k in sorted(answers)]
+
+    def _answers(self, method: str, args: tuple[Any, ...]) -> Iterator[tuple[int, Any]]:
+        """Number of the job and its answer, or the error in its place, as they come."""
+        if not self.connections:
+            for k in range(self.count):
+                if k == len(self.jobs):
+                    self.jobs.append(self.make(k))
+                yield k, getattr(self.jobs[k], method)(*args)
+            return
         try:
             for connection in self.connections:
                 connection.send((method, args))
-            received = [connection.recv() for connection in self.connections]
+            for _ in range(self.count):
+                yield next(iter(wait(self.connections))).recv()
         except (EOFError, OSError):
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
-        for answer in received:
-            if isinstance(answer, Exception):
-                raise answer
-            answers |= answer
-        return [answers[k] for k in sorted(answers)]
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -83,10 +94,12 @@ def _work(connection: Connection, make: Callable[[int], Any], numbers: range) ->
             method, args = connection.recv()
         except (EOFError, KeyboardInterrupt):
             return
-        try:
-            jobs = jobs or {k: make(k) for k in numbers}
-            connection.send({k: getattr(job, method)(*args) for k, job in jobs.items()})
-        except KeyboardInterrupt:
-            return
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the question was asked
-            connection.send(error)
+        for k in numbers:
+            try:
+                if k not in jobs:
+                    jobs[k] = make(k)
+                connection.send((k, getattr(jobs[k], method)(*args)))
+            except KeyboardInterrupt:
+                return
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the question was asked
+                connection.send((k, error))

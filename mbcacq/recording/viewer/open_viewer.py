@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -67,11 +67,19 @@ def view(sources: Sequence[Path | str]) -> None:
         raise RecordingError(f"the viewer could not be opened ({reason}); without a screen, use --screenshot DIR")
 
 
-def screenshots(sources: Sequence[Path | str], folder: Path, size: tuple[int, int] = (1600, 1000), pose: int | None = None) -> list[Path]:
+def screenshots(
+    sources: Sequence[Path | str],
+    folder: Path,
+    size: tuple[int, int] = (1600, 1000),
+    pose: int | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Path]:
     """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing.
 
-    Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where there is no such pose.
+    progress: gets a sentence a step. Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where
+    there is no such pose.
     """
+    progress("reading the recording")
     folder = Path(folder).absolute()
     moment = _moment(sources, pose)
     try:
@@ -79,9 +87,13 @@ def screenshots(sources: Sequence[Path | str], folder: Path, size: tuple[int, in
     except OSError as error:
         raise ConfigError(f"{folder} cannot be made: {error.strerror}; choose another folder for the pictures") from error
     written: list[Path] = []
+    progress("starting the viewer")
     with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as made, _headless(size) as client:
+        progress("loading the recording")
         _load(client, layout_first(sources, Path(made)))
-        for tab in _tabs(client):
+        tabs = _tabs(client)
+        for number, tab in enumerate(tabs, 1):
+            progress(f"picture of {tab}: {number} of {len(tabs)}")
             _turn_to(client, tab)
             _go_to(client, tab, moment)
             time.sleep(TAB_SETTLE_S if written else SETTLE_S)
