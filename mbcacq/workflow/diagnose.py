@@ -87,10 +87,10 @@ class DiagnosisResult:
 
     def write_rrd(self, path: Path | str) -> Path:
         """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""
-        from mbcacq.workflow.diagnosis_files import write_rrd
+        from mbcacq.workflow.diagnosis_files import cards_of, write_rrd
 
         observations, drawn = self._drawable()
-        write_rrd(observations, self._words_of_poses(), drawn, Path(path))
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()))
         return Path(path)
 
     def keep(self, run: Path | str) -> None:

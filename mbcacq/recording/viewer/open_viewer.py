@@ -171,7 +171,7 @@ def _root_entity(blueprint: dict[str, Any]) -> str:
 
 
 def enlarged(sources: Sequence[Path | str]) -> Any:
-    """How many times the arrows of the sources are enlarged (``blueprint.Enlarged``)."""
+    """What result and diagnosis among the sources hold to show (``blueprint.Enlarged``)."""
     from mbcacq.recording.rrd.blueprint import Enlarged
     from mbcacq.recording.rrd.reader import Recording
 
@@ -179,8 +179,8 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
     for source in sources:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
-                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis") if name in row}
-    return Enlarged(**found)
+                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths", "responses") if name in row}
+    return Enlarged(**found | {"lengths": bool(found.get("lengths")), "responses": int(found.get("responses", 0))})
 
 
 @contextmanager
