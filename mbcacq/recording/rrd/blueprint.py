@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 import yaml
 from rerun.blueprint import encodings
@@ -16,6 +17,7 @@ from mbcacq.recording.rrd.chart import SHEET
 from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
+WHOLE = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
 LOG_COLUMNS = rrb.TextLogColumns(
     timeline_columns=[encodings.TimelineColumn(layout.TIME)],
@@ -64,7 +66,7 @@ def blueprint(
 
 def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
     arrows = "" if enlarged.pose is None else f"; pink arrows: error after calibration, {enlarged.pose:g} times enlarged"
-    contents = [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"]
+    contents = [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}", f"- /{layout.CALIBRATED}/**"]
     cell = _space(f"Cell in mm, current station bright{arrows}", contents, viewpoint, hidden=(layout.PATH,))
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
     texts = rrb.Tabs(
@@ -83,18 +85,28 @@ def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Contai
 
 
 def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
+    axes = rrb.Vertical(
+        _curves("Joint positions: commanded (broad), actual (thin), deg", [layout.SET, layout.JOINTS], legend=False, whole=True),
+        rrb.Horizontal(
+            _curves("Following error (commanded minus actual), deg", [layout.FOLLOWING], legend=False, whole=True),
+            _curves("Motor current, % of the largest", [layout.CURRENT], legend=False, whole=True),
+        ),
+        row_shares=[15, 8],
+    )
+    names = rrb.Spatial2DView(
+        name="Axes",
+        origin=f"/{layout.AXES_KEY}",
+        background=rrb.Background(color=NIGHT),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-30.0, 60.0), y_range=(-20.0, 420.0)),
+    )
     return rrb.Vertical(
-        _curves("Joint positions: commanded (broad), actual (thin), deg", [layout.SET, layout.JOINTS]),
+        rrb.Horizontal(axes, names, column_shares=[14, 1]),
         rrb.Horizontal(
-            _curves("Following error (commanded minus actual), deg", [layout.FOLLOWING]),
-            _curves("Motor current, % of the largest", [layout.CURRENT]),
+            _curves("Cycle period, ms", [layout.PERIOD], whole=True),
+            _curves("Answers late, count", [layout.DELAY], legend=False, whole=True),
+            _curves("Temperatures, deg C", [f"{layout.TEMPERATURE}/**"], whole=True),
         ),
-        rrb.Horizontal(
-            _curves("Cycle period, ms", [layout.PERIOD]),
-            _curves("Answers late, count", [layout.DELAY]),
-            _curves("Temperatures, deg C", [f"{layout.TEMPERATURE}/**"]),
-        ),
-        row_shares=[15, 8, 6],
+        row_shares=[23, 6],
         name="Motion",
     )
 
@@ -190,8 +202,11 @@ def _scan() -> rrb.Spatial3DView:
     )
 
 
-def _curves(name: str, entities: list[str], legend: bool = True, most: float | None = None, from_zero: bool = False) -> rrb.TimeSeriesView:
-    """most: upper end of an axis that begins at 0; without it the axis fits what is shown, with from_zero zero too."""
+def _curves(
+    name: str, entities: list[str], legend: bool = True, most: float | None = None, from_zero: bool = False, whole: bool = False
+) -> rrb.TimeSeriesView:
+    """most: upper end of an axis that begins at 0; without it the axis fits what is shown, with from_zero zero too. whole: from the first
+    to the last value in time."""
     axis = None if most is None else rrb.ScalarAxis(range=(0.0, most))
     zero = [f"{layout.LIMITS}/zero"] if from_zero else []
     return rrb.TimeSeriesView(
@@ -199,6 +214,7 @@ def _curves(name: str, entities: list[str], legend: bool = True, most: float | N
         contents=[f"+ /{e}" for e in dict.fromkeys(entities + zero)],
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
         axis_y=axis,
+        axis_x=rrb.TimeAxis(view_range=WHOLE) if whole else None,
     )
 
 

@@ -49,7 +49,7 @@ class Chart:
         """Bars from zero, ``width`` in units of x, centred on x (k,) with height y (k,)."""
         corner, opposite = self.at(x - width / 2, 0.0), self.at(x + width / 2, y)
         low, high = np.minimum(corner, opposite), np.maximum(corner, opposite)
-        lines = [np.array([[c, a], [c, b]]) for (left, a), (right, b) in zip(low, high, strict=True) for c in np.arange(left, right, 1.5)]
+        lines = [np.array([[c, a], [c, b]]) for (left, a), (right, b) in zip(low, high, strict=True) for c in np.arange(left, right, 0.8)]
         self._strips(name, lines, colour, 0.9)
         self._key(name, colour)
 
@@ -101,9 +101,9 @@ class Chart:
 
     def _key(self, name: str, colour: Colour) -> None:
         """The entry of the legend, above the chart."""
-        at = np.array([330.0 + 190.0 * self._keys, 12.0])
+        at = np.array([300.0 + 132.0 * self._keys, 12.0])
         self._keys += 1
-        self._rec.log(f"{self._entity}/key/{_part(name)}", rr.Points2D([at - [85.0, 0.0]], colors=[colour], radii=5.0), static=True)
+        self._rec.log(f"{self._entity}/key/{_part(name)}", rr.Points2D([at - [62.0, 0.0]], colors=[colour], radii=5.0), static=True)
         self._labels(f"key/{_part(name)}/text", [at - [0.0, 10.0]], [name])
 
     def _labels(self, part: str, places: Sequence[np.ndarray], texts: Sequence[str]) -> None:

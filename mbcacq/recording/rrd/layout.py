@@ -31,6 +31,7 @@ TEMPERATURE = "motion/temperature_C"  # motion/temperature_C/QUANTITY: the tempe
 # Measured.
 CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
 JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
+AXES_KEY = "joints/names"  # Points2D: names and colours of the axes, beside their curves
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count
 SCAN = "world/scan"  # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
 ON_BALLS, BACKGROUND = "world/scan/on_balls", "world/scan/beside"  # Points3D for display: by distance to the ball; the rest

@@ -52,7 +52,10 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
     colours = (CURVES * 2)[:n]
     for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
         rec.log(entity, rr.SeriesLines(names=axes, colors=colours, widths=[1.3]), static=True)
-    rec.log(layout.SET, rr.SeriesLines(names=[f"{a} set" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True)
+    rec.log(
+        layout.SET, rr.SeriesLines(names=[f"{a} commanded" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True
+    )
+    log_axes_key(rec, n)
     rec.log(
         layout.PERIOD,
         rr.SeriesLines(names=["controller, ms", "this computer, ms"], colors=[CURVES[0], CURVES[1]], widths=[1.3]),
@@ -65,6 +68,13 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
         (layout.SCATTER, "scatter between exposures, um", CURVES[1]),
     ):
         rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+
+
+def log_axes_key(rec: rr.RecordingStream, n: int) -> None:
+    """Names and colours of the n axes, shown beside their curves."""
+    places = np.column_stack([np.zeros(n), 30.0 * np.arange(n)])
+    names = [f"A{i + 1}" for i in range(n)]
+    rec.log(layout.AXES_KEY, rr.Points2D(places, colors=(CURVES * 2)[:n], radii=8.0, labels=names, show_labels=True), static=True)
 
 
 def log_ball_series(rec: rr.RecordingStream, cell: Cell) -> None:
