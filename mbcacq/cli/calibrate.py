@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 
@@ -124,12 +125,14 @@ def command(
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
     first, *others = data
-    if others:
-        if split or with_map or l_curve:
-            raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
-        result = joint_content(data, options, **known)
-    else:
-        result = calibration_content(first, options, held_out=split, with_map=with_map, **known)
+    if others and (split or with_map or l_curve):
+        raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
+    with StepProgress() as progress:
+        progress("reading the recording and calibrating")
+        if others:
+            result = joint_content(data, options, **known)
+        else:
+            result = calibration_content(first, options, held_out=split, with_map=with_map, **known)
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:

@@ -63,8 +63,8 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
-    progress("proving on data left out")
-    validation = cross_validate(problem, full, folds or usual_folds(obs, full), pool)
+    validation = cross_validate(problem, full, folds or usual_folds(obs, full), pool, progress)
+    progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = conclude(problem, full, validation)
     return replace(result, notes=(*result.notes, *notes))
 

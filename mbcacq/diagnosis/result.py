@@ -194,7 +194,7 @@ class Diagnosis:
         try:
             return _read_diagnosis(content)
         except KeyError as error:
-            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --json") from error
+            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --out FILE") from error
 
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"

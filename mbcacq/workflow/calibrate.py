@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,12 +110,20 @@ def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | 
     return check_transfer(as_observations(data), cell, chain, place=place, recording=name)
 
 
-def compare(data: Observations | Path | str, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
+def compare(
+    data: Observations | Path | str,
+    methods: Iterable[str] | None = None,
+    *,
+    held_out: bool = True,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Comparison:
     """One row for each method of calibration (all, or those named): fit, sphere spacing error, held-out error, all in mm.
 
-    A method that these data do not determine has the reason in place of figures. Raises CalibrationError where no method is determined.
+    A method that these data do not determine has the reason in place of figures. progress: gets a sentence a method. Raises
+    CalibrationError where no method is determined.
     """
-    return compare_methods(as_observations(data), methods, held_out=held_out, seed=seed)
+    return compare_methods(as_observations(data), methods, held_out=held_out, seed=seed, progress=progress)
 
 
 def calibration_content(

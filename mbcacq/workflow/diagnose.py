@@ -91,10 +91,10 @@ class DiagnosisResult:
 
     def write_rrd(self, path: Path | str) -> Path:
         """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""
-        from mbcacq.workflow.diagnosis_files import write_rrd
+        from mbcacq.workflow.diagnosis_files import cards_of, write_rrd
 
         observations, drawn = self._drawable()
-        write_rrd(observations, self._words_of_poses(), drawn, Path(path))
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()))
         return Path(path)
 
     def keep(self, run: Path | str) -> None:
@@ -160,9 +160,9 @@ class DiagnosisResult:
         try:
             content = json.loads(text)
         except ValueError as error:
-            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --json writes") from error
+            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --out writes") from error
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
-            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --json writes")
+            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
         motion, simulation = content.get("motion"), content.get("simulation")
         try:
             checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))

@@ -43,18 +43,18 @@ def _from_file(path: Path) -> EffectModel:
     try:
         content: Any = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"cannot read {file}: {error.strerror}; give what mbcacq diagnose --json wrote") from error
+        raise ConfigError(f"cannot read {file}: {error.strerror}; give what mbcacq diagnose --out wrote") from error
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{file} is not JSON ({error}); give what mbcacq diagnose --json wrote") from error
+        raise ConfigError(f"{file} is not JSON ({error}); give what mbcacq diagnose --out wrote") from error
     content = result_of_one(content, number, file, any_of_them=True)
     if not isinstance(content, dict):
-        raise ConfigError(f"{file} is no diagnosis; give what mbcacq diagnose --json wrote")
+        raise ConfigError(f"{file} is no diagnosis; give what mbcacq diagnose --out wrote")
     held = content.get("effects") if str(content.get("format")).startswith("mbcacq-result/") else content.get("model")
     if str(content.get("format")).startswith("mbcacq-effect-model/"):
         held = content
     if not held:
         raise ConfigError(
             f"{file} holds no effects that a calibration could take (format {content.get('format')!r}): "
-            "diagnose the recording anew with mbcacq diagnose --json FILE"
+            "diagnose the recording anew with mbcacq diagnose --out FILE"
         )
     return EffectModel.from_dict(held)

@@ -5,7 +5,7 @@ What happens to a single station alone no other station can know of: whether suc
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +54,17 @@ class CrossValidation:
         return float(np.clip(chi2 / max(self.before.chi2 - self.before.dof, 1e-9), 0, 1))
 
 
-def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, pool: WorkerPool | None = None) -> CrossValidation:
+def cross_validate(
+    problem: DiagnosisProblem,
+    full: ModelFit,
+    folds: int = 4,
+    pool: WorkerPool | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> CrossValidation:
     """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data.
 
     pool: of processes that share the folds, unless the recording is long: each would need as much memory as all of them in turn.
+    progress: gets a sentence a fold.
     """
     linear = full.geometry_only.linear
     fold, how = split(linear, folds)
@@ -70,13 +77,22 @@ def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, po
     expected, elsewhere = full.smooth is not None, centres_elsewhere(full)
     problem = problem.with_linearization(linear)
     dropped: tuple[str, ...] = ()
+
+    def begun(done: int) -> None:
+        if done < len(left_out):
+            progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
+
+    begun(0)
+    results: list[FoldResult] = []
     if full.evidence is not None:
         again = [(problem, full.noise, test, expected, keys, elsewhere, everywhere) for test in left_out]
-        results: list[FoldResult] = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True))
+        results = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
         before, after, without = totals(results, keys)
     else:
         each = [Fold(problem, full.noise, test, expected) for test in left_out]
-        results = [one.evaluate(keys, elsewhere, everywhere) for one in each]
+        for one in each:
+            results.append(one.evaluate(keys, elsewhere, everywhere))
+            begun(len(results))
         parametric = summed(a.parametric for a in results) if everywhere else None
         before, after, without = totals(results, keys)
         if dropped := not_predictive(full, without, parametric or after):

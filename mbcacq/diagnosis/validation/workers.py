@@ -39,14 +39,19 @@ class WorkerPool:
             for _ in range(workers):
                 self._pool.submit(_prepare)
 
-    def map(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> list[Any]:
-        """Answers to all calls, in order. Raises the error of a call, and CalibrationError where a process was killed."""
+    def map(
+        self, function: Callable[..., Any], *arguments: Iterable[Any], answered: Callable[[int], None] = lambda count: None
+    ) -> list[Any]:
+        """Answers to all calls, in order. answered: gets the number of answers so far, after each.
+
+        Raises the error of a call, and CalibrationError where a process was killed.
+        """
         if self._pool is None:
-            return list(map(function, *arguments))
+            return _counted(map(function, *arguments), answered)
         from concurrent.futures.process import BrokenProcessPool
 
         try:
-            return list(self._pool.map(function, *arguments))
+            return _counted(self._pool.map(function, *arguments), answered)
         except BrokenProcessPool:
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
 
@@ -56,6 +61,14 @@ class WorkerPool:
     def __exit__(self, kind: object, *_: object) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=True, kill_workers=kind is not None)
+
+
+def _counted(answers: Iterable[Any], answered: Callable[[int], None]) -> list[Any]:
+    out = []
+    for answer in answers:
+        out.append(answer)
+        answered(len(out))
+    return out
 
 
 def _prepare() -> None:
