@@ -87,15 +87,10 @@ def command(
             data, progress=progress, workers=workers, options=options, check=check, place=place, simulation=simulation or None
         )
         if write_model is not None:
-            if found.simulation is None:
-                raise ConfigError("there is no model to write: --write-model needs a model file in --simulation")
-            found.simulation.write(write_model)
+            write_matched_model(found, write_model)
         if found.poses is not None:
             progress("writing the pictures")
-            if report is not None:
-                found.write_html(report)
-            if rrd is not None:
-                found.write_rrd(rrd)
+            write_pictures(found, report, rrd)
             if is_run_folder(data[0]) and not simulation:
                 found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
@@ -110,6 +105,21 @@ def command(
     echo(found.text)
     for line in calibrated:
         echo(line)
+
+
+def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:
+    """The model file of ``--simulation`` with what was found. Raises ConfigError where there was none."""
+    if found.simulation is None:
+        raise ConfigError("there is no model to write: --write-model needs a model file in --simulation")
+    found.simulation.write(file)
+
+
+def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path | None) -> None:
+    """The page and the recording that were asked for."""
+    if report is not None:
+        found.write_html(report)
+    if rrd is not None:
+        found.write_rrd(rrd)
 
 
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:

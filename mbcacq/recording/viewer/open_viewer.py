@@ -178,7 +178,7 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
     from mbcacq.recording.rrd.blueprint import Enlarged
     from mbcacq.recording.rrd.reader import Recording
 
-    found: dict[str, float] = {}
+    found: dict[str, Any] = {}
     for source in sources:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
