@@ -12,13 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.output.next_measurements import displacement, elsewhere
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, elsewhere
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
-from mbcacq.estimation.linear_problem import LinearProblem
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
 MOST_VALUES = 12  # of a hyper-parameter that are tried
@@ -40,7 +38,6 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
     """Of every candidate that was not found, those with the largest error in the workspace first."""
     found = {(c.name, c.where) for c, _ in full.model.effects}
     there = elsewhere(setup.context)
-    linear = LinearProblem.of(there.obs, there.state)
     fewest: dict[tuple[str, tuple[str, ...]], int] = {}
     for c in setup.candidates:  # of several variants, those of fewest coefficients
         fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
@@ -49,10 +46,10 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
         if (candidate.name, candidate.where) in found or candidate.k > fewest[candidate.name, candidate.where]:
             continue
         limit = coefficient_limit(full.conditioned, candidate)
-        if not np.all(np.isfinite(limit.coefficients)) and harmless(there, linear, candidate, limit.hyper):
+        if not np.all(np.isfinite(limit.coefficients)) and harmless(there, candidate, limit.hyper):
             continue
         name, value = parameter_of(candidate, limit)
-        workspace, length = errors_elsewhere(there, linear, candidate, limit)
+        workspace, length = errors_elsewhere(there, candidate, limit)
         out.append(ExclusionLimit(candidate.name, candidate.where, name, value, workspace, length))
     return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
 
@@ -101,25 +98,24 @@ def parameter_of(candidate: Candidate, limit: CoefficientLimit) -> tuple[str, fl
     return max(sizes.items(), key=lambda item: item[1] > 0)
 
 
-def harmless(there: Context, linear: LinearProblem, candidate: Candidate, hyper: float | None) -> bool:
+def harmless(there: Elsewhere, candidate: Candidate, hyper: float | None) -> bool:
     """Whether an effect displaces everything alike, as a constant sag does: no length shows it, nor suffers from it."""
-    _, length = errors_elsewhere(there, linear, candidate, CoefficientLimit(hyper, candidate.typical))
+    _, length = errors_elsewhere(there, candidate, CoefficientLimit(hyper, candidate.typical))
     return length is not None and length < HARMLESS_MM
 
 
-def errors_elsewhere(
-    there: Context, linear: LinearProblem, candidate: Candidate, limit: CoefficientLimit
-) -> tuple[float | None, float | None]:
+def errors_elsewhere(there: Elsewhere, candidate: Candidate, limit: CoefficientLimit) -> tuple[float | None, float | None]:
     """Largest displacement (mm) over postures in the workspace, and the error of lengths between pairs of them that 95 % do not exceed.
 
     None for what the geometry absorbs, for effects over time, which no posture has, and for single balls or stations.
     """
     if not np.all(np.isfinite(limit.coefficients)):
         return None, None
-    moved = displacement(there, linear, candidate.key, limit.hyper, limit.coefficients)
+    moved = there.displacement(candidate.key, limit.hyper, limit.coefficients)
     if moved is None or not np.any(moved):
         return None, None
-    T = linear.prediction.T_base_scanner if there.scanner_on_flange else linear.prediction.T_base_station
+    linear = there.linear
+    T = linear.prediction.T_base_scanner if there.context.scanner_on_flange else linear.prediction.T_base_station
     in_base = np.einsum("pij,pj->pi", T[:, :3, :3], moved)
     position = linear.prediction.T_base_scanner[:, :3, 3]
     first, second = np.random.default_rng(0).integers(0, len(position), (2, LENGTH_PAIRS))

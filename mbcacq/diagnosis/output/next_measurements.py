@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,24 @@ class SizedEffect:
         return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
 
 
-def elsewhere(context: Context, seed: int = 0) -> Context:
+@dataclass(frozen=True)
+class Elsewhere:
+    """The cell at postures that the recording does not have, with all candidates as they would act there."""
+
+    context: Context
+    linear: LinearProblem
+
+    @cached_property
+    def candidates(self) -> dict[str, Candidate]:
+        return {candidate.key: candidate for candidate in catalogue.candidates(self.context)[0]}
+
+    def displacement(self, key: str, hyper: float | None, coefficients: np.ndarray) -> np.ndarray | None:
+        """(P, 3) mm: what a candidate of the recording would do at these postures; None where it cannot be built there."""
+        candidate = self.candidates.get(key)
+        return None if candidate is None else self.linear.columns(candidate.build(hyper))[:, :3] @ coefficients
+
+
+def elsewhere(context: Context, seed: int = 0) -> Elsewhere:
     """The same cell at random postures within limits and not below the lowest flange so far, one ball in the middle of the field each."""
     obs, robot = context.obs, context.obs.cell.robot
     rng = np.random.default_rng(seed)
@@ -58,15 +76,8 @@ def elsewhere(context: Context, seed: int = 0) -> Context:
     )
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))
-    return Context(blank, context.state, forward_model.predict(blank, context.state))
-
-
-def displacement(there: Context, linear: LinearProblem, key: str, hyper: float | None, coefficients: np.ndarray) -> np.ndarray | None:
-    """(P, 3) mm: what a candidate of the recording would do at other postures; None where it cannot be built there."""
-    candidate = next((c for c in catalogue.candidates(there)[0] if c.key == key), None)
-    if candidate is None:
-        return None
-    return linear.columns(candidate.build(hyper))[:, :3] @ coefficients
+    there = Context(blank, context.state, forward_model.predict(blank, context.state))
+    return Elsewhere(there, LinearProblem.of(blank, context.state))
 
 
 def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
@@ -74,33 +85,32 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]
     if not pairs:
         return []
     there = elsewhere(context)
-    linear = LinearProblem.of(there.obs, there.state)
-    advice = (_separating_one(context, there, linear, a, b) for a, b in pairs)
+    advice = (_separating_one(context, there, a, b) for a, b in pairs)
     return [one for one in advice if one is not None]
 
 
-def _separating_one(context: Context, there: Context, linear: LinearProblem, a: SizedEffect, b: SizedEffect) -> Advice | None:
+def _separating_one(context: Context, there: Elsewhere, a: SizedEffect, b: SizedEffect) -> Advice | None:
     if a.candidate.name in OVER_TIME or b.candidate.name in OVER_TIME:
         names = f"{a.candidate.name} and {b.candidate.name}"
         return Advice(f"{names} differ in time: measure the first station again, at the same postures, at the end", first_poses(context))
-    moved = [displacement(there, linear, e.candidate.key, e.hyper, e.coefficients) for e in (a, b)]
+    moved = [there.displacement(e.candidate.key, e.hyper, e.coefficients) for e in (a, b)]
     if moved[0] is None or moved[1] is None:
         return None
     chosen = spread(moved[0] - moved[1])
     apart = float(np.linalg.norm((moved[0] - moved[1])[chosen], axis=1).mean())
     first, second = (f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in (a, b))
-    return Advice(f"{first} and {second} differ by {apart:.3f} mm at these poses, on one station", _in_degrees(there.obs.q[chosen]))
+    return Advice(f"{first} and {second} differ by {apart:.3f} mm at these poses, on one station", _in_degrees(there.context.obs.q[chosen]))
 
 
 def revealing(context: Context, candidate: Candidate) -> Advice:
     """Poses at which an effect of typical size shows that the recording cannot observe."""
     there = elsewhere(context)
-    moved = displacement(there, LinearProblem.of(there.obs, there.state), candidate.key, None, candidate.typical)
+    moved = there.displacement(candidate.key, None, candidate.typical)
     chosen = spread(moved) if moved is not None else np.arange(0)
     return Advice(
         f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "
         "station, or a long bar end by end",
-        _in_degrees(there.obs.q[chosen]),
+        _in_degrees(there.context.obs.q[chosen]),
     )
 
 
