@@ -5,7 +5,7 @@
 Cells of the fake world, which shares no code with the diagnosis: a KR 210 and a KR 300 with their published masses and 150 kg at the
 flange; soft gearboxes at A2, A3 and A5, one with lost motion, friction under load, a gas balancer, a base that tilts, a gear error.
 Measured by a tracker (a target on the flange, 15 um) and by a scanner (an eight-ball artefact at ten places, 5 to 9 um). Errors are those
-on stations or blocks of poses that took no part. For comparison: 54.9 % is published for an arm of this class.
+on held-out stations or blocks of poses. For comparison: 54.9 % is published for an arm of this class.
 """
 
 from __future__ import annotations
