@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from mbcacq.plan.planned import LoadedPlan
     from mbcacq.workflow.calibrate import calibrate, calibrate_together, compare, verify, verify_elsewhere
     from mbcacq.workflow.correct import correct
-    from mbcacq.workflow.diagnose import DiagnosisResult, diagnose
+    from mbcacq.workflow.diagnose import diagnose
+    from mbcacq.workflow.diagnosis_result import DiagnosisResult
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
     from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
@@ -101,7 +102,8 @@ _MODULES = {
     "plan.planned": ("LoadedPlan",),
     "workflow.calibrate": ("calibrate", "calibrate_together", "compare", "verify", "verify_elsewhere"),
     "workflow.correct": ("correct",),
-    "workflow.diagnose": ("DiagnosisResult", "diagnose"),
+    "workflow.diagnose": ("diagnose",),
+    "workflow.diagnosis_result": ("DiagnosisResult",),
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),
     "workflow.load": ("load_observations", "load_plan", "load_trajectories"),

@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.workflow.calibrate import calibrate, verify
-from mbcacq.workflow.diagnose import DiagnosisResult
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 FOLDER = "with-effects"  # in the folder of a run
 

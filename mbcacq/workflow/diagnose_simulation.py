@@ -11,7 +11,8 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.workflow.diagnose import Data, DiagnosisResult, checked, diagnose_poses, is_trajectory, provenance
+from mbcacq.workflow.diagnose_recordings import Data, checked, diagnose_poses, is_trajectory, provenance
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")

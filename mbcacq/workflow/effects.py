@@ -12,7 +12,7 @@ from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect_model import EffectModel, combined
 from mbcacq.errors import ConfigError
-from mbcacq.workflow.diagnose import DiagnosisResult
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 One = DiagnosisResult | Diagnosis | EffectModel | Calibration | CalibratedCell | Path | str
 Effects = One | Sequence[One]

@@ -13,7 +13,7 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
-from mbcacq.workflow.diagnose import diagnose_poses
+from mbcacq.workflow.diagnose_recordings import diagnose_poses
 from mbcacq.workflow.load import is_run_folder, load_observations
 
 

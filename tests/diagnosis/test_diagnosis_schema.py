@@ -19,7 +19,8 @@ from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
-from mbcacq.workflow.diagnose import DiagnosisResult, provenance
+from mbcacq.workflow.diagnose_recordings import provenance
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,164 @@
+"""The parts of ``mbcacq.diagnose``: one recording of poses, several, motion; what was learnt tried elsewhere; where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mbcacq.calibration.transfer import Transfer, check_transfer
+from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.model.observations import Observations
+from mbcacq.model.trajectory import Trajectory
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
+from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
+
+Data = Observations | Trajectory | Path | str
+
+
+def diagnose_together(
+    data: Sequence[Data], progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None
+) -> DiagnosisResult:
+    """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
+    from mbcacq.diagnosis import diagnose as room
+    from mbcacq.diagnosis.validation.workers import cores
+
+    motions = [one for one in data if is_trajectory(one)]
+    recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
+    if len(recordings) == 1:
+        found = diagnose_poses(recordings[0], progress, workers, options)
+    else:
+        poses = room.diagnose(recordings, progress=progress, workers=workers or cores(), options=options)
+        found = DiagnosisResult(poses)
+    if motions:
+        progress("comparing the motion")
+        found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)]).motion)
+    return found
+
+
+def thinned(observations: Observations) -> Observations:
+    """At most as many poses as a diagnosis uses, evenly at random."""
+    import numpy as np
+
+    from mbcacq.diagnosis.options import OPTIONS
+
+    if observations.n_poses <= OPTIONS.most_poses:
+        return observations
+    keep = np.zeros(observations.n_poses, bool)
+    rng = np.random.default_rng(0)
+    keep[[rng.choice(part) for part in np.array_split(np.arange(observations.n_poses), OPTIONS.most_poses)]] = True
+    return observations.select(keep)
+
+
+def checked(
+    learnt: Observations, found: DiagnosisResult, other: Observations | Path | str, place: str, progress: Callable[[str], None]
+) -> Transfer:
+    """What was found in a recording, tried on another one."""
+    from mbcacq.calibration import CalibrationOptions
+    from mbcacq.calibration.maximum_likelihood import calibrate
+    from mbcacq.calibration.with_effects import calibrate_with_effects
+
+    name = "" if isinstance(other, Observations) else str(other)
+    progress(f"trying it on {name or 'the other recording'}")
+    options = CalibrationOptions(refuse=False)
+    learnt = thinned(learnt)
+    cell = calibrate_with_effects(learnt, options, found.model) if found.model else calibrate(learnt, options)
+    alone = cell if not found.model else calibrate(learnt, options)
+    return check_transfer(as_observations(other), cell, alone.state.chain, place=place, recording=name)
+
+
+def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> dict[str, Any]:
+    """Where a diagnosis comes from: files with their SHA-256, versions of the programs, options."""
+    import platform
+
+    import numpy
+
+    from mbcacq.version import __version__
+
+    files = [one for source in (data, *check) if isinstance(source, Path | str) for one in _hashed(Path(source))]
+    return {
+        "recording": str(data) if isinstance(data, Path | str) else "",
+        "files": files,
+        "versions": {"mbcacq": __version__, "numpy": numpy.__version__, "python": platform.python_version()},
+        "options": options,
+    }
+
+
+def _hashed(source: Path) -> list[dict[str, Any]]:
+    """Name, size and SHA-256 of a recording: of the files of an observation set or the parts of a run, not of its clouds."""
+    import hashlib
+
+    wanted = {".csv", ".yaml", ".rrd"}
+    paths = [source] if source.is_file() else sorted(p for p in source.glob("*") if p.is_file() and p.suffix in wanted)
+    out = []
+    for path in paths:
+        digest = hashlib.sha256()
+        try:
+            with path.open("rb") as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
+        except OSError:
+            continue  # a file that went away meanwhile is not part of what was read
+        out.append({"file": str(path), "bytes": path.stat().st_size, "sha256": digest.hexdigest()})
+    return out
+
+
+def diagnose_motion(trajectories: Sequence[Trajectory | Path | str]) -> DiagnosisResult:
+    """The diagnosis of trajectories of one robot, together. Raises ConfigError where they do not fit together."""
+    from mbcacq.diagnosis.motion import diagnose_trajectories
+
+    return DiagnosisResult(motion=diagnose_trajectories(as_trajectories(trajectories)))
+
+
+def diagnose_poses(
+    observations: Observations, progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None = None
+) -> DiagnosisResult:
+    """The diagnosis of poses at standstill. Raises CalibrationError."""
+    from mbcacq.diagnosis import diagnose as room
+    from mbcacq.diagnosis.validation.workers import cores
+
+    found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options)
+    return DiagnosisResult(with_fitted_model(found, observations, progress), observations=observations)
+
+
+def with_fitted_model(found: Diagnosis, observations: Observations, progress: Callable[[str], None]) -> Diagnosis:
+    """The diagnosis with the effects of its model fitted together with the cell, as a calibration would fit them. Where the recording
+    does not determine the cell with them, they stay as the diagnosis had them.
+    """
+    from mbcacq.calibration.with_effects import calibrate_with_effects
+    from mbcacq.errors import CalibrationError
+    from mbcacq.estimation.options import CalibrationOptions
+
+    if not found.model:
+        return found
+    progress("fitting the cell with its effects")
+    try:
+        fitted = calibrate_with_effects(thinned(observations), CalibrationOptions(refuse=False), found.model)
+    except CalibrationError as reason:
+        return replace(found, notes=(*found.notes, f"the effects could not be fitted with the cell: {reason}"))
+    return replace(found, model=fitted.effects)
+
+
+def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:
+    """The diagnosis of the poses with that of the motion between them, where a run recorded torques or joint-side angles."""
+    from mbcacq.diagnosis.motion import diagnose_trajectories
+
+    if not (is_run_folder(recording) or recording.suffix == ".rrd"):
+        return found
+    try:
+        stretches = recorded_moves(recording)
+    except ConfigError:
+        return found
+    if not stretches:
+        return found
+    progress("comparing the motion between the poses")
+    return replace(found, motion=diagnose_trajectories(stretches))
+
+
+def is_trajectory(data: Data) -> bool:
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
+
+    return isinstance(data, Trajectory) or (isinstance(data, Path | str) and is_trajectory_set(data))

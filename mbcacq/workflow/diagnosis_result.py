@@ -1,0 +1,191 @@
+"""The result of ``mbcacq.diagnose``: of poses, of motion, or of both, with what it can be written to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.simulation.model_match import ModelMatch
+
+
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult:
+    """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
+
+    observations: what the diagnosis of the poses is of, None for one that was read from JSON. checks: what was learnt, tried on other
+    recordings. provenance: the files (name, bytes, SHA-256), the versions of the programs, the options. simulation: the MuJoCo model that
+    the recording was compared with, and what was found written into it. It pickles, with its pictures.
+    """
+
+    poses: Diagnosis | None = None
+    motion: MotionDiagnosis | None = None
+    observations: Observations | None = None
+    checks: tuple[Transfer, ...] = ()
+    provenance: Mapping[str, Any] | None = None
+    simulation: ModelMatch | None = None
+
+    @property
+    def main(self) -> Diagnosis | MotionDiagnosis:
+        """The diagnosis whose verdict counts: that of the poses, where there is one."""
+        found = self.poses or self.motion
+        if found is None:
+            raise ConfigError("this diagnosis is of nothing; diagnose a recording with mbcacq.diagnose")
+        return found
+
+    @property
+    def model(self) -> EffectModel | None:
+        """The effects found in the poses as terms that ``mbcacq.calibrate`` takes; None where there are none."""
+        return self.poses.model if self.poses is not None else None
+
+    @property
+    def verdict(self) -> str:
+        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'."""
+        return self.main.verdict
+
+    @property
+    def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
+        """The effects found, the largest first: name, where, parameters (value and std by name), p_value, held_out_gain, alternatives."""
+        return self.main.effects
+
+    @property
+    def text(self) -> str:
+        """The diagnosis in plain sentences, as the command line prints it."""
+        from mbcacq.diagnosis.motion.combine import combined_text
+        from mbcacq.diagnosis.motion.text import motion_text
+        from mbcacq.diagnosis.output.text import words
+
+        written = [] if self.simulation is None else [self.simulation.text]
+        if self.poses is None:
+            return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
+        text = words(self.poses) if self.motion is None else combined_text(self.poses.to_json(), words(self.poses), self.motion)
+        return "\n".join([text, *(check.text for check in self.checks), *written])
+
+    def pictures(self) -> dict[str, Any]:
+        """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves. Raises
+        ConfigError for a diagnosis of trajectories alone, and for one that was read from JSON."""
+        from mbcacq.diagnosis.output.figures import pictures
+
+        if self.poses is None or self.poses.plot_data is None:
+            raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")
+        return pictures(self.poses)
+
+    def write_html(self, path: Path | str) -> Path:
+        """The diagnosis as one HTML page that opens offline."""
+        from mbcacq.report import write_diagnosis_page
+
+        return write_diagnosis_page(self.main.to_json(), self.pictures(), path)
+
+    def write_rrd(self, path: Path | str) -> Path:
+        """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""
+        from mbcacq.workflow.diagnosis_files import cards_of, write_rrd
+
+        observations, drawn = self._drawable()
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()))
+        return Path(path)
+
+    def keep(self, run: Path | str) -> None:
+        """Write the diagnosis of the poses into the folder of their run, where report and viewer find it. Raises RecordingError."""
+        from mbcacq.workflow.diagnosis_files import keep_in_run
+
+        observations, drawn = self._drawable()
+        keep_in_run(self.main.to_json(), self._words_of_poses(), drawn, observations, Path(run))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON content, format mbcacq-diagnosis/2 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
+        motion stands under its own key. Trajectories alone give version 1."""
+        from mbcacq.diagnosis.motion.combine import combined
+        from mbcacq.diagnosis.result import plain
+
+        content = self.main.to_json()
+        if self.simulation is not None:
+            content["simulation"] = plain(self.simulation.to_dict())
+        if self.poses is None:
+            return content
+        content |= {
+            "recordings": self._recordings(),
+            "checks": [plain(check.to_dict()) for check in self.checks],
+            "provenance": plain(dict(self.provenance or {})),
+        }
+        return content if self.motion is None else combined(content, self.motion)
+
+    def _recordings(self) -> list[dict[str, Any]]:
+        """Before and after in each recording: the one learnt from, and those that it was tried on."""
+        from mbcacq.diagnosis.result import plain
+
+        assert self.poses is not None, "a diagnosis of poses has recordings"
+        fit = self.poses.fit
+        files = (self.provenance or {}).get("recording") or ""
+        learnt = {
+            "name": str(files),
+            "role": "learnt",
+            "before_rms_mm": fit.train.before_rms_mm,
+            "after_rms_mm": fit.train.after_rms_mm,
+            "held_out_before_rms_mm": fit.held_out.before_rms_mm,
+            "held_out_after_rms_mm": fit.held_out.after_rms_mm,
+        }
+        tried = [
+            {
+                "name": check.recording,
+                "role": "checked",
+                "before_rms_mm": check.geometry_alone.rms_mm,
+                "after_rms_mm": check.with_effects.rms_mm,
+                "held_out_before_rms_mm": check.geometry_alone.rms_mm,
+                "held_out_after_rms_mm": check.with_effects.rms_mm,
+            }
+            for check in self.checks
+        ]
+        return [plain(one) for one in (learnt, *tried)]
+
+    def to_json(self) -> str:
+        """``to_dict`` as JSON text."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> DiagnosisResult:
+        """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
+        try:
+            content = json.loads(text)
+        except ValueError as error:
+            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --out writes") from error
+        if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
+            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
+        motion, simulation = content.get("motion"), content.get("simulation")
+        try:
+            checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
+            match = None if simulation is None else ModelMatch.from_dict(simulation)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ConfigError(f"the checks of the diagnosis are damaged ({error}); diagnose the recording anew") from error
+        if "channels" in content["fit"]:
+            return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
+        return cls(
+            Diagnosis.from_json(content),
+            None if motion is None else MotionDiagnosis.from_json(motion),
+            checks=checks,
+            provenance=content.get("provenance"),
+            simulation=match,
+        )
+
+    def _drawable(self) -> tuple[Observations, dict[str, Any]]:
+        if self.observations is None:
+            raise ConfigError("there are no observations to draw; diagnose the recording anew")
+        return self.observations, self.pictures()
+
+    def _words_of_poses(self) -> str:
+        from mbcacq.diagnosis.output.text import words
+
+        return "" if self.poses is None else words(self.poses)
+
+    def __repr__(self) -> str:
+        return "\n".join(repr(found) for found in (self.poses, self.motion) if found is not None)
+
+    def _repr_html_(self) -> str:
+        return "".join(found._repr_html_() for found in (self.poses, self.motion) if found is not None)
