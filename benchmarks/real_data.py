@@ -1,4 +1,4 @@
-"""Real recordings: which physics geometry leaves out, one effect after another, on data that took no part.
+"""Real recordings: which physics geometry leaves out, one effect after another, on held-out data.
 
     python benchmarks/real_data.py [SET ...] [--data ../shared/data] [--out docs/data]
 
@@ -134,7 +134,7 @@ class Data:
     # Judging ----------------------------------------------------------------------------------------------------------
 
     def held_out(self, blocks, tests: list[np.ndarray]) -> np.ndarray:
-        """Residual (M, R) of every centre while its poses took no part; NaN where none of the tests covers it."""
+        """Residual (M, R) of every centre while its poses were held out; NaN where none of the tests covers it."""
         linear, pose = self.linear, self.obs.pose
         columns, sigma = linear.nuisance()
         X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)

@@ -1,6 +1,6 @@
-"""Learn here, check there: an arm with its effects on recordings that took no part.
+"""Learn here, check there: an arm with its effects on recordings that it was not fitted to.
 
-    python benchmarks/transfer.py [--data ../shared/data] [--poses 3000]
+    python benchmarks/transfer.py [--data ../shared/data] [--poses 1500] [--only ur10] [--write]
 
 UR10: learnt on one campaign, checked on the other, both ways (base, tool and stations of the other fitted). UR5: learnt on a 700-pose half
 of its grid, checked on the rest, and on the 20 poses that lie farthest from any learnt pose in the joints.
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 import mbcacq
-from mbcacq.calibration.transfer import Transfer, check_transfer
+from mbcacq.calibration.transfer import check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
@@ -42,39 +42,73 @@ def learnt(obs: Observations) -> tuple[mbcacq.Calibration, mbcacq.Calibration]:
     return calibrate_with_effects(obs, options, model), mbcacq.calibrate(obs, options)
 
 
-def tried(cell: mbcacq.Calibration, alone: mbcacq.Calibration, other: Observations, name: str) -> Transfer:
+def tried(cell: mbcacq.Calibration, alone: mbcacq.Calibration, other: Observations, name: str) -> str:
     """The figures on a recording, as one row."""
     found = check_transfer(replace(other, pose_id=other.pose_id + 10**6), cell, alone.state.chain)
     own = found.own_geometry.rms_mm if found.own_geometry else float("nan")
     error = found.normalised_error
-    print(
+    row = (
         f"| {name} | {own:.3f} | {found.geometry_alone.rms_mm:.3f} | {found.with_effects.rms_mm:.3f} | {error.rms:.2f} | "
-        f"{error.share_below_3:.1%} |",
-        flush=True,
+        f"{error.share_below_3:.1%} | {joints(cell)} |"
     )
-    return found
+    print(row, flush=True)
+    return row
+
+
+def joints(cell: mbcacq.Calibration) -> str:
+    """The joints that share a pattern of error, with their offsets."""
+    pattern = cell.extra.get("common_pattern")
+    if not pattern:
+        return "none"
+    each = zip(pattern["joints"], pattern["offset"], pattern["direction"], strict=True)
+    return ", ".join(f"A{j + 1} {np.degrees(o):.0f} deg{'' if d > 0 else ' mirrored'}" for j, o, d in each)
+
+
+def ur5(data: Path) -> list[str]:
+    """Learnt on a random half of the grid, checked on the rest, and on the poses farthest from any learnt one."""
+    grid = mbcacq.load_observations(data / "ur5-tracker")
+    half = np.zeros(grid.n_poses, bool)
+    half[np.random.default_rng(1).permutation(grid.n_poses)[:700]] = True
+    cell, alone = learnt(grid.select(half))
+    rows = [tried(cell, alone, grid.select(~half), "ur5-tracker, 700 poses -> 300")]
+    distance = KDTree(grid.q[half]).query(grid.q[~half])[0]
+    far = np.zeros(grid.n_poses, bool)
+    far[np.flatnonzero(~half)[np.argsort(-distance)[:OFF_GRID]]] = True
+    return [*rows, tried(cell, alone, grid.select(far), f"ur5-tracker -> the {OFF_GRID} farthest of these")]
+
+
+def ur10(data: Path, poses: int) -> list[str]:
+    """Each campaign checked by the other."""
+    campaigns = {name: some(mbcacq.load_observations(data / f"ur10-tracker-{name}"), poses) for name in "ac"}
+    rows = []
+    for here, there in (("a", "c"), ("c", "a")):
+        cell, alone = learnt(campaigns[here])
+        rows.append(tried(cell, alone, campaigns[there], f"ur10-tracker-{here} -> {there}"))
+    return rows
+
+
+HEADER = (
+    "| learnt -> checked | geometry fitted there mm | learnt geometry mm | with effects mm | error over uncertainty, rms | below 3 | one "
+    "pattern in |"
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--poses", type=int, default=3000)
+    parser.add_argument("--poses", type=int, default=1500)
+    parser.add_argument("--only", choices=("ur5", "ur10"))
+    parser.add_argument("--write", action="store_true", help="put the table into benchmarks/transfer.md")
     given = parser.parse_args()
-    print("| learnt -> checked | own geometry mm | learnt geometry mm | with effects mm | error over uncertainty | below 3 |")
-    print("|---|---|---|---|---|---|")
-    grid = mbcacq.load_observations(given.data / "ur5-tracker")
-    half = np.zeros(grid.n_poses, bool)
-    half[np.random.default_rng(1).permutation(grid.n_poses)[:700]] = True
-    cell, alone = learnt(grid.select(half))
-    tried(cell, alone, grid.select(~half), "ur5-tracker, 700 poses -> 300")
-    distance = KDTree(grid.q[half]).query(grid.q[~half])[0]
-    far = np.zeros(grid.n_poses, bool)
-    far[np.flatnonzero(~half)[np.argsort(-distance)[:OFF_GRID]]] = True
-    tried(cell, alone, grid.select(far), f"ur5-tracker -> the {OFF_GRID} farthest of these")
-    campaigns = {name: some(mbcacq.load_observations(given.data / f"ur10-tracker-{name}"), given.poses) for name in "ac"}
-    for here, there in (("a", "c"), ("c", "a")):
-        cell, alone = learnt(campaigns[here])
-        tried(cell, alone, campaigns[there], f"ur10-tracker-{here} -> {there}")
+    print(HEADER, "|---|---|---|---|---|---|---|", sep="\n", flush=True)
+    rows = ur5(given.data) if given.only != "ur10" else []
+    rows += ur10(given.data, given.poses) if given.only != "ur5" else []
+    if given.write:
+        page = Path(__file__).with_suffix(".md")
+        before, _, after = page.read_text(encoding="utf-8").partition("<!-- table -->\n")
+        after = after.partition("<!-- end -->\n")[2]
+        table = "\n".join([HEADER, "|---|---|---|---|---|---|---|", *rows])
+        page.write_text(f"{before}<!-- table -->\n{table}\n<!-- end -->\n{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

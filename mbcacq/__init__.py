@@ -9,6 +9,7 @@
     mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
     better = mbcacq.calibrate(data, effects=mbcacq.diagnose(data))   # the same cell with the effects that were found
     mbcacq.verify_elsewhere("another-day", better)        # that arm and its effects on another recording
+    mbcacq.calibrate_together(["monday", "friday"])       # one arm from several recordings
     mbcacq.compare(data)                                  # the methods of calibration on the same data
     found = mbcacq.diagnose(data)                         # found.verdict, found.effects, found.write_html("diagnosis.html")
     twin = mbcacq.simulate(plan, cell)                    # what that cell would record
@@ -31,17 +32,21 @@ if TYPE_CHECKING:
     from mbcacq.calibration.compare_methods import Comparison
     from mbcacq.calibration.result import Calibration
     from mbcacq.calibration.verification import Verification
+    from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.exports.folder import Targets
+    from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
+    from mbcacq.fleet.evaluation import FleetTask
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
-    from mbcacq.workflow.calibrate import calibrate, compare, verify, verify_elsewhere
+    from mbcacq.workflow.calibrate import calibrate, calibrate_together, compare, verify, verify_elsewhere
     from mbcacq.workflow.correct import correct
     from mbcacq.workflow.diagnose import DiagnosisResult, diagnose
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
     from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
+    from mbcacq.workflow.new_plan import new_plan
     from mbcacq.workflow.report import write_report
     from mbcacq.workflow.run import Operator, run
     from mbcacq.workflow.simulate import simulate
@@ -52,7 +57,10 @@ __all__ = [
     "CalibrationOptions",
     "Comparison",
     "DiagnosisResult",
+    "Fleet",
+    "FleetTask",
     "LoadedPlan",
+    "NewPlanOptions",
     "Observations",
     "Operator",
     "RunResult",
@@ -61,13 +69,16 @@ __all__ = [
     "Verification",
     "__version__",
     "calibrate",
+    "calibrate_together",
     "compare",
     "correct",
     "diagnose",
+    "evaluate_fleet",
     "export",
     "load_observations",
     "load_plan",
     "load_trajectories",
+    "new_plan",
     "run",
     "simulate",
     "verify",
@@ -80,17 +91,21 @@ _MODULES = {
     "calibration.compare_methods": ("Comparison",),
     "calibration.result": ("Calibration",),
     "calibration.verification": ("Verification",),
+    "design.new_plan": ("NewPlanOptions",),
     "estimation.options": ("CalibrationOptions",),
     "exports.folder": ("Targets",),
+    "fleet.evaluate": ("Fleet", "evaluate_fleet"),
+    "fleet.evaluation": ("FleetTask",),
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
-    "workflow.calibrate": ("calibrate", "compare", "verify", "verify_elsewhere"),
+    "workflow.calibrate": ("calibrate", "calibrate_together", "compare", "verify", "verify_elsewhere"),
     "workflow.correct": ("correct",),
     "workflow.diagnose": ("DiagnosisResult", "diagnose"),
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),
     "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
+    "workflow.new_plan": ("new_plan",),
     "workflow.report": ("write_report",),
     "workflow.run": ("Operator", "run"),
     "workflow.simulate": ("simulate",),

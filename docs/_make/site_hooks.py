@@ -1,4 +1,4 @@
-"""The site shows the pages of ``benchmarks/`` too, under the links that work in a checkout."""
+"""The site shows the pages of ``benchmarks/`` too, under the links that work in a checkout; its search works from a folder, offline."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
+SHIM = '<script src="https://unpkg.com/iframe-worker/shim"></script>'  # the theme's, fetched from outside
 LINK = re.compile(r"(\]\()((?:\.\./)+)(docs|benchmarks)/")
 
 
@@ -15,7 +16,22 @@ def on_files(files: Files, config) -> Files:
     """Add every page of benchmarks/ at the same place in the site."""
     for page in sorted(p for p in (ROOT / "benchmarks").iterdir() if p.suffix in (".md", ".svg")):
         files.append(File.generated(config, f"benchmarks/{page.name}", abs_src_path=str(page)))
+    files.append(File.generated(config, "assets/offline_search.js", abs_src_path=str(ROOT / "docs" / "_make" / "offline_search.js")))
     return files
+
+
+def on_post_page(output: str, page, config) -> str:
+    """Our own script in place of the theme's, which would be fetched from another host."""
+    return _with_own_script(output, "../" * (len(PurePosixPath(page.file.src_uri).parents) - 1))
+
+
+def on_post_template(output: str, template_name: str, config) -> str:
+    """The same for the page that says that there is no such page; it lies at the root."""
+    return _with_own_script(output, "/")
+
+
+def _with_own_script(output: str, root: str) -> str:
+    return output.replace(SHIM, f'<script src="{root}assets/offline_search.js"></script>')
 
 
 def on_page_markdown(markdown: str, page, config, files: Files) -> str:

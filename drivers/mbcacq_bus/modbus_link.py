@@ -58,7 +58,7 @@ class Connection(BusOptions):
 
 
 class ModbusLink:
-    """Reads and writes :class:`Register` values. Raises ConnectError, DeviceTimeout, DeviceFault, ProtocolError."""
+    """Reads and writes ``Register`` values. Raises ConnectError, DeviceTimeout, DeviceFault, ProtocolError."""
 
     def __init__(self, device: str, options: Connection) -> None:
         self._device, self._options = device, options

@@ -38,14 +38,14 @@ class EventBus:
                 raise failure
 
     def state(self, state: str) -> None:
-        """The run enters a state, see :class:`StateChanged`."""
+        """The run enters a state, see ``StateChanged``."""
         self.emit(StateChanged, state)
 
     def message(self, level: str, text: str) -> None:
-        """A sentence for the operator, see :class:`Message`."""
+        """A sentence for the operator, see ``Message``."""
         self.emit(Message, level, text)
 
     def gap(self, kind: str, text: str, pose: int | None = None) -> None:
-        """Something the recording lacks, see :class:`Gap`; a warning says the same."""
+        """Something the recording lacks, see ``Gap``; a warning says the same."""
         self.emit(Gap, kind, text, pose)
         self.message("warning", text)

@@ -48,7 +48,7 @@ class Runner:
 
     ``find_balls`` extracts the centres of a scan. ``confirm`` is asked once, with the measured joints, before anything moves; it raises
     to refuse. ``pause`` is asked before each pose. ``known``: station -> ball -> place (3,) mm in the base frame, as measured before a
-    resume. ``simulated``: the devices are fakes. ``plan_files``: see :class:`~mbcacq.acquisition.events.RunStarted`.
+    resume. ``simulated``: the devices are fakes. ``plan_files``: see ``mbcacq.acquisition.events.RunStarted``.
     """
 
     loaded: LoadedPlan

@@ -65,12 +65,11 @@ class ViewPrediction:
         T_base_flange = self._cell.robot.chain.flange(pose.q[None])[0]
         T_base_station = self._cell.station(pose.station).planned_pose
 
-        def at(x: np.ndarray) -> np.ndarray:
-            T_base_scanner = T_base_flange @ self._cell.T_flange_scanner @ se3.exp(x[:6])
-            return se3.apply(se3.inverse(T_base_scanner) @ T_base_station @ se3.exp(x[6:]), centres)
-
-        columns = [(at(state + STEP * unit) - at(state - STEP * unit)).reshape(-1) / (2 * STEP) for unit in np.eye(12)]
-        return at(state), np.stack(columns, axis=1)
+        beside = state + STEP * np.concatenate([np.zeros((1, 12)), np.eye(12), -np.eye(12)])  # all at once: a call costs more than its sums
+        T_base_scanner = T_base_flange @ self._cell.T_flange_scanner @ se3.exp(beside[:, :6])
+        T_scanner_artefact = se3.inverse(T_base_scanner) @ T_base_station @ se3.exp(beside[:, 6:])
+        seen = se3.apply(T_scanner_artefact[:, None], centres)
+        return seen[0], ((seen[1:13] - seen[13:]) / (2 * STEP)).reshape(12, -1).T
 
     def _measurement_covariance(self, expected: np.ndarray) -> np.ndarray:
         """(3 k, 3 k) mm^2: the arm moves all balls of a pose together, the rest moves each by itself."""

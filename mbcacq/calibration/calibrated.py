@@ -14,7 +14,7 @@ from mbcacq.model.observations import Observations
 
 
 class Calibrated(Protocol):
-    """A calibrated cell: :class:`mbcacq.calibration.result.Calibration` or :class:`mbcacq.calibration.calibrated_cell.CalibratedCell`.
+    """A calibrated cell: ``mbcacq.calibration.result.Calibration`` or ``mbcacq.calibration.calibrated_cell.CalibratedCell``.
 
     state: chain with its errors, T_flange_scanner (4, 4), stations, balls. preliminary: nominal arm, hand-eye fitted alone. layout: names
     and freedom of the parameters; covariance: (g, g) of the free ones, in the order of ``layout.names``. noise: of a centre and the joints.

@@ -21,7 +21,7 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True, repr=False)
 class CalibratedCell(CalibratedCellMethods):
-    """What :class:`mbcacq.calibration.calibrated.Calibrated` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
+    """What ``mbcacq.calibration.calibrated.Calibrated`` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
     those of ``state.balls`` (K, 3) mm. content: the whole of result.json, as it was read. effects: as terms of the cell, or None."""
 
     robot: str
@@ -55,21 +55,22 @@ class CalibratedCell(CalibratedCellMethods):
         return cls(robot, state, first, layout, covariance, noise, stations, tuple(b["id"] for b in content["balls"]), content, effects)
 
     @classmethod
-    def from_json(cls, source: str | Path) -> CalibratedCell:
-        """The cell of a result's JSON text, of a result.json, or of a run folder that holds one. Raises ConfigError."""
+    def from_json(cls, source: str | Path, *, any_of_them: bool = False) -> CalibratedCell:
+        """The cell of a result's JSON text, of a result.json, or of a run folder that holds one; of one of several recordings by its number
+        (``result.json#2``), or without where ``any_of_them`` will do, since they share the arm. Raises ConfigError."""
         if isinstance(source, str) and source.lstrip().startswith("{"):
             try:
                 return cls.from_dict(json.loads(source))
             except ValueError as error:
                 raise ConfigError(f"the calibration result is not JSON ({error}); give the content of a result.json") from error
-        return cls.from_dict(result_io.read_result(Path(source)))
+        return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them))
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json."""
         return self.content
 
     def to_json(self) -> str:
-        """:meth:`to_dict` as JSON text."""
+        """``to_dict`` as JSON text."""
         return json.dumps(self.content, indent=1)
 
     @property

@@ -47,7 +47,7 @@ class Rejected:
 
 @dataclass(frozen=True, repr=False)
 class CalibrationFit:
-    """A converged adjustment of the cell; :class:`mbcacq.calibration.result.Calibration` adds the way to JSON.
+    """A converged adjustment of the cell; ``mbcacq.calibration.result.Calibration`` adds the way to JSON.
 
     state: the calibrated cell; preliminary: nominal arm with the hand-eye fitted alone. names: (g,) free parameters; covariance: (g, g) of
     them (hand-eye as local twist mm, rad). station_covariance: (S, 6, 6) of the stations' local twists, zero where unused.

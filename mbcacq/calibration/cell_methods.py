@@ -23,5 +23,5 @@ class CalibratedCellMethods:
         return uncertainty.point_covariance(self, q, xyz, measuring=measuring)
 
     def verify(self: Calibrated, observations: Observations, *, limit_mm: float | None = None) -> Verification:
-        """Sphere spacing errors of a recording; see :func:`mbcacq.calibration.verification.verify`."""
+        """Sphere spacing errors of a recording; see ``mbcacq.calibration.verification.verify``."""
         return verify(observations, self, limit_mm=limit_mm)

@@ -62,7 +62,7 @@ class Comparison(Sequence[ComparisonRow]):
         return len(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, read back by :meth:`from_dict`."""
+        """JSON form, read back by ``from_dict``."""
         return {"format": FORMAT, "rows": [row.to_dict() for row in self.rows]}
 
     @classmethod
@@ -85,9 +85,17 @@ class Comparison(Sequence[ComparisonRow]):
         return notebook.table("Methods of calibration", header, rows)
 
 
-def compare(observations: Observations, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
+def compare(
+    observations: Observations,
+    methods: Iterable[str] | None = None,
+    *,
+    held_out: bool = True,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Comparison:
     """One row a method of :data:`mbcacq.calibration.methods.COMPARED_METHODS`, in that order; a method that these data do not determine has
-    the reason in place of figures. Raises CalibrationError where no method is determined: no station was seen from two postures."""
+    the reason in place of figures. progress: gets a sentence a method. Raises CalibrationError where no method is determined: no station
+    was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError(
@@ -95,7 +103,11 @@ def compare(observations: Observations, methods: Iterable[str] | None = None, *,
             "undetermined; nothing can be compared. Take several different poses at each station"
         )
     names = list(COMPARED_METHODS) if methods is None else list(methods)
-    return Comparison(tuple(_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed) for name in names))
+    rows = []
+    for number, name in enumerate(names, 1):
+        progress(f"{name}: method {number} of {len(names)}")
+        rows.append(_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed))
+    return Comparison(tuple(rows))
 
 
 def _row(

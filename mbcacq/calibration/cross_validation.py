@@ -1,4 +1,4 @@
-"""Accuracy on poses that took no part in the fit: the figure that judges a model.
+"""Accuracy on held-out poses: the figure that judges a model.
 
 'random' and 'block': stations keep their pose from the training poses; the figure is the 3D distance of measured and predicted centres.
 'station': a whole placement is left out. Its own pose is unknown and fitted to the held-out poses alone, the geometry fixed, so

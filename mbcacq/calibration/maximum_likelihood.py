@@ -49,8 +49,13 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     result = Calibration.of(
         obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found
     )
-    refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), obs, options)
+    refuse_unusable(result)
     return _with_joint_noise_check(result, fitted) if options.kinematics else result  # a nominal arm's errors are noise there
+
+
+def refuse_unusable(result: Calibration) -> None:
+    """Raise CalibrationError where everything is determined, but so poorly that the result would be of no use."""
+    refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), result.observations, result.options)
 
 
 def _with_joint_noise_check(result: Calibration, fitted: Adjustment) -> Calibration:

@@ -1,4 +1,4 @@
-"""Methods of calibration that are compared on the same data, each as a function from observations to a :class:`CellState`.
+"""Methods of calibration that are compared on the same data, each as a function from observations to a ``CellState``.
 
 Where a method does not apply to a recording, it raises CalibrationError with the reason.
 """
@@ -74,7 +74,7 @@ def opencv(name: str) -> Callable[[Observations], CellState]:
 
 
 def staged_method(pairs: str) -> Callable[[Observations], CellState]:
-    """The paper's method, with one of the readings of its distance constraint (:data:`mbcacq.estimation.options.PAIRS`)."""
+    """The paper's method, with one of the readings of its distance constraint (``mbcacq.estimation.options.PAIRS``)."""
     return lambda obs: calibrate(obs, CalibrationOptions(method="paper", pairs=pairs)).state
 
 

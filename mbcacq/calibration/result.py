@@ -31,14 +31,14 @@ class HasModel(Protocol):
 
 @dataclass(frozen=True, repr=False)
 class Calibration(CalibrationFit, CalibratedCellMethods):
-    """Result of :func:`mbcacq.calibrate`; its fields are those of :class:`mbcacq.calibration.calibration_fit.CalibrationFit`."""
+    """Result of ``mbcacq.calibrate``; its fields are those of ``mbcacq.calibration.calibration_fit.CalibrationFit``."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of result.json, format 'mbcacq-result/1'; see :mod:`mbcacq.calibration.result_io`."""
+        """The content of result.json, format 'mbcacq-result/1'; see ``mbcacq.calibration.result_io``."""
         return result_io.to_dict(self)
 
     def to_json(self) -> str:
-        """:meth:`to_dict` as JSON text."""
+        """``to_dict`` as JSON text."""
         return json.dumps(self.to_dict(), indent=1)
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> Calibration:
@@ -52,7 +52,7 @@ class Calibration(CalibrationFit, CalibratedCellMethods):
 
     @staticmethod
     def from_json(source: str | Path) -> CalibratedCell:
-        """The calibrated cell of a result, without the observations it came from; see :meth:`CalibratedCell.from_json`."""
+        """The calibrated cell of a result, without the observations it came from; see ``CalibratedCell.from_json``."""
         return CalibratedCell.from_json(source)
 
     def __repr__(self) -> str:

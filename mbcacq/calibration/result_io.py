@@ -15,6 +15,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.effects.effect_model import EffectModel
@@ -171,8 +172,10 @@ def noise_from_dict(found: Mapping[str, Any]) -> Noise:
     return Noise(point, joint, float(found["turn_rad"])) if "turn_rad" in found else Noise(point, joint)
 
 
-def read_result(path: Path) -> dict[str, Any]:
-    """The content of a result.json, given itself or by its run folder. Raises ConfigError."""
+def read_result(path: Path, *, any_of_them: bool = False) -> dict[str, Any]:
+    """The content of a result.json, given itself or by its run folder; of one of several recordings by its number (result.json#2), or
+    without a number where ``any_of_them`` will do. Raises ConfigError."""
+    path, number = split_number(path)
     file = path / "result.json" if path.is_dir() else path
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
@@ -180,6 +183,7 @@ def read_result(path: Path) -> dict[str, Any]:
         raise ConfigError(f"cannot read {file}: {error.strerror}; give the result.json of a calibration") from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{file} is not JSON ({error}); give the result.json of a calibration") from error
+    content = result_of_one(content, number, file, any_of_them=any_of_them)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ConfigError(f"{file} is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
     return content

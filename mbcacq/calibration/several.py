@@ -3,100 +3,255 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.calibration_fit import positive_inverse
+from mbcacq.calibration.maximum_likelihood import refuse_unusable
 from mbcacq.calibration.result import Calibration
-from mbcacq.errors import CalibrationError
-from mbcacq.estimation import parameters
-from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.calibration.with_effects import fitted_with_effects, refuse_other_arm
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import learnt_ranges
+from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation.adjustment import adjust
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.meta_analysis import random_effect
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.several_recordings import JointAdjustment, adjust_together
-from mbcacq.estimation.solver import Weights
+from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
+from mbcacq.estimation.several_recordings import JointProblem, joint_problem
+from mbcacq.estimation.solver import Weights, system
+from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.observations import Observations
 
+ON_THE_ARM = ("A", "link", "base")  # locations of effects that recordings of one arm share
 
-def calibrate_together(recordings: Sequence[Observations], options: CalibrationOptions | None = None) -> tuple[Calibration, ...]:
+
+@dataclass(frozen=True)
+class DayToDay:
+    """One coefficient of an effect in several recordings. name, where: of the effect; values, std: (R,), of each recording by itself, with
+    the geometry of all; common, common_std: what they have in common; between_std: standard deviation between recordings (restricted
+    maximum likelihood); p_value: of these values under no difference.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    coefficient: str
+    unit: str
+    values: tuple[float, ...]
+    std: tuple[float, ...]
+    common: float
+    common_std: float
+    between_std: float
+    p_value: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content."""
+        return asdict(self) | {key: list(getattr(self, key)) for key in ("where", "values", "std")}
+
+
+def calibrate_together(
+    recordings: Sequence[Observations], options: CalibrationOptions | None = None, effects: EffectModel | None = None, *, hold: bool = False
+) -> tuple[Calibration, ...]:
     """One calibration for each recording: all have the same arm and effects, with the covariance that all recordings together give them.
 
-    Base, tool, stations, artefacts and noise are each recording's own. Raises ConfigError where the recordings are not of one arm,
-    CalibrationError where one contradicts its cell.
+    Base, tool, stations, artefacts and noise are each recording's own. effects: terms of the arm, refitted to all recordings or, with
+    ``hold``, kept. A coefficient that differs between the recordings by more than they explain is a random effect: the common value is
+    reported, its variance is that of the common value and that between recordings together, as it holds on another day; 'day_to_day' of
+    ``extra`` has a ``DayToDay`` for each coefficient.
+
+    Raises ConfigError where the recordings are not of one arm, CalibrationError where one contradicts its cell.
     """
     options = options or CalibrationOptions()
+    if options.method != "ml":
+        raise ConfigError("several recordings are calibrated together by --method ml; give one recording to the staged method")
+    for one in recordings if effects else ():
+        assert effects is not None, "there are some"
+        refuse_other_arm(one, effects)
     try:
-        joint = adjust_together(recordings, options)
+        problem = joint_problem(recordings, options)
+        return _together(problem, options, effects, hold)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recordings contradict each other so much that no arm fits them ({error})") from error
-    return tuple(_calibration_of(joint, r, options) for r in range(len(joint.parts)))
 
 
-def _calibration_of(joint: JointAdjustment, r: int, options: CalibrationOptions) -> Calibration:
-    """The share of one recording in a joint adjustment."""
-    whole, part, together = joint.adjusted, joint.parts[r], joint.observations
+def _together(problem: JointProblem, options: CalibrationOptions, effects: EffectModel | None, hold: bool) -> tuple[Calibration, ...]:
+    together, several = problem.observations, len(problem.parts) > 1
+    found: list[DayToDay] = []
+
+    def fit(obs: Observations, asked: CalibrationOptions) -> Calibration:
+        """All recordings with the terms of some options, whose coefficients may differ from day to day."""
+        whole = _fitted(problem, asked)
+        if effects is None or not asked.terms or not several:
+            return whole
+        found[:] = day_to_day(whole, effects.parametric)
+        between = {d.coefficient: d.between_std for d in found if d.between_std > 0}
+        own = deviations(whole, between)
+        whole = _fitted(problem, replace(asked, terms=(*asked.terms, *own))) if own else whole
+        return replace(whole, covariance=whole.covariance + np.diag([between.get(name, 0.0) ** 2 for name in whole.names]))
+
+    if effects is None:
+        whole = fit(together, options)
+    else:
+        if not hold:
+            here = Covariates(together)
+            effects = replace(effects, terms=tuple(replace(t, ranges=learnt_ranges(here, t.parts)) for t in effects.terms))
+        whole = fitted_with_effects(together, options, effects, hold, fit)
+    if found:
+        whole = replace(whole, extra={**whole.extra, "day_to_day": [d.to_dict() for d in found]})
+    shares = tuple(_share(whole, problem, r, options) for r in range(len(problem.parts)))
+    refuse_unusable(shares[0])
+    return shares
+
+
+def _fitted(problem: JointProblem, options: CalibrationOptions) -> Calibration:
+    obs = problem.observations
+    options = replace(options, start=problem.start)
+    a = adjust(obs, options)
+    return Calibration.of(obs, options, a.lineariser, a.solution, a.noise, a.weights, a.preliminary, a.found)
+
+
+def day_to_day(whole: Calibration, model: EffectModel) -> list[DayToDay]:
+    """Each coefficient of the effects on the arm in every recording by itself, with the geometry of all, at a calibration of all."""
+    assert whole.observations.recording is not None, "asked of several recordings only"
+    known = {name: (t, t.units[j]) for t in model.terms if _differs(t) for j, name in enumerate(t.names)}
+    if not known:
+        return []
+    built, start = [], []
+    for t, values in zip(whole.options.terms, whole.coefficients, strict=True):
+        wanted = [j for j, name in enumerate(t.names) if name in known]
+        built += [_of_each_recording(whole.observations, t, j, np.inf) for j in wanted] if wanted else [t]
+        start += [np.full(whole.observations.n_recordings, values[j]) for j in wanted] if wanted else [values]
+    options = replace(whole.options, terms=tuple(built))
+    layout = _as_held(build(whole.observations, options), whole)
+    at = system(Lineariser(whole.observations, layout, options), Estimate(whole.state, tuple(start)), whole.noise, whole.weights)
+    scale = layout.gather("scale")
+    H = scale[:, None] * at.normal.information * scale
+    covariance = scale[:, None] * np.linalg.inv(H + 1e-14 * np.diag(H).max() * np.eye(len(H))) * scale
+    step = covariance @ at.normal.gradient
+    position = {name: j for j, name in enumerate(layout.names)}
+    out = []
+    for t, values in zip(built, start, strict=True):
+        name = t.name
+        if name in known:
+            index = [position[one] for one in t.names]
+            values, std = values + step[index], np.sqrt(np.diag(covariance)[index])
+            effect, unit = known[name]
+            found = random_effect(values, std)
+            each = tuple(values.tolist()), tuple(std.tolist())
+            out.append(DayToDay(effect.name, effect.where, name, unit, *each, **asdict(found)))
+    return out
+
+
+def deviations(whole: Calibration, between: dict[str, float]) -> list[Term]:
+    """What each recording adds to the common value of coefficients that differ by a standard deviation ``between``, by name."""
+    return [
+        replace(_of_each_recording(whole.observations, t, j, between[name]), name=f"{name} of each recording")
+        for t in whole.options.terms
+        for j, name in enumerate(t.names)
+        if name in between
+    ]
+
+
+def _differs(t: Any) -> bool:
+    return t.where[0].startswith(ON_THE_ARM) and not t.bound_to_recording
+
+
+def _of_each_recording(obs: Observations, t: Term, j: int, sigma: float) -> Term:
+    """Coefficient ``j`` of a term once for every recording."""
+    count = obs.n_recordings
+    assert obs.recording is not None, "asked of several recordings only"
+    here = (obs.recording[:, None] == np.arange(count)).astype(float)
+    parts = tuple(replace(p, basis=p.basis[:, j : j + 1] * (here if p.place in PER_POSE else here[obs.pose])) for p in t.parts)
+    names = tuple(f"{t.names[j]}@{r + 1}" for r in range(count))
+    return Term(t.names[j], parts, names, (t.units[j],) * count, np.full(count, sigma))
+
+
+def _as_held(layout: ParameterLayout, whole: Calibration) -> ParameterLayout:
+    """The layout with what a calibration holds held."""
+    for name, why in whole.held.items():
+        layout = layout if name in layout.held else layout.hold(name, why)
+    return layout
+
+
+def _share(whole: Calibration, problem: JointProblem, r: int, options: CalibrationOptions) -> Calibration:
+    """The share of one recording in a calibration of all."""
+    together, part = problem.observations, problem.parts[r]
     obs = part.lineariser.obs
     poses = np.flatnonzero(together.recording == r)
     centres = np.isin(together.pose, poses)
-    stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in joint.parts], r))
-    balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in joint.parts], r))
+    stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in problem.parts], r))
+    balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in problem.parts], r))
     state = replace(
         whole.state,
         T_flange_scanner=whole.state.T_flange_scanner[r],
         T_base_station=whole.state.T_base_station[stations],
         balls=whole.state.balls[balls],
     )
-    layout = parameters.build(obs, options)
-    for name, why in whole.lineariser.layout.held.items():
-        if name in layout.blocks[0].names and name not in layout.held:
-            layout = layout.hold(name, why)
-    index = _own_columns(whole, layout, r, balls)
-    normal, solution = whole.solution.normal, whole.solution
-    scale = whole.lineariser.layout.gather("scale")
-    covariance = scale[:, None] * positive_inverse(scale[:, None] * normal.information * scale) * scale
-    station_covariance = np.zeros((len(together.cell.stations), 6, 6))
-    station_covariance[whole.lineariser.rows.stations] = normal.station_covariance(covariance)
-    ratio = np.ones(3 + obs.cell.robot.n) if together.noise_scale is None else together.noise_scale[poses[0]]
-    residual = solution.linear.residual[centres]
-    whitened = whole.lineariser.rows.unpad(solution.X[..., -1:])[..., 0][centres]
+    kept = () if whole.effects is None else tuple(t.names for t in whole.effects.terms)
+    layout, index, coefficients = _own_layout(whole, build(obs, replace(options, hold=())), r, balls, kept)
     weights = Weights(whole.weights.centre[centres], whole.weights.pose[poses])
     used = (weights.centre > 0) & (weights.pose[obs.pose] > 0)
-    own = layout.size - int(layout.blocks[0].free.sum()) - sum(t.size for t in options.terms)
-    rank = own + int(np.sum(np.linalg.matrix_rank(station_covariance[stations]))) if len(used) else own
-    return Calibration(
-        obs,
-        options,
-        layout,
-        state,
-        part.preliminary,
-        solution.estimate.coefficients,
-        covariance[np.ix_(index, index)],
-        station_covariance[stations],
-        Noise(whole.noise.point * ratio[:3], whole.noise.joint * ratio[3:], whole.noise.turn),
-        weights,
-        residual,
-        whitened,
-        float(np.sum(whitened**2)),
-        max(int(used.sum()) * residual.shape[1] - rank, 0),
-        rank,
-        solution.iterations,
-        tuple(whole.found),
+    rank = layout.size - int(layout.blocks[0].free.sum()) - sum(len(names) for names in kept)
+    rank += int(np.sum(np.linalg.matrix_rank(whole.station_covariance[stations])))
+    whitened = whole.whitened[centres]
+    return replace(
+        whole,
+        observations=obs,
+        options=options,
+        layout=layout,
+        state=state,
+        preliminary=part.preliminary,
+        coefficients=coefficients,
+        covariance=whole.covariance[np.ix_(index, index)],
+        station_covariance=whole.station_covariance[stations],
+        noise=_own_noise(whole.noise, together, int(poses[0])),
+        weights=weights,
+        residual=whole.residual[centres],
+        whitened=whitened,
+        chi2=float(np.sum(whitened**2)),
+        dof=max(int(used.sum()) * whitened.shape[1] - rank, 0),
+        rank=rank,
+        rejected=(),
+        correlated=(),
     )
 
 
-def _own_columns(whole: Adjustment, layout: parameters.ParameterLayout, r: int, balls: slice) -> np.ndarray:
-    """(g,) indices into the joint parameters of those of recording ``r``, in the order of its own layout."""
-    blocks = whole.lineariser.layout.blocks
+def _own_noise(noise: Noise, together: Observations, pose: int) -> Noise:
+    if together.noise_scale is None:
+        return noise
+    ratio = together.noise_scale[pose]
+    return Noise(noise.point * ratio[:3], noise.joint * ratio[3:], noise.turn)
+
+
+def _own_layout(
+    whole: Calibration, own: ParameterLayout, r: int, balls: slice, kept: Sequence[tuple[str, ...]]
+) -> tuple[ParameterLayout, np.ndarray, tuple[np.ndarray, ...]]:
+    """The parameters of recording ``r`` as they were free with all, their (g,) indices there, and the coefficients of the effects kept."""
+    blocks = whole.layout.blocks
     position = np.cumsum(np.concatenate([b.free for b in blocks])) - 1
     start = np.cumsum([0] + [len(b.names) for b in blocks])
-    full = [
+    mine = [
         np.arange(start[0], start[1]),
         np.arange(start[1] + 6 * r, start[1] + 6 * r + 6),
         np.arange(start[2] + 3 * balls.start, start[2] + 3 * balls.stop),
-        *(np.arange(a, b) for a, b in zip(start[3:-1], start[4:], strict=True)),
     ]
-    free = [f[b.free] for f, b in zip(full, layout.blocks, strict=True)]
-    return position[np.concatenate(free)]
+    arm, mount, ball = own.blocks[:3]
+    free = np.concatenate([b.free for b in blocks])
+    prefix = f"hand_eye[{r + 1}]."
+    why = {name.replace(prefix, "hand_eye."): text for name, text in blocks[1].why.items() if name.startswith(prefix)}
+    mount = replace(mount, free=free[mine[1]], why=why | (mount.why if len(HAND_EYE) * 2 > len(blocks[1].names) else {}))
+    out = [blocks[0], mount, replace(ball, free=free[mine[2]])]
+    coefficients = []
+    for n, b in enumerate(blocks[3:], 3):
+        if b.names in kept:
+            out.append(b)
+            mine.append(np.arange(start[n], start[n + 1]))
+            coefficients.append(whole.coefficients[n - 3])
+    assert arm.names == blocks[0].names, "the recordings are of one arm"
+    chosen = np.concatenate(mine)
+    return ParameterLayout(tuple(out)), position[chosen[free[chosen]]], tuple(coefficients)
 
 
 def _range(counts: Sequence[int], r: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""A calibrated arm, with its effects, tried on a recording that took no part: another day, another placement of base and tool.
+"""A calibrated arm, with its effects, tried on a recording that it was not fitted to: another day, another placement of base and tool.
 
 The arm and its effects stay as they were learnt. What belongs to the other recording alone (base, tool, stations) is fitted to it, or
 nothing at all where its places are known.
@@ -85,7 +85,7 @@ class Transfer:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Transfer:
-        """The transfer that :meth:`to_dict` wrote. Raises KeyError or TypeError where it is damaged."""
+        """The transfer that ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
         own = content["own_geometry"]
         return cls(
             content["place"],
@@ -163,7 +163,7 @@ def check_transfer(
 
 @dataclass(frozen=True)
 class _PlacedFit:
-    """What is asked of a fit of a recording's own places; see :class:`mbcacq.calibration.calibration_fit.CalibrationFit`."""
+    """What is asked of a fit of a recording's own places; see ``mbcacq.calibration.calibration_fit.CalibrationFit``."""
 
     observations: Observations
     options: CalibrationOptions
@@ -269,10 +269,11 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
     shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(("hand_eye.", "ball_"))]
     index = [learnt[names[j]] for j in shared]
     own = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
-    N = np.concatenate([X[:, own], X[:, -7:-1]], axis=1) if len(np.unique(some.station)) == 1 else X[:, own]
     A = X[:, shared]
-    if fitted.options.hold == () and N.shape[1]:
-        A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0]
+    if fitted.options.hold == ():
+        station = np.repeat(some.station[some.pose], 3)
+        A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
+        A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
     C = cell.covariance[np.ix_(index, index)]
     A = A.reshape(-1, 3, len(shared))
     covariance = A @ C @ np.swapaxes(A, 1, 2)
@@ -283,6 +284,15 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
     r = fitted.residual[rows, :3]
     error = np.sqrt(np.einsum("mi,mij,mj->m", r, np.linalg.inv(covariance), r) / 3)[used[rows]]
     return NormalisedError(float(np.sqrt(np.mean(error**2))), float(np.quantile(error, 0.95)), float(np.mean(error < 3)))
+
+
+def _without_stations(X: np.ndarray, moved: np.ndarray, station: np.ndarray, split: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns X (R, g) less what the places of their own stations (R, 6) absorb, by station (R,); the first ``split``, and the rest."""
+    out = X.copy()
+    for s in np.unique(station):
+        rows = station == s
+        out[rows] -= moved[rows] @ np.linalg.lstsq(moved[rows], X[rows], rcond=1e-9)[0]
+    return out[:, :split], out[:, split:]
 
 
 def with_arm(obs: Observations, chain: Chain) -> Observations:

@@ -44,7 +44,7 @@ class VerifiedPair:
 @dataclass(frozen=True, repr=False)
 class Verification:
     """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
-    independent: none of the poses took part in the calibration; None: not known. figures: those of :func:`judge`, as dicts. common_mm:
+    independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts. common_mm:
     standard uncertainty of the mean signed error after, as far as it comes from the calibration and is common to all places."""
 
     places: tuple[VerifiedPair, ...]
@@ -108,7 +108,7 @@ def verify(
 ) -> Verification:
     """Evaluate every pair of balls of the verification poses (where no phases are recorded: of all two-ball artefacts).
 
-    With a :class:`CellState` instead of a calibration, ``before`` is the state to compare with (default: the same), and there is no
+    With a ``CellState`` instead of a calibration, ``before`` is the state to compare with (default: the same), and there is no
     expected uncertainty.
     """
     obs = verification_poses(observations)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import REFIT, Calibration
 from mbcacq.effects import unmodelled as groups
-from mbcacq.effects.common_pattern import Curve, find_common_pattern
+from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
@@ -41,6 +41,8 @@ class GroupSizeOptions:
 
 
 OPTIONS = GroupSizeOptions()
+PERIODIC = "gear_transmission_error"  # the effect that a group of a joint's own orders describes as well
+Fit = Callable[[Observations, CalibrationOptions], Calibration]
 
 
 def calibrate_with_effects(
@@ -49,46 +51,72 @@ def calibrate_with_effects(
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
     hold: the effects stay as they were learnt, the geometry alone is fitted. Raises ConfigError where the effects are of another arm, and
-    CalibrationError as :func:`mbcacq.calibration.maximum_likelihood.calibrate`.
+    CalibrationError as ``mbcacq.calibration.maximum_likelihood.calibrate``.
     """
     options = options or CalibrationOptions()
     if options.method != "ml":
         raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
     refuse_other_arm(observations, model)
-    obs = select_phases(observations, options)
-    alone = calibrate(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
+    return fitted_with_effects(select_phases(observations, options), options, model, hold, calibrate)
+
+
+def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:
+    """The observations calibrated with effects by ``fit``, which calibrates them under any options."""
+    alone = fit(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))
-        return _beside(alone, replace(calibrate(obs, replace(options, displaced=known)), effects=model))
+        return _beside(alone, replace(fit(obs, replace(options, displaced=known)), effects=model))
     parametric, unmodelled = model.parametric, model.select(lambda t: t.name == UNKNOWN)
-    fitted = calibrate(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
+    fitted = fit(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
     found = with_unmodelled(fitted, options, parametric, unmodelled)
-    shared = with_common_pattern(found, unmodelled)
-    if shared is not None:
-        found = with_unmodelled(fitted, options, parametric, shared)
+    pattern = common_pattern_of(found, fitted, options, unmodelled)
+    if pattern is not None:
+        # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
+        apart = parametric.select(lambda t: t.name != PERIODIC or joint_of(t) not in pattern.joints)
+        if len(apart.terms) < len(parametric.terms):
+            fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
+        found = with_unmodelled(fitted, options, apart, with_pattern(obs, unmodelled, pattern))
+        found = replace(found, extra={**found.extra, "common_pattern": asdict(pattern)})
     return _beside(alone, found)
 
 
-def with_common_pattern(found: Calibration, unmodelled: EffectModel) -> EffectModel | None:
-    """The groups with one pattern for the joints whose own errors are the same function of their angle, and small deviations of each from
-    it; None where there is no such pattern, where the recording is too short to tell, or where the groups have one.
+def common_pattern_of(
+    found: Calibration, fitted: Calibration, options: CalibrationOptions, unmodelled: EffectModel
+) -> CommonPattern | None:
+    """The pattern that joints share in their own errors, by its evidence in a recording that was calibrated with groups for them.
+
+    None where there is none, where the recording is too short to tell, or where the groups have one.
+
+    found: with the groups; fitted: without them.
     """
-    obs = found.observations
-    assert found.effects is not None, "the groups were fitted"
     known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
-    if known or obs.n_poses < groups.OPTIONS.many_poses:
+    own = [t for t in unmodelled.terms if own_joint(t) is not None and t.k == 2 * groups.OPTIONS.own_order]
+    if known or fitted.observations.n_poses < groups.OPTIONS.many_poses or len(own) < LEAST_JOINTS:
         return None
-    curves = {}
-    for t in found.effects.terms:
-        joint = own_joint(t)
-        if joint is not None and t.k == 2 * groups.OPTIONS.own_order:
-            orders = np.arange(1, groups.OPTIONS.own_order + 1)
-            curves[joint] = Curve.of(obs.q[:, joint], orders, t.coefficients[: len(orders)], t.coefficients[len(orders) :])
-    pattern = find_common_pattern(curves)
-    if pattern is None:
-        return None
+    others = tuple(t for t in fitted.options.terms if not t.name.startswith(f"{PERIODIC}:"))
+    start = tuple(np.zeros(t.size) for t in others)
+    bare = replace(fitted, options=replace(fitted.options, terms=others), coefficients=start)
+    stage = _Stage.first(bare, options, unmodelled)
+    assert found.effects is not None, "the groups were fitted"
+    size = {t.key: t.sigma for t in found.effects.terms if t.name == UNKNOWN}
+    normal = stage.system(found.noise).normal
+    layout = stage.layout
+    position = {name: j for j, name in enumerate(layout.names)}
+    index = {joint_of(t): np.array([position[name] for name in t.names]) for t in own}
+    sigma = {joint_of(t): size.get(t.key, OPTIONS.least_before_last * t.sigma) for t in own}
+    weight = layout.gather("sigma") ** -2.0
+    information = normal.information.copy()
+    for columns in index.values():
+        information[columns, columns] -= weight[columns]
+    shape = groups.pattern_sigma()
+    largest = max(float(np.max(one / shape)) for one in sigma.values())
+    return find_common_pattern(OwnErrors(information, normal.gradient, index, sigma, shape * largest, groups.open_deviation_sigma()))
+
+
+def with_pattern(obs: Observations, unmodelled: EffectModel, pattern: CommonPattern) -> EffectModel:
+    """The groups with one pattern for the joints that share it, and small deviations of each from it."""
     here = Covariates(obs)
     shared = groups.common_pattern(here, pattern.offset, pattern.direction, pattern.joints)
     others = [t for t in unmodelled.terms if own_joint(t) not in pattern.joints]
@@ -99,7 +127,13 @@ def own_joint(t: EffectTerm) -> int | None:
     """The joint of which a group is the own error, by its own angle; None for another group."""
     if t.name != UNKNOWN or t.variant or len(t.where) != 1 or t.depends_on != f"q{t.where[0][1:]}" or t.where[0][0] != "A":
         return None
-    return int(t.where[0][1:]) - 1
+    return joint_of(t)
+
+
+def joint_of(t: EffectTerm) -> int:
+    """The index of the joint at which an effect acts; -1 for another location."""
+    place = t.where[0]
+    return int(place[1:]) - 1 if place[0] == "A" and place[1:].isdigit() else -1
 
 
 def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
@@ -120,11 +154,13 @@ def refuse_other_arm(obs: Observations, model: EffectModel) -> None:
 
 
 def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:
-    """The model with the coefficients of a calibration, whose terms it has, in their order."""
+    """The model with the coefficients of a calibration that has its terms."""
     std = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
-    position = {name: j for j, name in enumerate(fitted.names)}
-    deviations = [np.array([std[position[name]] if name in position else 0.0 for name in t.names]) for t in model.terms]
-    return model.with_coefficients(fitted.coefficients, deviations)
+    free = {name: float(std[j]) for j, name in enumerate(fitted.names)}
+    blocks = fitted.layout.blocks[len(fitted.layout.blocks) - len(fitted.coefficients) :]
+    value = {name: float(v) for b, c in zip(blocks, fitted.coefficients, strict=True) for name, v in zip(b.names, c, strict=True)}
+    coefficients = [np.array([value[name] for name in t.names]) for t in model.terms]
+    return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 
 def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> Calibration:
@@ -134,7 +170,7 @@ def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric
     parametric effects free; groups that the data do not ask for are dropped.
     """
     prior = noise_prior(fitted.cell, options.noise)
-    stage = _Stage.first(fitted, options, parametric, unmodelled)
+    stage = _Stage.first(fitted, options, unmodelled)
     noise, at = fitted.noise, stage.system(fitted.noise)
     for turn in range(OPTIONS.turns):
         stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
@@ -165,10 +201,10 @@ class _Stage:
     estimate: Estimate
 
     @classmethod
-    def first(cls, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
+    def first(cls, fitted: Calibration, options: CalibrationOptions, unmodelled: EffectModel) -> _Stage:
         obs, groups = fitted.observations, unmodelled.terms
         start = Estimate(fitted.state, (*fitted.coefficients, *(np.zeros(g.k) for g in groups)))
-        return cls(fitted, options, (*parametric.at(obs), *unmodelled.at(obs)), groups, np.ones(len(groups)), start)
+        return cls(fitted, options, (*fitted.options.terms, *unmodelled.at(obs)), groups, np.ones(len(groups)), start)
 
     @property
     def named(self) -> tuple[Term, ...]:
@@ -248,7 +284,7 @@ def group_scales(information: np.ndarray, right: np.ndarray, first: int, several
 
 def given_size(t: EffectTerm) -> bool:
     """Whether a group's prior size is physical, and not estimated."""
-    return t.units[0] in OPTIONS.fixed_units or t.variant == groups.DEVIATION
+    return t.units[0] in OPTIONS.fixed_units
 
 
 def fixed_point(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], start: np.ndarray, fixed: np.ndarray) -> np.ndarray:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 
+if TYPE_CHECKING:
+    from mbcacq.estimation.options import ArmPrior
+
 
 @click.command("calibrate")
-@click.argument("data", type=RunPath())
+@click.argument("data", nargs=-1, required=True, type=RunPath())
 @click.option(
     "--method",
     type=click.Choice(["ml", "paper"]),
@@ -56,12 +60,18 @@ from mbcacq.cli.terminal import echo
     help="Fit the effects of this diagnosis (or result.json) with everything else (repeatable).",
 )
 @click.option("--hold-effects", is_flag=True, help="With --effects: keep their coefficients as they are.")
+@click.option(
+    "--prior",
+    type=click.Path(path_type=Path),
+    metavar="FLEET",
+    help="Take what other arms of this type were like as prior: a folder or table of mbcacq fleet.",
+)
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 def command(
-    data: Path,
+    data: tuple[Path, ...],
     method: str,
     pairs: str,
     held_out: str | None,
@@ -77,6 +87,7 @@ def command(
     even_if_undetermined: bool,
     effects: tuple[Path, ...],
     hold_effects: bool,
+    prior: Path | None,
     with_map: bool,
     l_curve: Path | None,
     out: Path | None,
@@ -84,15 +95,18 @@ def command(
 ) -> None:
     """Calibrate the cell from DATA: a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set.
 
+    Several recordings of one arm are calibrated together: arm and effects are shared; base, tool, stations, artefacts and noise are not.
+
     \b
     Examples:
       mbcacq calibrate latest
+      mbcacq calibrate runs/monday runs/friday --effects diagnosis.json --out arm.json
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
       mbcacq calibrate latest --effects diagnosis.json --out result.json
     """
     import mbcacq
     from mbcacq.errors import ConfigError
-    from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve
+    from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve, joint_content
 
     options = mbcacq.CalibrationOptions(
         method=method,
@@ -104,12 +118,21 @@ def command(
         noise=noise,
         robust=not keep_outliers,
         refuse=not even_if_undetermined,
+        priors=learnt_priors(prior),
     )
     split = HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
     if hold_effects and not effects:
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
-    result = calibration_content(data, options, held_out=split, with_map=with_map, **known)
+    first, *others = data
+    if others and (split or with_map or l_curve):
+        raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
+    with StepProgress() as progress:
+        progress("reading the recording and calibrating")
+        if others:
+            result = joint_content(data, options, **known)
+        else:
+            result = calibration_content(first, options, held_out=split, with_map=with_map, **known)
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:
@@ -120,12 +143,42 @@ def command(
         result["files"] = {"result": str(out)}
     if as_json:
         echo(json.dumps(result))
+    elif others:
+        print_joint_result(result)
     else:
         print_result(result)
 
 
-def print_result(result: dict[str, Any]) -> None:
-    """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout."""
+def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:
+    """What a fleet says about the next arm; nothing where there is none."""
+    if fleet is None:
+        return ()
+    from mbcacq.fleet.arm_prior import read_priors
+
+    return read_priors(fleet)
+
+
+def print_joint_result(joint: dict[str, Any]) -> None:
+    """Show a joint result: the arm and its effects once, then what belongs to each recording."""
+    from mbcacq.cli import tables
+
+    console = terminal_console(highlight=False, soft_wrap=True)
+    first = joint["recordings"][0]["result"]
+    if tables.identifies_arm(first):
+        console.print(tables.parameters(first))
+    for line in [*tables.effects(first), *tables.day_to_day(joint)]:
+        console.print(line, markup=False)
+    for number, one in enumerate(joint["recordings"], 1):
+        console.print(f"\nRecording {number}: {one['name']}", markup=False)
+        shown = {key: value for key, value in one["result"].items() if key != "effects"}
+        print_result(shown, arm=False)
+    for name, path in (joint.get("files") or {}).items():
+        console.print(f"{name}: {path}", soft_wrap=True)
+
+
+def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
+    """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout, with
+    the table of the arm or without."""
 
     from mbcacq.calibration.caveats import caveats
     from mbcacq.cli import tables
@@ -133,7 +186,7 @@ def print_result(result: dict[str, Any]) -> None:
     console = terminal_console(highlight=False, soft_wrap=True)
     for sentence in caveats(result):
         console.print(f"*** {sentence} ***", markup=False)
-    if tables.identifies_arm(result):
+    if arm and tables.identifies_arm(result):
         console.print(tables.parameters(result))
     console.print(tables.hand_eye(result))
     for line in [*tables.effects(result), *tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:

@@ -7,8 +7,20 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
+
+# Headings of the table where they differ from the keys of its rows: broken so that all ten fit 80 columns.
+SHORT = {
+    "challenges": "tried",
+    "that count": "that\ncount",
+    "and placed": "and\nplaced",
+    "share of achievable": "of what is\nachievable",
+    "parameters within 3 sigma": "within\n3 sigma",
+    "confidently wrong": "surely\nwrong",
+    "false alarms": "false\nalarms",
+}
 
 
 @click.command("challenge")
@@ -64,7 +76,7 @@ def command(
     """
     import numpy as np
 
-    from mbcacq.challenge.run import take_all
+    from mbcacq.challenge.run import Outcome, take_all
     from mbcacq.challenge.scenarios import draw, kinds
     from mbcacq.challenge.table import line, summary
     from mbcacq.errors import ConfigError
@@ -76,14 +88,19 @@ def command(
     order = np.random.default_rng([seed, 21]).permutation(len(wanted))
     scenarios = draw(seed, count, [wanted[i] for i in order], outliers, missing)
 
-    outcomes = take_all(
-        plan or shipped.folder() / "seeing.yaml",
-        scenarios,
-        protocols,
-        out,
-        jobs,
-        lambda o: echo(f"{o.scenario.number:4}  {line(o.score)}  {o.seconds:.1f} s", err=True),
-    )
+    with StepProgress() as progress:
+        done = 0
+
+        def report(outcome: Outcome) -> None:
+            nonlocal done
+            done += 1
+            progress.clear()
+            echo(f"{outcome.scenario.number:4}  {line(outcome.score)}  {outcome.seconds:.1f} s", err=True)
+            if done < count:
+                progress.begin(f"challenge {done + 1} of {count}")
+
+        progress.begin(f"challenge 1 of {count}")
+        outcomes = take_all(plan or shipped.folder() / "seeing.yaml", scenarios, protocols, out, jobs, report)
     rows = summary([o.score for o in outcomes])
     if as_json:
         echo(json.dumps({"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}))
@@ -92,14 +109,14 @@ def command(
 
 
 def print_table(rows: list[dict]) -> None:
+    from rich import box
     from rich.table import Table
 
     from mbcacq.challenge.table import COLUMNS, cells
 
-    table = Table()
+    table = Table(box=box.HORIZONTALS, padding=(0, 0), pad_edge=False, collapse_padding=True)
     for i, name in enumerate(COLUMNS):
-        table.add_column(name, justify="left" if i == 0 else "right")
+        table.add_column(SHORT.get(name, name), justify="left" if i == 0 else "right", min_width=12 if i == 0 else None)
     for entry in rows:
-        table.add_row(*cells(entry))
-    console = terminal_console()
-    (console if console.is_terminal else terminal_console(width=160)).print(table)
+        table.add_row(entry["kind"].replace("_", " "), *cells(entry)[1:])
+    terminal_console().print(table)

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 
@@ -28,20 +29,23 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
     """
     import mbcacq
 
-    rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed)
+    with StepProgress() as progress:
+        progress("reading the recording")
+        rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed, progress=progress)
     if as_json:
         echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
         return
     from rich.table import Table
 
     table = Table(title=f"{data} (mm)", title_justify="left")
-    for name in ("method", "fit rms", "bar mean", "bar max", "held-out rms", "time s"):
-        table.add_column(name, justify="left" if name == "method" else "right", no_wrap=True)
+    table.add_column("method")  # a long name takes two lines, so that all fits 80 columns
+    for name in ("fit rms", "bar mean", "bar max", "held-out", "time s"):
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         values = (row.fit_mm, row.bar_mean_mm, row.bar_max_mm, row.held_out_mm)
         shown = [f"{v:.4f}" if v is not None else "-" for v in values]
         table.add_row(row.method, *shown, f"{row.time_s:.2f}" if row.time_s is not None else "-")
-    console = terminal_console(highlight=False, width=max(terminal_console().width, 96))
+    console = terminal_console(highlight=False)
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)

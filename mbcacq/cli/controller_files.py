@@ -14,7 +14,7 @@ from mbcacq.cli.terminal import echo
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
 @click.option("--replace", is_flag=True, help="Write over files that are there already.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
     """Write the programs and configuration files for the robot's controller, with PLAN's addresses, limits and tool data.
 

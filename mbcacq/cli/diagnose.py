@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
     import mbcacq
@@ -16,14 +18,8 @@ if TYPE_CHECKING:
 
 @click.command(name="diagnose")
 @click.argument("data", nargs=-1, required=True, type=RunPath())
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
-    is_flag=False,
-    flag_value="-",
-    help="Write the diagnosis as JSON to a file; without a file name, print it on stdout instead of the text.",
-)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the diagnosis to this JSON file.")
+@click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as one JSON object on stdout.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
@@ -45,9 +41,19 @@ if TYPE_CHECKING:
     "with-effects of the run, or of the current folder.",
 )
 @click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
+@click.option(
+    "--simulation",
+    multiple=True,
+    type=click.Path(path_type=Path, exists=True),
+    metavar="SIMULATED",
+    help="Compare with this instead of the built-in model: another simulator's set for the same poses or motion (one for each recording), "
+    "or a model file that MuJoCo runs (MJCF, URDF).",
+)
+@click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
     data: tuple[Path, ...],
-    json_file: Path | None,
+    out: Path | None,
+    as_json: bool,
     report: Path | None,
     rrd: Path | None,
     workers: int | None,
@@ -57,6 +63,8 @@ def command(
     check: tuple[Path, ...],
     with_found: bool,
     place: str,
+    simulation: tuple[Path, ...],
+    write_model: Path | None,
 ) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
@@ -66,32 +74,52 @@ def command(
     Examples:
       mbcacq diagnose latest --calibrate
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
-      mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --json diagnosis.json
+      mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
+      mbcacq diagnose motion1 motion2 --simulation arm.xml --check motion3 --write-model found.xml
     """
     import mbcacq
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    found = mbcacq.diagnose(
-        data, progress=lambda text: echo(f"{text} ...", err=True), workers=workers, options=options, check=check, place=place
-    )
-    if found.poses is not None:
-        if report is not None:
-            found.write_html(report)
-        if rrd is not None:
-            found.write_rrd(rrd)
-        if is_run_folder(data[0]):
-            found.keep(data[0])
-    as_json = found.to_json()
-    calibrated = with_effects(data, found, options) if with_found else []
-    if json_file is not None and str(json_file) == "-":
-        echo(as_json)
+    with StepProgress() as progress:
+        progress("reading the recording")
+        found = mbcacq.diagnose(
+            data, progress=progress, workers=workers, options=options, check=check, place=place, simulation=simulation or None
+        )
+        if write_model is not None:
+            write_matched_model(found, write_model)
+        if found.poses is not None:
+            progress("writing the pictures")
+            write_pictures(found, report, rrd)
+            if is_run_folder(data[0]) and not simulation:
+                found.keep(data[0])
+        calibrated = with_effects(data, found, options) if with_found else []
+    if out is not None:
+        try:
+            out.write_text(found.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
+    if as_json:
+        echo(found.to_json())
         return
-    if json_file is not None:
-        json_file.write_text(as_json + "\n", encoding="utf-8")
     echo(found.text)
     for line in calibrated:
         echo(line)
+
+
+def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:
+    """The model file of ``--simulation`` with what was found. Raises ConfigError where there was none."""
+    if found.simulation is None:
+        raise ConfigError("there is no model to write: --write-model needs a model file in --simulation")
+    found.simulation.write(file)
+
+
+def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path | None) -> None:
+    """The page and the recording that were asked for."""
+    if report is not None:
+        found.write_html(report)
+    if rrd is not None:
+        found.write_rrd(rrd)
 
 
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:

@@ -6,11 +6,16 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
+
+if TYPE_CHECKING:
+    from mbcacq.doctor import CheckupLine
 
 COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
 DEVICES = ("robot", "scanner", "positioner", "sensor", "devices")
@@ -39,15 +44,22 @@ def command(plan: Path | None, arm: bool, as_json: bool) -> None:
 
         loaded = load(plan)
     found = []
-    for line in checkup(loaded, arm):
-        found.append(line)
-        if not as_json:
-            colour = False if os.environ.get("NO_COLOR") else None
-            echo(f"  {line.topic}: {line.text}", label=(f"{line.level:7}", COLOURS[line.level]), color=colour)
-            if line.cure:
-                echo(f"         -> {line.cure}")
+    with StepProgress() as progress:
+        for line in checkup(loaded, arm, progress):
+            found.append(line)
+            if not as_json:
+                progress.clear()
+                print_line(line)
     wrong = [line for line in found if line.level == "error"]
     if as_json:
         echo(json.dumps({"format": "mbcacq-doctor/1", "errors": len(wrong), "lines": [line.to_dict() for line in found]}))
     if wrong:
         sys.exit(ExitCode.UNREACHABLE if any(line.topic.startswith(DEVICES) for line in wrong) else ExitCode.USAGE)
+
+
+def print_line(line: CheckupLine) -> None:
+    """One line, and its cure below it."""
+    colour = False if os.environ.get("NO_COLOR") else None
+    echo(f"  {line.topic}: {line.text}", label=(f"{line.level:7}", COLOURS[line.level]), color=colour)
+    if line.cure:
+        echo(f"         -> {line.cure}")

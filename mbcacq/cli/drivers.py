@@ -10,7 +10,7 @@ from mbcacq.cli.terminal import echo
 
 
 @click.command("drivers")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(as_json: bool) -> None:
     """List the installed drivers: kind, name, the package each comes from, whether it can be used, whether it was tried on hardware."""
     from mbcacq.devices.installed import survey

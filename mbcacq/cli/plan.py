@@ -45,9 +45,10 @@ def new(
     \b
     Example: mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact my_balls.yaml --out plan.yaml
     """
-    from mbcacq.design.new_plan import NewPlan, write_new_plan
+    from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.errors import ConfigError
     from mbcacq.model import shipped
+    from mbcacq.workflow.new_plan import new_plan
 
     wanted: dict[str, str] = {}
     for kind, given in (("robots", robot), ("scanners", scanner), ("artefacts", artefact)):
@@ -55,12 +56,10 @@ def new(
             raise ConfigError(f"which of the {kind}? say --{kind[:-1]} NAME or FILE")
         choices = ", ".join(p.stem for p in sorted((shipped.folder() / kind).glob("*.yaml")))
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
-    if out.exists() and not force:
-        raise ConfigError(f"{out} exists already; give another --out, or --force to replace it")
-    files = {kind: shipped.named_file(kind, name) for kind, name in wanted.items()}
-    request = NewPlan(files["robots"], files["scanners"], files["artefacts"], out, driver, stations, count, seed)
-    for sentence in write_new_plan(request, lambda text: echo(text, err=True)):
-        echo(sentence)
+    options = NewPlanOptions(driver, stations, count, seed)
+    new_plan(
+        wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=lambda text: echo(text, err=True)
+    )
 
 
 @command.command("show")

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -29,7 +30,8 @@ def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) ->
     """
     import mbcacq
 
-    path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=lambda text: echo(f"{text} ...", err=True))
+    with StepProgress() as progress:
+        path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=progress)
     if as_json:
         echo(json.dumps({"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}))
     else:

@@ -23,7 +23,7 @@ def parameters(result: dict[str, Any]) -> Table:
 
 
 def effects(result: dict[str, Any]) -> list[str]:
-    """What the arm does beyond its geometry: the coefficients of each effect, and the groups of what has no name."""
+    """What the arm does beyond its geometry: the coefficients of each effect, and the groups of the unmodelled effects."""
     terms = (result.get("effects") or {}).get("terms", ())
     if not terms:
         return []
@@ -38,6 +38,19 @@ def effects(result: dict[str, Any]) -> list[str]:
         count = sum(len(t["names"]) for t in unknown)
         places = ", ".join(dict.fromkeys("+".join(t["where"]) for t in unknown))
         out.append(f"  unknown: {len(unknown)} groups of {count} basis functions at {places}")
+    return out
+
+
+def day_to_day(joint: dict[str, Any]) -> list[str]:
+    """Each coefficient of the effects in several recordings: what it has in common, and what differs from day to day."""
+    out = ["From day to day (common value; standard deviation between recordings; value in each):"] if joint.get("day_to_day") else []
+    for d in joint.get("day_to_day") or ():
+        each = ", ".join(f"{v:.4g} +- {s:.2g}" for v, s in zip(d["values"], d["std"], strict=True))
+        differs = f"differs by {d['between_std']:.2g}" if d["between_std"] > 0 else "does not differ"
+        out.append(
+            f"  {d['name']} at {', '.join(d['where'])}: {d['common']:.4g} +- {d['common_std']:.2g} {d['unit']}, {differs} "
+            f"(p = {d['p_value']:.1g}); {each}"
+        )
     return out
 
 

@@ -1,4 +1,4 @@
-"""``mbcacq verify``: a calibrated arm, with its effects, tried on a recording that took no part."""
+"""``mbcacq verify``: a calibrated arm, with its effects, tried on a recording that it was not fitted to."""
 
 from __future__ import annotations
 

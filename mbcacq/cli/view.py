@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -39,10 +40,13 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     end_in_order_on_signals("the viewer")
     sources = open_viewer.files(run)
     if screenshot is None:
+        echo("opening the viewer; close its window to end", err=True)
         open_viewer.view(sources)
         return
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):
         raise ConfigError(f"--size {size}: give width and height between 200 and 8000, such as 1600x1000")
-    for picture in open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose):
+    with StepProgress() as progress:
+        pictures = open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose, progress)
+    for picture in pictures:
         echo(str(picture))

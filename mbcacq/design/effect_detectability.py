@@ -88,7 +88,7 @@ def detectability(
 
 def _projected(problem: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[float, float, np.ndarray]:
     """An effect at its usual size with the geometry refitted: what remains (in standard deviations), the share absorbed, and the effect as
-    one row (rows + z,) under the metric of :func:`_inner`.
+    one row (rows + z,) under the metric of ``_inner``.
 
     Of several coefficients the least visible one counts, the others being free.
     """

@@ -40,17 +40,25 @@ ROUNDS = 8  # of leaving out what the checks of a plan refuse
 
 
 @dataclass(frozen=True)
+class NewPlanOptions:
+    """driver: of the robot; None is ``kuka_rsi`` for a KUKA KR, else ``simulated``. stations, poses: how many to calibrate with.
+    seed: of the views to choose from."""
+
+    driver: str | None = None
+    stations: int = 6
+    poses: int = 36
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class NewPlan:
-    """What a plan is to be made of. driver: of the robot, None for the usual one. stations, poses: how many to calibrate with."""
+    """The files that a plan is to be made of, and the file that it is written to."""
 
     robot: Path
     scanner: Path
     artefact: Path
     out: Path
-    driver: str | None = None
-    stations: int = 6
-    poses: int = 36
-    seed: int = 0
+    options: NewPlanOptions = NewPlanOptions()
 
 
 def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda text: None) -> Iterator[str]:
@@ -66,20 +74,20 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     head = _head(request, spec, artefact, names)
     progress("looking for places that the arm reaches and the scanner sees")
     draft = load(request.out, _text(head, _places(spec), artefact.id, _placeholder("c1")))
-    found = candidates(draft, [s.id for s in draft.cell.stations], 38.0, request.seed, DesignOptions(views_per_station=VIEWS_TRIED))
-    chosen = _spread(draft, found, request.stations + VERIFICATION_VIEWS)
+    found = candidates(draft, [s.id for s in draft.cell.stations], 38.0, request.options.seed, DesignOptions(views_per_station=VIEWS_TRIED))
+    chosen = _spread(draft, found, request.options.stations + VERIFICATION_VIEWS)
     if len(chosen) < 2:
         raise ConfigError(
             f"{request.robot}: only {len(chosen)} of {len(draft.cell.stations)} places tried can be seen well enough; check hand_eye, "
             "the scanner's housing (body_mm) and the arm's limits"
         )
-    kept, apart = chosen[: request.stations], chosen[request.stations :] or chosen[-1:]
+    kept, apart = chosen[: request.options.stations], chosen[request.options.stations :] or chosen[-1:]
     places = [replace_id(draft, station, f"p{k}") for k, station in enumerate(kept, 1)]
     places += [replace_id(draft, station, f"v{k}") for k, station in enumerate(apart, 1)]
     steps = _steps([v for v in found if v.station == kept[0]], [f"p{k + 1}" for k in range(len(kept))], len(apart))
     loaded = load(request.out, _text(head, places, artefact.id, steps))
-    progress(f"choosing {request.poses} views at {len(kept)} stations by what they tell")
-    result = design(loaded, request.poses, criterion="A", steepest_deg=38.0, seed=request.seed)
+    progress(f"choosing {request.options.poses} views at {len(kept)} stations by what they tell")
+    result = design(loaded, request.options.poses, criterion="A", steepest_deg=38.0, seed=request.options.seed)
     loaded, left_out = _without_errors(load(request.out, result.text), progress)
     _write(request.out, loaded.text, names)
     poses = expand_reachable(loaded)[0]
@@ -123,7 +131,7 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
                 f"{target} exists and differs from the tool's own {path.name}; rename it, or give it by --robot or --artefact"
             )
     kuka = spec.name.startswith("KUKA KR ")
-    driver = request.driver or ("kuka_rsi" if kuka else "simulated")
+    driver = request.options.driver or ("kuka_rsi" if kuka else "simulated")
     robot: dict[str, Any] = {"driver": driver, "model": names[request.robot]}
     if driver == "kuka_rsi":
         robot["options"] = {"bind": "127.0.0.1", "port": 49152}

@@ -2,7 +2,7 @@
 
 A driver is any class with these few methods, registered under one of the entry-point groups ``mbcacq.robots``,
 ``mbcacq.scanners``, ``mbcacq.positioners``, ``mbcacq.sensors``. It is constructed as ``Driver(name, model, options)``
-(see :func:`create`) and must not open anything before ``connect``. All calls are synchronous; ``stop`` may come from
+(see ``create``) and must not open anything before ``connect``. All calls are synchronous; ``stop`` may come from
 another thread at any time, any number of times.
 
 Units: mm, rad, s unless a field says otherwise. A driver imports this package and nothing else of mbcacq.

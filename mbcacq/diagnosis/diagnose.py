@@ -16,6 +16,7 @@ from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
+from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import WEAK, conclude
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
@@ -35,7 +36,7 @@ def diagnose(
 
     recordings: one, or several of one arm, which share the arm and its effects and keep their own base, tool, stations and noise.
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
-    options: of the adjustment, as :func:`mbcacq.calibrate` takes them; the same poses, noise and geometry come out.
+    options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out.
     Raises CalibrationError where the data do not even determine the geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
@@ -43,7 +44,8 @@ def diagnose(
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        return _diagnose(recordings, folds, progress, workers, options_for(first, options or CalibrationOptions()))
+        with WorkerPool(1 if poses >= OPTIONS.many_poses else workers) as pool:
+            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()))
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
@@ -51,7 +53,7 @@ def diagnose(
 
 
 def _diagnose(
-    recordings: Observations | Sequence[Observations], folds: int | None, progress: Progress, workers: int, options: CalibrationOptions
+    recordings: Observations | Sequence[Observations], folds: int | None, progress: Progress, pool: WorkerPool, options: CalibrationOptions
 ) -> Diagnosis:
     progress("fitting the geometry")
     problem = readmit_outliers(prepare(recordings, options))
@@ -61,10 +63,8 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
-    progress("proving on data left out")
-    if obs.n_poses >= OPTIONS.many_poses:
-        workers = 1  # each would need as much memory as all of them in turn
-    validation = cross_validate(problem, full, folds or usual_folds(obs, full), workers)
+    validation = cross_validate(problem, full, folds or usual_folds(obs, full), pool, progress)
+    progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = conclude(problem, full, validation)
     return replace(result, notes=(*result.notes, *notes))
 

@@ -84,14 +84,14 @@ class FitFigures:
 
 @dataclass(frozen=True)
 class HeldOutFigures(FitFigures):
-    """The same figures on data that took no part in any choice or fit. split: ``station`` or ``block``, what was left out at a time."""
+    """The same figures on held-out data: in no choice and no fit. split: ``station`` or ``block``, what was left out at a time."""
 
     split: str
 
 
 @dataclass(frozen=True)
 class FitSummary:
-    """repeatability_floor_mm: 3D rms that the estimated noise alone makes at one centre."""
+    """repeatability_floor_mm: 3D rms expected at one centre from the estimated noise alone."""
 
     train: FitFigures
     held_out: HeldOutFigures
@@ -194,7 +194,7 @@ class Diagnosis:
         try:
             return _read_diagnosis(content)
         except KeyError as error:
-            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --json") from error
+            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --out FILE") from error
 
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"

@@ -90,7 +90,7 @@ def _judged_by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation
 
 @dataclass(frozen=True)
 class _Judged:
-    """What is reported of a fit. predictive: whether the model predicts data that took no part better than the geometry alone does."""
+    """What is reported of a fit. predictive: whether the model predicts held-out data better than the geometry alone does."""
 
     verdict: str
     mismatch: list[MismatchEntry]
@@ -101,7 +101,7 @@ class _Judged:
 
 
 def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
-    # Groups that act at every location could do what parametric effects do: they take no part in the contributions then.
+    # Groups that act at every location could do what parametric effects do: they are left out of the contributions then.
     contributions = Contributions(full if full.cells else replace(full, smooth=None))
     verdict, mismatch = verdict_of(full), mismatch_table(full, contributions, before)
     geometry_alone, with_effects = proof.decisive
@@ -137,7 +137,7 @@ def _figures(before: PredictiveScore, after: PredictiveScore) -> tuple[float, fl
 
 
 def expected_rms(full: ModelFit, fallback: float) -> float:
-    """3D rms (mm) that the estimated noise alone makes at one centre; fallback: where no centre was kept."""
+    """3D rms (mm) expected at one centre from the estimated noise alone; fallback: where no centre was kept."""
     linear, noise = full.geometry_only.linear, full.noise
     joint = np.sum((linear.joint_columns[:, :3] * noise.joint) ** 2, axis=(1, 2))
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback

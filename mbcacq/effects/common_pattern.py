@@ -2,6 +2,10 @@
 
 Absolute encoders of one make carry the same scale. Its errors then repeat in every joint, from another zero and, where an encoder is
 mounted the other way round, in the other direction. Angles that one joint never visited are known from another.
+
+Joints are compared by their evidence in the normal equations of the recording: each order of a joint's own error is a random effect, and
+the Bayes factor says by how much its measurements are more probable if that error is the pattern plus a small deviation than if it is one
+of its own, for every offset and direction. What other joints, the geometry and gravity could explain instead is integrated out.
 """
 
 from __future__ import annotations
@@ -11,103 +15,168 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STEP = 720  # values over a turn
-LEAST_OVERLAP = 80  # of them, that two curves must share: 40 deg
-BANDWIDTH = 25  # orders that the errors of encoders take up: two independent values a period
-LEAST_DEVIATE = 4.5  # normal deviate of a correlation (Fisher), from which two curves are one: 15 pairs at 1440 positions are tried
+STEPS = 240  # offsets over a turn that are compared: 1.5 deg, a tenth of a period at order 25
+FINE = np.radians(np.arange(-2.0, 2.01, 0.25))  # rad, about the best of them
+NEAR = np.radians(4.0)  # offsets that far apart are one
+LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
+LEAST_OF_FURTHER = 0.0  # once LEAST_JOINTS share a pattern, another one does so as likely as not
+LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3
-SLOWEST = 5  # orders below are not compared: geometry and gravity take them up
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Own error of a joint at STEP angles over a turn, from order SLOWEST on; visited: (STEP,) bool, angles near which poses are."""
-
-    values: np.ndarray
-    visited: np.ndarray
-
-    @classmethod
-    def of(cls, q: np.ndarray, orders: np.ndarray, sines: np.ndarray, cosines: np.ndarray) -> Curve:
-        """From the joint's angles q (P,) rad and the coefficients of its orders (K,)."""
-        angle = 2 * np.pi * np.arange(STEP) / STEP
-        fast = orders >= SLOWEST
-        phase = np.outer(angle, orders[fast])
-        values = np.sin(phase) @ sines[fast] + np.cos(phase) @ cosines[fast]
-        turned = np.sort(np.mod(q, 2 * np.pi))
-        near = np.radians(1.0)
-        count = np.searchsorted(turned, angle + near) - np.searchsorted(turned, angle - near)
-        return cls(values, count > 3)
-
-    def seen(self) -> np.ndarray:
-        """(STEP,) values, NaN where no pose is near."""
-        return np.where(self.visited, self.values, np.nan)
+MOST_STARTS = 2  # joints from which a pattern is sought
 
 
 @dataclass(frozen=True)
 class CommonPattern:
-    """joints: indices; offset: rad, direction: +1 or -1 of each. Joint i errs by direction_i f(direction_i q - offset_i)."""
+    """joints: indices; offset: rad, direction: +1 or -1 of each. Joint i errs by direction_i f(direction_i q - offset_i).
+    log_bayes_factor: of this against an error of its own in each joint."""
 
     joints: tuple[int, ...]
     offset: tuple[float, ...]
     direction: tuple[int, ...]
+    log_bayes_factor: float
 
 
-def find_common_pattern(curves: Mapping[int, Curve]) -> CommonPattern | None:
+@dataclass(frozen=True)
+class OwnErrors:
+    """The joints' own errors in the normal equations of a recording.
+
+    information (g, g), right (g,): with the priors of everything but the own errors. index: joint -> (2 K,) columns of its sines
+    and cosines of orders 1 to K; sigma: joint -> (2 K,) prior of an error of its own. pattern, deviation: (2 K,) prior of a common
+    pattern and of what a joint differs from it by; both are the same for the sine and the cosine of an order.
+    """
+
+    information: np.ndarray
+    right: np.ndarray
+    index: Mapping[int, np.ndarray]
+    sigma: Mapping[int, np.ndarray]
+    pattern: np.ndarray
+    deviation: np.ndarray
+
+    def determined(self, joint: int) -> float:
+        """How much the recording says of a joint's own error: the logarithm by which its uncertainty shrinks."""
+        own, sigma = self.index[joint], self.sigma[joint]
+        return float(np.linalg.slogdet(np.eye(len(own)) + sigma[:, None] * self.information[np.ix_(own, own)] * sigma)[1])
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where a joint lies under the pattern. log_bayes_factor: averaged over all offsets and directions; certain: probability of this."""
+
+    offset: float
+    direction: int
+    log_bayes_factor: float
+    certain: float
+
+
+def find_common_pattern(errors: OwnErrors) -> CommonPattern | None:
     """The pattern that most joints share; None where fewer than LEAST_JOINTS do."""
-    seen = {i: c.seen() for i, c in curves.items() if c.visited.sum() >= LEAST_OVERLAP and np.ptp(c.values) > 0}
-    pairs = [(*best_alignment(seen[i], seen[j]), i, j) for i in seen for j in seen if j > i]
-    if not pairs:
+    if len(errors.index) < LEAST_JOINTS:
         return None
-    deviate, _, _, first, _ = max(pairs)
-    if deviate < LEAST_DEVIATE:
-        return None
-    aligned = {first: (0, 1, seen[first])}
-    while len(aligned) < len(seen):
-        pattern = _mean([curve for *_, curve in aligned.values()])
-        candidates = [(*best_alignment(pattern, seen[j]), j) for j in seen if j not in aligned]
-        deviate, shift, direction, joint = max(candidates)
-        if deviate < LEAST_DEVIATE:
+    for anchor in sorted(errors.index, key=errors.determined, reverse=True)[:MOST_STARTS]:
+        found = _grown(errors, anchor)
+        if len(found) >= LEAST_JOINTS:
+            joints = tuple(sorted(found))
+            offsets = tuple(float(np.mod(found[i].offset, 2 * np.pi)) for i in joints)
+            directions = tuple(found[i].direction for i in joints)
+            return CommonPattern(joints, offsets, directions, sum(a.log_bayes_factor for a in found.values()))
+    return None
+
+
+def _grown(errors: OwnErrors, anchor: int) -> dict[int, Alignment]:
+    """Joints that follow the pattern of ``anchor``: the most probable one at a time, offsets refined when all are together."""
+    found = {anchor: Alignment(0.0, 1, 0.0, 1.0)}
+    while left := [j for j in errors.index if j not in found]:
+        tried = {j: best_alignment(errors, found, j) for j in left}
+        least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else LEAST_OF_FURTHER
+        good = {j: a for j, a in tried.items() if a.log_bayes_factor > least and a.certain > LEAST_CERTAIN}
+        if not good:
             break
-        aligned[joint] = (shift, direction, turned(seen[joint], shift, direction))
-    if len(aligned) < LEAST_JOINTS:
-        return None
-    joints = tuple(sorted(aligned))
-    offsets, directions = [], []
-    for i in joints:
-        shift, direction, _ = aligned[i]
-        # pattern[k] = direction * curve[direction * (k - shift)], so the joint errs by direction f(direction q + shift).
-        offsets.append(float(np.mod(-2 * np.pi * shift / STEP, 2 * np.pi)))
-        directions.append(direction)
-    return CommonPattern(joints, tuple(offsets), tuple(directions))
+        best = max(good, key=lambda j: good[j].log_bayes_factor)
+        found[best] = good[best]
+    for j in [j for j in found if j != anchor]:
+        others = {i: a for i, a in found.items() if i != j}
+        fine = found[j].offset + FINE
+        gain = log_bayes_factors(errors, others, j, fine, found[j].direction)
+        found[j] = Alignment(float(fine[int(np.argmax(gain))]), found[j].direction, found[j].log_bayes_factor, found[j].certain)
+    return found
 
 
-def turned(curve: np.ndarray, shift: float, direction: int) -> np.ndarray:
-    """direction * curve(direction * (angle - shift)) at the STEP angles."""
-    k = np.arange(STEP)
-    return direction * curve[np.mod(direction * (k - int(shift)), STEP)]
+def best_alignment(errors: OwnErrors, found: Mapping[int, Alignment], joint: int) -> Alignment:
+    """The most probable offset and direction of a joint under the pattern of others."""
+    offsets = 2 * np.pi * np.arange(STEPS) / STEPS
+    gain = np.stack([log_bayes_factors(errors, found, joint, offsets, direction) for direction in (1, -1)])
+    top = float(gain.max())
+    weight = np.exp(gain - top)
+    which, at = (int(i) for i in np.unravel_index(int(np.argmax(gain)), gain.shape))
+    near = np.abs(np.angle(np.exp(1j * (offsets - offsets[at])))) < NEAR
+    return Alignment(
+        float(offsets[at]), (1, -1)[which], top + float(np.log(weight.mean())), float(weight[which][near].sum() / weight.sum())
+    )
 
 
-def best_alignment(pattern: np.ndarray, curve: np.ndarray) -> tuple[float, int, int]:
-    """(normal deviate of the correlation, shift, direction) of the best position of a curve under a pattern; NaN is not seen."""
-    best = (-np.inf, 0, 1)
-    known = np.isfinite(pattern)
-    for direction in (1, -1):
-        for shift in range(STEP):
-            other = turned(curve, shift, direction)
-            both = known & np.isfinite(other)
-            count = int(both.sum())
-            if count < LEAST_OVERLAP:
-                continue
-            a, b = pattern[both] - pattern[both].mean(), other[both] - other[both].mean()
-            r = float(a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300))
-            independent = 2 * BANDWIDTH * count / STEP
-            deviate = float(np.arctanh(min(r, 0.999999)) * np.sqrt(max(independent - 3, 0.0)))
-            best = max(best, (deviate, shift, direction))
-    return best
+def log_bayes_factors(errors: OwnErrors, found: Mapping[int, Alignment], joint: int, offsets: np.ndarray, direction: int) -> np.ndarray:
+    """(G,) logarithm of the Bayes factor of a joint that follows the pattern of ``found``, at each offset (G,) rad, against an error of
+    its own."""
+    S, b, keep = _with_pattern(errors, found, joint)
+    k2 = len(errors.pattern)
+    rest = np.setdiff1d(np.arange(len(b)), keep)
+    scale = 1 / np.sqrt(np.diag(S)[rest])
+    root = np.linalg.cholesky(scale[:, None] * S[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
+    taken = np.linalg.solve(root, scale[:, None] * np.c_[S[np.ix_(rest, keep)], b[rest]])
+    J = S[np.ix_(keep, keep)] - taken[:, :-1].T @ taken[:, :-1]
+    h = b[keep] - taken[:, :-1].T @ taken[:, -1]
+    A, B, C, hp, hv = J[:k2, :k2], J[:k2, k2:], J[k2:, k2:], h[:k2], h[k2:]
+    own = J.copy()
+    own[k2:, k2:] += np.diag(errors.sigma[joint] ** -2.0)
+    separate = log_evidence(own[None], h[None], np.concatenate([errors.pattern, errors.sigma[joint]]))[0]
+    # The deviation, whose prior is the same for sine and cosine and does not turn with them, is integrated out once for all offsets.
+    D = np.linalg.inv(C + np.diag(errors.deviation**-2.0))
+    constant = 0.5 * hv @ D @ hv + 0.5 * np.linalg.slogdet(D)[1] - np.log(errors.deviation).sum()
+    C, B, A, hv, hp = C - C @ D @ C, B - B @ D @ C, A - B @ D @ B.T, hv - C @ D @ hv, hp - B @ D @ hv
+    c, s = _phases(offsets, k2 // 2)
+    cross = _turned(np.swapaxes(_turned(C[None], c, s, direction), 1, 2), c, s, direction)
+    mixed = _turned(B.T[None], c, s, direction)
+    information = A + cross + mixed + np.swapaxes(mixed, 1, 2)
+    right = hp + _turned(hv[None, :, None], c, s, direction)[..., 0]
+    return log_evidence(information, right, errors.pattern) + constant - separate
 
 
-def _mean(curves: list[np.ndarray]) -> np.ndarray:
-    """Mean of curves over what is seen of them."""
-    stack = np.stack(curves)
-    count = np.isfinite(stack).sum(axis=0)
-    return np.where(count > 0, np.nansum(stack, axis=0) / np.maximum(count, 1), np.nan)
+def log_evidence(information: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """(G,) logarithm of the integral over k coefficients; information (G, k, k) with their prior of standard deviation sigma (k,)."""
+    root = np.linalg.cholesky(sigma[:, None] * information * sigma)
+    x = np.linalg.solve(root, (sigma * right)[..., None])[..., 0]
+    return 0.5 * np.sum(x**2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+
+
+def turning(order: np.ndarray, offset: float, direction: int) -> np.ndarray:
+    """(2 K, 2 K) the sines and cosines of a joint from those of the pattern at orders (K,)."""
+    c, s = np.diag(np.cos(order * offset)), np.diag(np.sin(order * offset))
+    return np.block([[c, s], [-direction * s, direction * c]])
+
+
+def _with_pattern(errors: OwnErrors, found: Mapping[int, Alignment], joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal equations with a pattern as further columns, priors included but that of ``joint``; and the columns of pattern and joint."""
+    g, k2 = len(errors.right), len(errors.pattern)
+    order = np.arange(1, k2 // 2 + 1)
+    M = np.eye(g, g + k2)
+    weight = np.concatenate([np.zeros(g), errors.pattern**-2.0])
+    for i, index in errors.index.items():
+        if i in found:
+            M[index, g:] = turning(order, found[i].offset, found[i].direction)
+        if i != joint:
+            weight[index] = (errors.deviation if i in found else errors.sigma[i]) ** -2.0
+    S = M.T @ errors.information @ M + np.diag(weight)
+    return S, M.T @ errors.right, np.concatenate([np.arange(g, g + k2), errors.index[joint]])
+
+
+def _phases(offsets: np.ndarray, orders: int) -> tuple[np.ndarray, np.ndarray]:
+    """(G, K, 1) cosines and sines of the orders at the offsets."""
+    phase = np.outer(offsets, np.arange(1, orders + 1))[..., None]
+    return np.cos(phase), np.sin(phase)
+
+
+def _turned(X: np.ndarray, c: np.ndarray, s: np.ndarray, direction: int) -> np.ndarray:
+    """(G, 2 K, m) the transposed turning matrix at every offset times X (1 or G, 2 K, m)."""
+    K = c.shape[1]
+    a, b = X[:, :K], X[:, K:]
+    return np.concatenate([c * a - direction * s * b, s * a + direction * c * b], axis=1)

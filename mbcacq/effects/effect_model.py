@@ -154,7 +154,7 @@ class EffectModel:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> EffectModel:
-        """The model that :meth:`to_dict` wrote. Raises ConfigError where it is none, or damaged."""
+        """The model that ``to_dict`` wrote. Raises ConfigError where it is none, or damaged."""
         if not isinstance(content, Mapping) or content.get("format") != FORMAT:
             raise ConfigError(f"this is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
         try:

@@ -94,7 +94,7 @@ class LearntRecording:
 class EffectTerm:
     """A parametric effect, or a group of basis functions of an unmodelled one, with its coefficients.
 
-    name, where, depends_on, variant: as of the :class:`mbcacq.effects.effect.Candidate`; name is 'unknown' for an unmodelled effect.
+    name, where, depends_on, variant: as of the ``mbcacq.effects.effect.Candidate``; name is 'unknown' for an unmodelled effect.
     hyper: name of the hyper-parameter -> value, kept when the effect is refitted. parts: what is displaced, as functions of covariates.
     names, units: of the k coefficients. coefficients (k,), std (k,), typical size (k,); sigma (k,): prior standard deviation about zero,
     inf for none.
@@ -195,7 +195,7 @@ class EffectTerm:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> EffectTerm:
-        """The term that :meth:`to_dict` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
+        """The term that ``to_dict`` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
         k = len(content["names"])
         arrays = {key: np.array(content[key], dtype=float).reshape(k) for key in ("coefficients", "std", "typical")}
         sigma = np.array([np.inf if s is None else float(s) for s in content["sigma"]]).reshape(k)

@@ -57,7 +57,7 @@ ZERO: Column = ()
 
 @dataclass(frozen=True)
 class DescribedPart:
-    """A :class:`mbcacq.estimation.terms.Part` whose basis is written down: one column for each coefficient of the effect."""
+    """A ``mbcacq.estimation.terms.Part`` whose basis is written down: one column for each coefficient of the effect."""
 
     place: str
     index: int
@@ -124,7 +124,7 @@ def column_to_json(column: Column) -> list[dict[str, Any]]:
 
 
 def column_from_json(content: list[Mapping[str, Any]]) -> Column:
-    """The column that :func:`column_to_json` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
+    """The column that ``column_to_json`` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
     return tuple(Product(float(product["factor"]), tuple(_function(f) for f in product["functions"])) for product in content)
 
 

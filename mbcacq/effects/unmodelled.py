@@ -32,7 +32,8 @@ class UnmodelledOptions:
     compliance_rad_per_Nm: float = 4.5e-5  # thirty times a typical gearbox's: no joint is softer
     tilt_rad_per_Nm: float = 3e-6  # of a link or a pedestal
     slow_deviation_rad: float = 3e-5  # orders 1 and 2 of a joint beside a common pattern: a typical error of a gear
-    deviation_rad: float = 3e-6  # of each further order: a larger one would take the place of the pattern (ur10-tracker-a, -c)
+    open_deviation_rad: float = 1e-4  # of orders below ``slow_order`` while a pattern is sought: an axis' eccentricity is that large
+    deviation_rad: float = 1e-5  # of each further order; the size of both together is estimated for each joint
 
 
 OPTIONS = UnmodelledOptions()
@@ -88,15 +89,31 @@ def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequenc
     where = tuple(f"A{i + 1}" for i in joints)
     hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
     hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
-    return _term(here, (where, f"q{joints[0] + 1}"), parts, np.tile(order_weight(orders), 2), "rad", (), COMMON_PATTERN, hyper)
+    return _term(here, (where, f"q{joints[0] + 1}"), parts, pattern_sigma(), "rad", (), COMMON_PATTERN, hyper)
 
 
 def deviation(here: Covariates, joint: int) -> EffectTerm:
     """What a joint's own error differs from a common pattern by."""
     orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{joint + 1}"
-    sigma = np.tile(np.where(orders <= 2, OPTIONS.slow_deviation_rad, OPTIONS.deviation_rad), 2)
     part = DescribedPart("joint", joint, 0, (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders)))
-    return _term(here, ((f"A{joint + 1}",), name), [part], sigma, "rad", (), DEVIATION)
+    return _term(here, ((f"A{joint + 1}",), name), [part], deviation_sigma(), "rad", (), DEVIATION)
+
+
+def pattern_sigma() -> np.ndarray:
+    """(2 K,) rad prior of the sines and cosines of a common pattern."""
+    return 1e-3 * np.tile(order_weight(np.arange(1, OPTIONS.own_order + 1).astype(float)), 2)
+
+
+def deviation_sigma() -> np.ndarray:
+    """(2 K,) rad prior of what the sines and cosines of a joint's own error differ from a common pattern by."""
+    orders = np.arange(1, OPTIONS.own_order + 1)
+    return np.tile(np.where(orders <= 2, OPTIONS.slow_deviation_rad, OPTIONS.deviation_rad), 2)
+
+
+def open_deviation_sigma() -> np.ndarray:
+    """(2 K,) rad deviations while a pattern is sought: what geometry and gravity trade with (slow orders) must not speak against it."""
+    slow = np.tile(np.arange(1, OPTIONS.own_order + 1) < OPTIONS.slow_order, 2)
+    return np.where(slow, OPTIONS.open_deviation_rad, deviation_sigma())
 
 
 def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:

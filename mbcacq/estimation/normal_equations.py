@@ -41,7 +41,7 @@ class Normal:
     """
 
     def __init__(self, rows: PoseRows, X: np.ndarray, prior: Prior):
-        """X: whitened (P, B R, g + 7), as in :class:`mbcacq.estimation.linearization.Linearization`."""
+        """X: whitened (P, B R, g + 7), as in ``mbcacq.estimation.linearization.Linearization``."""
         self.rows, self.size = rows, X.shape[2] - 7
         g = self.size
         flat = X.reshape(-1, g + 7)

@@ -16,8 +16,20 @@ PAIRS = ("one", "four", "all")
 
 
 @dataclass(frozen=True)
+class ArmPrior:
+    """What other arms of one type say about the next one. robot: name of the type; nominal (n, 5): its MD-H rows in mm and rad; mean,
+    sigma (n, 5): normal prior of the errors (value minus nominal), sigma inf where nothing was learnt; arms: how many were learnt from."""
+
+    robot: str
+    nominal: np.ndarray
+    mean: np.ndarray
+    sigma: np.ndarray
+    arms: int
+
+
+@dataclass(frozen=True)
 class CalibrationOptions:
-    """How :func:`mbcacq.calibration.maximum_likelihood` works.
+    """How ``mbcacq.calibration.maximum_likelihood`` works.
 
     method: 'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage).
     pairs: which balls enter the distance constraint of method 'paper': 'one' pair, as printed; all pairs of the 'four' balls that make the
@@ -31,6 +43,7 @@ class CalibrationOptions:
     robust: reject gross outliers (centres and poses).
     terms: effects to estimate with everything else. displaced: effects that are known, with their coefficients.
     start: state to start from, instead of a closed form.
+    priors: what other arms say about this one; that of its type is used.
     refuse: raise CalibrationError where the data leave undetermined what another recording could determine; otherwise such parameters
     are held, and named.
     """
@@ -48,6 +61,7 @@ class CalibrationOptions:
     displaced: tuple[tuple[Term, np.ndarray], ...] = ()
     start: CellState | None = None
     refuse: bool = True
+    priors: tuple[ArmPrior, ...] = ()
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.options import ArmPrior, CalibrationOptions
 from mbcacq.estimation.terms import Term
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
@@ -28,7 +28,7 @@ PLAUSIBLE_HAND_EYE = np.array([30.0, 30.0, 30.0, 0.2, 0.2, 0.2])
 @dataclass(frozen=True)
 class ParameterBlock:
     """k parameters of one kind. names, units: (k,); free: (k,) bool; sigma: (k,) prior about ``centre``, inf = none; scale: (k,) plausible
-    size; why: reason of each held one."""
+    size; why: reason of each held one; centre: (k,) of the prior of the errors, None: zero."""
 
     name: str
     names: tuple[str, ...]
@@ -37,6 +37,7 @@ class ParameterBlock:
     sigma: np.ndarray
     scale: np.ndarray
     why: dict[str, str] = field(default_factory=dict)
+    centre: np.ndarray | None = None
 
     def hold(self, index: int, why: str) -> ParameterBlock:
         free = self.free.copy()
@@ -123,7 +124,22 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     free = np.array([name not in why for name in names])
     scale = np.tile([PLAUSIBLE[p] for p in PARAMETERS], n)
     units = ("rad", "mm", "mm", "rad", "rad") * n
-    return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
+    prior = arm_prior(cell, options)
+    if prior is None:
+        return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
+    return ParameterBlock("chain", names, units, free, prior.sigma.reshape(-1), scale, why, prior.mean.reshape(-1))
+
+
+def arm_prior(cell: Cell, options: CalibrationOptions) -> ArmPrior | None:
+    """The prior of the cell's type of arm; None where none was asked for. Raises ConfigError where there is none of this type."""
+    if not options.priors:
+        return None
+    rows = cell.robot.chain.rows
+    for prior in options.priors:
+        if prior.nominal.shape == rows.shape and np.allclose(prior.nominal, rows, rtol=0, atol=1e-9):
+            return prior
+    known = ", ".join(sorted({prior.robot for prior in options.priors}))
+    raise ConfigError(f"the prior knows no arm with the nominal geometry of '{cell.robot.name}' (it knows {known}); leave --prior out")
 
 
 def _hand_eye(obs: Observations) -> ParameterBlock:

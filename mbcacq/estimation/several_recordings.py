@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,6 +22,9 @@ OPTIONAL = ("phase", "time_s", "direction", "torque", "current", "velocity", "n_
 BALL_STEP = 1000  # certificate numbers of the second recording begin here, those of the third at twice this
 
 
+OF_ONE = re.compile(r"hand_eye\[\d+\]|@\d+")  # in names that stand in the common problem only
+
+
 @dataclass(frozen=True)
 class JointAdjustment:
     """observations: all recordings as one. adjusted: their common adjustment. parts: each recording by itself, as it was fitted alone."""
@@ -30,17 +34,31 @@ class JointAdjustment:
     parts: tuple[Adjustment, ...]
 
 
-def adjust_together(recordings: Sequence[Observations], options: CalibrationOptions) -> JointAdjustment:
-    """One adjustment of several recordings; each is adjusted alone first, for its tool, stations, outliers and noise.
+@dataclass(frozen=True)
+class JointProblem:
+    """Several recordings as one. parts: each by itself, as it was fitted alone; start: the state from which all are adjusted together."""
+
+    observations: Observations
+    parts: tuple[Adjustment, ...]
+    start: CellState
+
+
+def joint_problem(recordings: Sequence[Observations], options: CalibrationOptions) -> JointProblem:
+    """Every recording adjusted alone, for its tool, stations, outliers and noise, and all of them as one set of observations.
 
     Raises ConfigError where they are not of one arm, CalibrationError where one contradicts its cell.
     """
-    alone = replace(options, refuse=False, terms=())
+    hold = tuple(name for name in options.hold if not OF_ONE.search(name))
+    alone = replace(options, refuse=False, terms=(), hold=hold)
     parts = tuple(adjust_recording(select_phases(one, options), alone) for one in recordings)
-    together = combined([part.lineariser.obs for part in parts], parts)
-    start = combined_state(parts)
-    fitted = adjust(together, replace(options, start=start))
-    return JointAdjustment(together, fitted, parts)
+    return JointProblem(combined([part.lineariser.obs for part in parts], parts), parts, combined_state(parts))
+
+
+def adjust_together(recordings: Sequence[Observations], options: CalibrationOptions) -> JointAdjustment:
+    """One adjustment of several recordings; raises as ``joint_problem``."""
+    problem = joint_problem(recordings, options)
+    fitted = adjust(problem.observations, replace(options, start=problem.start))
+    return JointAdjustment(problem.observations, fitted, problem.parts)
 
 
 def combined(recordings: Sequence[Observations], parts: Sequence[Adjustment]) -> Observations:

@@ -72,7 +72,7 @@ def solve(
 ) -> Solution:
     """Iterate until the next step would take less than ``tolerance`` off the cost (chi square).
 
-    A :class:`Solution` of the same lineariser as start saves evaluating it anew.
+    A ``Solution`` of the same lineariser as start saves evaluating it anew.
     """
     layout = lineariser.layout
     damping, share = 0.0, 1.0
@@ -109,6 +109,8 @@ def prior_rows(cell: Cell, layout: ParameterLayout, estimate: Estimate, stations
     """Certificates, priors of the arm and of terms, and the placements that were given, at an estimate."""
     balls = (estimate.state.balls - cell.ball_centres).reshape(-1)
     arm = (estimate.state.chain.rows - cell.robot.chain.rows).reshape(-1)
+    if (centre := layout.blocks[0].centre) is not None:
+        arm = arm - centre
     offsets = [arm, np.zeros(len(layout.blocks[1].names)), balls, *estimate.coefficients]
     offset = np.concatenate([o[b.free] for o, b in zip(offsets, layout.blocks, strict=True)])
     information = np.zeros((len(stations), 6, 6))

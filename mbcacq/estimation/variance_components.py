@@ -52,7 +52,7 @@ def first_noise(cell: Cell) -> Noise:
 
 
 def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
-    """Prior about :func:`first_noise`. option: 'auto', 'given' or 'estimate'.
+    """Prior about ``first_noise``. option: 'auto', 'given' or 'estimate'.
 
     Joints share an unknown common level and differ from it by JOINT.
     """

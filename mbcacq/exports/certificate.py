@@ -99,7 +99,7 @@ def artefact_yaml(artefact: Artefact) -> str:
 
 
 def certificate_csv(artefact: Artefact) -> str:
-    """The artefact as CSV (RFC 4180) that :func:`read_certificate` reads back, with U at k = 2."""
+    """The artefact as CSV (RFC 4180) that ``read_certificate`` reads back, with U at k = 2."""
     out = io.StringIO()
     writer = csv.writer(out)
     writer.writerow(["label", "x_mm", "y_mm", "z_mm", "d_mm", "U_mm", "k", "T_C"])

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.errors import ConfigError
 
 MAX_BYTES = 256 << 20
@@ -92,8 +93,10 @@ def result_schema() -> dict[str, Any]:
 
 
 def load_result(path: str | Path) -> dict[str, Any]:
-    """The result in a file, or in the run folder's result.json. Raises ConfigError naming file and what is wrong."""
-    path = Path(path)
+    """The result in a file, or in the run folder's result.json; of one of several recordings by its number (result.json#2).
+
+    Raises ConfigError naming file and what is wrong."""
+    path, number = split_number(Path(path))
     file = path / "result.json" if path.is_dir() else path
     try:
         if file.stat().st_size > MAX_BYTES:
@@ -103,6 +106,7 @@ def load_result(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}; give a result.json, or the run folder that holds one") from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{file}: is not JSON ({error}); give the result.json that mbcacq calibrate writes") from error
+    data = result_of_one(data, number, file)
     if not isinstance(data, dict) or data.get("format") != "mbcacq-result/1":
         raise ConfigError(f"{file}: is not a calibration result of format 'mbcacq-result/1'; give the one that mbcacq calibrate writes")
     try:

@@ -93,7 +93,7 @@ def from_abc(xyz: np.ndarray, abc: np.ndarray) -> np.ndarray:
 
 
 def to_abc(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse of :func:`from_abc`: (xyz mm, abc rad), B in [-pi/2, pi/2]; at B = +-90 deg C is set to 0."""
+    """Inverse of ``from_abc``: (xyz mm, abc rad), B in [-pi/2, pi/2]; at B = +-90 deg C is set to 0."""
     R = T[..., :3, :3]
     cb = np.hypot(R[..., 0, 0], R[..., 1, 0])
     b = np.arctan2(-R[..., 2, 0], cb)

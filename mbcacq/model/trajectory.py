@@ -21,7 +21,8 @@ class Trajectory:
     time_s: (T,). q: (T, n) rad, motor side, as the controller reports it; q_set: (T, n) rad, commanded; q_joint: (T, n) rad, joint-side
     encoder; torque: (T, n) N m about the joint; motor_torque: (T, n) N m at the motor; current: (T, n) in ``current_unit`` ('A' or
     'percent'); temperatures: column (ends in _C) -> (T,). extra: unknown columns as text. name: where it came from. simulated: no real arm
-    was recorded.
+    was recorded. simulated_torque: (T, n) N m that the drives of another simulator exert along the same motion; the torque is compared
+    with that, and where there is none with the torque of the robot's rigid bodies.
     """
 
     robot: RobotModel
@@ -37,6 +38,7 @@ class Trajectory:
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     name: str = ""
     simulated: bool = False
+    simulated_torque: np.ndarray | None = None
 
 
 def moves(trajectory: Trajectory, samples: int = 15000) -> list[Trajectory]:
@@ -59,7 +61,7 @@ def moves(trajectory: Trajectory, samples: int = 15000) -> list[Trajectory]:
 def _part(t: Trajectory, where: slice) -> Trajectory:
     signals = {
         name: None if getattr(t, name) is None else getattr(t, name)[where]
-        for name in ("q", "q_set", "q_joint", "torque", "motor_torque", "current")
+        for name in ("q", "q_set", "q_joint", "torque", "motor_torque", "current", "simulated_torque")
     }
     return replace(
         t,

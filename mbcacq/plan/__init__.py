@@ -1,6 +1,6 @@
 """The plan: read, expanded into poses, checked, routed and timed without opening a socket.
 
-A loaded plan is handed on as :class:`LoadedPlan`, its expansion as a list of :class:`PlannedPose`.
+A loaded plan is handed on as ``LoadedPlan``, its expansion as a list of ``PlannedPose``.
 """
 
 from mbcacq.plan.expansion import expand

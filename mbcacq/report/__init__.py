@@ -10,8 +10,17 @@ from mbcacq.report.sources.run_folder import read_run_identity, read_run_info
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
+    from mbcacq.report.content import Content, FleetContent
 
-__all__ = ["read_run_identity", "read_run_info", "report_from_result", "write_diagnosis_page"]
+__all__ = [
+    "content_of",
+    "read_run_identity",
+    "read_run_info",
+    "report_from_result",
+    "write_diagnosis_page",
+    "write_fleet_page",
+    "write_report_page",
+]
 
 
 def report_from_result(
@@ -23,10 +32,21 @@ def report_from_result(
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'devices', 'hashes'. Raises
     ConfigError for a damaged result, RecordingError where the file cannot be written.
     """
-    from mbcacq.report.page import render, write
-    from mbcacq.report.sources.from_result import content_of
+    return write_report_page(content_of(result, observations, run_info), path)
 
-    return write(render(content_of(result, observations, run_info)), path)
+
+def content_of(result: Mapping[str, Any], observations: Observations | None = None, run_info: Mapping[str, Any] | None = None) -> Content:
+    """What a report says, as plain values. Raises ConfigError for a damaged result."""
+    from mbcacq.report.sources import from_result
+
+    return from_result.content_of(result, observations, run_info)
+
+
+def write_report_page(content: Content, path: str | Path) -> Path:
+    """Write a report as one HTML page. Raises RecordingError where it cannot be written."""
+    from mbcacq.report.page import render, write
+
+    return write(render(content), path)
 
 
 def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any], path: str | Path, title: str = "Diagnosis") -> Path:
@@ -35,3 +55,10 @@ def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, An
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
     return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title), path)
+
+
+def write_fleet_page(fleet: FleetContent, path: str | Path, title: str = "Fleet") -> Path:
+    """Write the page of a fleet. Raises RecordingError where the file cannot be written."""
+    from mbcacq.report.page import render_fleet, write
+
+    return write(render_fleet(fleet, title), path)

@@ -176,6 +176,50 @@ class DiagnosisContent:
 
 
 @dataclass(frozen=True)
+class FleetChart:
+    """One figure of the N recordings of a type of arm. arm: (N,) index; value, std, deviation from the arm's centre line, limit of that:
+    (N,) in ``unit``; outside: (N,) bool; usual, permitted: median of the arms and the permitted distance from it, NaN where there are too
+    few; unusual: (A,) bool."""
+
+    title: str
+    unit: str
+    arm: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    deviation: np.ndarray
+    limit: np.ndarray
+    outside: np.ndarray
+    usual: float
+    permitted: float
+    unusual: np.ndarray
+
+
+@dataclass(frozen=True)
+class ArmTypeContent:
+    """The arms of one type. recordings, times (ISO 8601 or ''): of the N recordings, sorted by arm and time."""
+
+    robot: str
+    arms: list[str]
+    recordings: list[str]
+    times: list[str]
+    charts: list[FleetChart]
+
+
+@dataclass(frozen=True)
+class FleetContent:
+    """A fleet. outliers: (arm, recording, figure, difference, limit, their ratio); broken: (arm, recording, status, reason); verdicts,
+    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only."""
+
+    headlines: list[tuple[str, str, str]]
+    outliers: list[tuple[str, str, str, str, str, str]]
+    broken: list[tuple[str, str, str, str]]
+    verdicts: list[tuple[str, str]]
+    effects: list[tuple[str, str]]
+    types: list[ArmTypeContent]
+    unlisted: int = 0
+
+
+@dataclass(frozen=True)
 class Content:
     title: str
     subtitle: str

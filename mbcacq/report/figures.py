@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, Residuals
+from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, Residuals
 
 
 def report_figures(content: Content) -> dict[str, Any]:
@@ -39,6 +39,21 @@ def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Any]:
     figures |= {f"response_{k}": diagnosis_charts.response_curve(curve) for k, curve in enumerate(diagnosis.curves)}
     if centres := diagnosis.centres:
         figures |= {f"along_{k}": diagnosis_charts.difference_along(centres, c) for k, c in enumerate(diagnosis.covariates)}
+    return figures
+
+
+def fleet_figures(fleet: FleetContent) -> dict[str, Any]:
+    """Plotly figures of a fleet, for each type of arm: overview, drift over time, arms beside each other."""
+    from mbcacq.report.charts import fleet_charts
+
+    figures: dict[str, Any] = {}
+    for k, kind in enumerate(fleet.types):
+        if kind.charts:
+            figures |= {
+                f"overview_{k}": fleet_charts.overview(kind),
+                f"drift_{k}": fleet_charts.drift(kind),
+                f"arms_{k}": fleet_charts.side_by_side(kind),
+            }
     return figures
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import RecordingError
-from mbcacq.report.content import Content, DiagnosisContent
-from mbcacq.report.figures import diagnosis_figures, report_figures
+from mbcacq.report.content import Content, DiagnosisContent, FleetContent
+from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import readable
 
@@ -41,6 +41,11 @@ def render(content: Content) -> str:
 def render_diagnosis(diagnosis: DiagnosisContent, title: str) -> str:
     """HTML of a diagnosis by itself."""
     return _template("diagnosis_page.html.j2", d=diagnosis, title=title, figures=_embedded(diagnosis_figures(diagnosis)))
+
+
+def render_fleet(fleet: FleetContent, title: str) -> str:
+    """HTML of a fleet."""
+    return _template("fleet_page.html.j2", f=fleet, title=title, figures=_embedded(fleet_figures(fleet)))
 
 
 def write(html: str, path: str | Path) -> Path:

@@ -23,7 +23,7 @@ def identify_spheres(
     predicted: np.ndarray | None,
     options: SphereOptions,
 ) -> FoundSpheres:
-    """See :func:`mbcacq.spheres.find_spheres`. fits: (radius, fit) of every sphere found."""
+    """See ``mbcacq.spheres.find_spheres``. fits: (radius, fit) of every sphere found."""
     centres = np.array([f.centre for _, f in fits]).reshape(-1, 3)
     radii = np.array([r for r, _ in fits])
     sigma = np.array([np.sqrt(np.trace(f.covariance)) for _, f in fits])

@@ -52,5 +52,5 @@ def centres_from_ply(
     predicted: np.ndarray | None = None,
     options: SphereOptions | None = None,
 ) -> FoundSpheres:
-    """:func:`find_spheres` on the cloud in a file (mm, scanner frame)."""
+    """``find_spheres`` on the cloud in a file (mm, scanner frame)."""
     return find_spheres(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mbcacq import calibration as room
-from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.calibration import Calibration, CalibrationOptions, Verification, several
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
+from mbcacq.calibration.joint_result import JointCalibration
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
@@ -41,14 +42,33 @@ def calibrate(
 ) -> Calibration:
     """Identify the cell: errors of the arm's MD-H parameters (n, 5) in rad and mm, T_flange_scanner (4, 4), stations, ball centres, noise.
 
-    data: observations, or where they are (see :func:`mbcacq.load_observations`). Poses of phase 'verification' are kept apart.
-    effects: what :func:`mbcacq.diagnose` found (or its JSON file, or a list of these): they become terms of the cell, their coefficients
+    data: observations, or where they are (see ``mbcacq.load_observations``). Poses of phase 'verification' are kept apart.
+    effects: what ``mbcacq.diagnose`` found (or its JSON file, or a list of these): they become terms of the cell, their coefficients
     fitted with everything else or, with ``hold_effects``, kept as they are. Raises CalibrationError naming what the poses leave
     undetermined, ConfigError for options that do not fit.
     """
     if effects is None:
         return room.calibrate(as_observations(data), options)
     return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
+
+
+def calibrate_together(
+    data: Sequence[Observations | Path | str],
+    options: CalibrationOptions | None = None,
+    *,
+    effects: Effects | None = None,
+    hold_effects: bool = False,
+) -> JointCalibration:
+    """Several recordings of one arm: arm and effects are shared; base, tool, stations, artefacts and noise are each recording's own.
+
+    A sequence of one ``Calibration`` for each recording, with the covariance that all of them together give. effects: as
+    ``calibrate`` takes them; a coefficient that differs from day to day gets a variance between recordings. Raises ConfigError where
+    the recordings are not of one arm, CalibrationError as ``calibrate``.
+    """
+    names = tuple(str(one) if isinstance(one, Path | str) else f"recording {i + 1}" for i, one in enumerate(data))
+    recordings = [as_observations(one) for one in data]
+    model = None if effects is None else as_effects(effects)
+    return JointCalibration(several.calibrate_together(recordings, options, model, hold=hold_effects), names)
 
 
 def verify(
@@ -60,8 +80,8 @@ def verify(
 ) -> Verification:
     """Sphere spacing errors (mm) at the verification poses, before and after calibration, with the uncertainty expected of each.
 
-    calibration: what :func:`mbcacq.calibrate` returned, or a result.json, or a run folder that holds one. Of a bare
-    :class:`mbcacq.estimation.forward_model.CellState`, ``before`` is what to compare with. limit_mm: largest error permitted.
+    calibration: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. Of a bare
+    ``mbcacq.estimation.forward_model.CellState``, ``before`` is what to compare with. limit_mm: largest error permitted.
     """
     if isinstance(calibration, Path | str):
         calibration = room.CalibratedCell.from_json(Path(calibration))
@@ -69,14 +89,17 @@ def verify(
 
 
 def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | Path | str, *, place: str = "fitted") -> Transfer:
-    """A calibrated arm, with its effects, on a recording that took no part: both stay as they were learnt.
+    """A calibrated arm, with its effects, on a recording that it was not fitted to: both stay as they were learnt.
 
     place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is). Raises ConfigError where the
     recording is of another arm, CalibrationError where it does not determine its own places.
     """
     from mbcacq.calibration.result_io import chain_of
 
-    cell = room.CalibratedCell.from_json(Path(calibration)) if isinstance(calibration, Path | str) else calibration
+    cell = calibration
+    if isinstance(calibration, Path | str):
+        cell = room.CalibratedCell.from_json(Path(calibration), any_of_them=place == "fitted")
+    assert not isinstance(cell, Path | str), "it was read"
     content = cell.content if isinstance(cell, room.CalibratedCell) else getattr(cell, "extra", {})
     alone = content.get("geometry_alone")
     chain = None
@@ -87,25 +110,35 @@ def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | 
     return check_transfer(as_observations(data), cell, chain, place=place, recording=name)
 
 
-def compare(data: Observations | Path | str, methods: Iterable[str] | None = None, *, held_out: bool = True, seed: int = 0) -> Comparison:
+def compare(
+    data: Observations | Path | str,
+    methods: Iterable[str] | None = None,
+    *,
+    held_out: bool = True,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Comparison:
     """One row for each method of calibration (all, or those named): fit, sphere spacing error, held-out error, all in mm.
 
-    A method that these data do not determine has the reason in place of figures. Raises CalibrationError where no method is determined.
+    A method that these data do not determine has the reason in place of figures. progress: gets a sentence a method. Raises
+    CalibrationError where no method is determined.
     """
-    return compare_methods(as_observations(data), methods, held_out=held_out, seed=seed)
+    return compare_methods(as_observations(data), methods, held_out=held_out, seed=seed, progress=progress)
 
 
 def calibration_content(
-    data: Path,
+    data: Path | str,
     options: CalibrationOptions,
     *,
     held_out: HeldOutOptions | None = None,
     with_map: bool = False,
     effects: Effects | None = None,
     hold_effects: bool = False,
+    observations: Observations | None = None,
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
-    where asked for. Of a plan without phase 'position' it is what its run calibrates (``options_for``).
+    where asked for. observations: where they have been read from ``data`` already. Of a plan without phase 'position' it is what its run
+    calibrates (``options_for``).
 
     Raises CalibrationError, ConfigError.
     """
@@ -115,12 +148,12 @@ def calibration_content(
 
     if effects is not None and held_out is not None:
         raise ConfigError("held-out figures are of the geometry alone; try a calibration with effects on another recording: mbcacq verify")
-    observations = as_observations(data)
+    observations = as_observations(data) if observations is None else observations
     asked, options = options, options_for(observations, options)
     calibration = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
     content = calibration.to_dict()
     content["verification"] = room.verify(observations, calibration).to_dict()
-    content["gaps"] = find_gaps(data)
+    content["gaps"] = find_gaps(Path(data))
     if asked.kinematics and not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
     if with_map:
@@ -128,6 +161,22 @@ def calibration_content(
     if held_out is not None:
         split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
         content["held_out"] = split.to_dict()
+    return content
+
+
+def joint_content(
+    data: Sequence[Path], options: CalibrationOptions, *, effects: Effects | None = None, hold_effects: bool = False
+) -> dict[str, Any]:
+    """Calibrate several recordings of one arm together and verify each; content of format 'mbcacq-joint-result/1', with 'verification' and
+    'gaps' in the result of each. Raises CalibrationError, ConfigError.
+    """
+    from mbcacq.recording import find_gaps
+
+    joint = calibrate_together(data, options, effects=effects, hold_effects=hold_effects)
+    content = joint.to_dict()
+    for path, calibration, one in zip(data, joint, content["recordings"], strict=True):
+        one["result"]["verification"] = room.verify(as_observations(path), calibration).to_dict()
+        one["result"]["gaps"] = find_gaps(path)
     return content
 
 

@@ -16,6 +16,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.simulation.model_match import ModelMatch
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
 
 Data = Observations | Trajectory | Path | str
@@ -26,7 +27,8 @@ class DiagnosisResult:
     """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
 
     observations: what the diagnosis of the poses is of, None for one that was read from JSON. checks: what was learnt, tried on other
-    recordings. provenance: the files (name, bytes, SHA-256), the versions of the programs, the options. It pickles, with its pictures.
+    recordings. provenance: the files (name, bytes, SHA-256), the versions of the programs, the options. simulation: the MuJoCo model that
+    the recording was compared with, and what was found written into it. It pickles, with its pictures.
     """
 
     poses: Diagnosis | None = None
@@ -34,6 +36,7 @@ class DiagnosisResult:
     observations: Observations | None = None
     checks: tuple[Transfer, ...] = ()
     provenance: Mapping[str, Any] | None = None
+    simulation: ModelMatch | None = None
 
     @property
     def main(self) -> Diagnosis | MotionDiagnosis:
@@ -45,7 +48,7 @@ class DiagnosisResult:
 
     @property
     def model(self) -> EffectModel | None:
-        """The effects found in the poses as terms that :func:`mbcacq.calibrate` takes; None where there are none."""
+        """The effects found in the poses as terms that ``mbcacq.calibrate`` takes; None where there are none."""
         return self.poses.model if self.poses is not None else None
 
     @property
@@ -65,10 +68,11 @@ class DiagnosisResult:
         from mbcacq.diagnosis.motion.text import motion_text
         from mbcacq.diagnosis.output.text import words
 
+        written = [] if self.simulation is None else [self.simulation.text]
         if self.poses is None:
-            return motion_text(self.motion) if self.motion else ""
+            return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
         text = words(self.poses) if self.motion is None else combined_text(self.poses.to_json(), words(self.poses), self.motion)
-        return "\n".join([text, *(check.text for check in self.checks)])
+        return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:
         """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves. Raises
@@ -87,10 +91,10 @@ class DiagnosisResult:
 
     def write_rrd(self, path: Path | str) -> Path:
         """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""
-        from mbcacq.workflow.diagnosis_files import write_rrd
+        from mbcacq.workflow.diagnosis_files import cards_of, write_rrd
 
         observations, drawn = self._drawable()
-        write_rrd(observations, self._words_of_poses(), drawn, Path(path))
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()))
         return Path(path)
 
     def keep(self, run: Path | str) -> None:
@@ -101,12 +105,14 @@ class DiagnosisResult:
         keep_in_run(self.main.to_json(), self._words_of_poses(), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON content, format mbcacq-diagnosis/2 (see :func:`mbcacq.diagnosis.schema.diagnosis_schema`); where there are both, the
+        """The JSON content, format mbcacq-diagnosis/2 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
         motion stands under its own key. Trajectories alone give version 1."""
         from mbcacq.diagnosis.motion.combine import combined
         from mbcacq.diagnosis.result import plain
 
         content = self.main.to_json()
+        if self.simulation is not None:
+            content["simulation"] = plain(self.simulation.to_dict())
         if self.poses is None:
             return content
         content |= {
@@ -145,7 +151,7 @@ class DiagnosisResult:
         return [plain(one) for one in (learnt, *tried)]
 
     def to_json(self) -> str:
-        """:meth:`to_dict` as JSON text."""
+        """``to_dict`` as JSON text."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     @classmethod
@@ -154,21 +160,23 @@ class DiagnosisResult:
         try:
             content = json.loads(text)
         except ValueError as error:
-            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --json writes") from error
+            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --out writes") from error
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
-            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --json writes")
-        if "channels" in content["fit"]:
-            return cls(motion=MotionDiagnosis.from_json(content))
-        motion = content.get("motion")
+            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
+        motion, simulation = content.get("motion"), content.get("simulation")
         try:
             checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
+            match = None if simulation is None else ModelMatch.from_dict(simulation)
         except (KeyError, TypeError, AttributeError) as error:
             raise ConfigError(f"the checks of the diagnosis are damaged ({error}); diagnose the recording anew") from error
+        if "channels" in content["fit"]:
+            return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
         return cls(
             Diagnosis.from_json(content),
             None if motion is None else MotionDiagnosis.from_json(motion),
             checks=checks,
             provenance=content.get("provenance"),
+            simulation=match,
         )
 
     def _drawable(self) -> tuple[Observations, dict[str, Any]]:
@@ -194,8 +202,9 @@ def diagnose(
     progress: Callable[[str], None] = lambda text: None,
     workers: int | None = None,
     options: CalibrationOptions | None = None,
-    check: Sequence[Observations | Path | str] = (),
+    check: Sequence[Data] = (),
     place: str = "fitted",
+    simulation: Data | Sequence[Data] | None = None,
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
@@ -203,15 +212,23 @@ def diagnose(
     recordings of poses of one arm share the arm and its effects, and so do several trajectories. Of a run whose controller recorded
     torques or joint-side angles, the motion between the poses is compared too.
     progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core). options: of the
-    adjustment of poses, as :func:`mbcacq.calibrate` takes them (which phases are used, what is held). check: further recordings of the
-    arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing.
+    adjustment of poses, as ``mbcacq.calibrate`` takes them (which phases are used, what is held). check: further recordings of the
+    arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing. simulation: another
+    simulator's set for the same poses or motion, one for each recording, or a model file that MuJoCo runs (MJCF, URDF): the mismatch is
+    explained against that simulation, and what was found in a model file is written into it (``found.simulation.write("found.xml")``).
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
-    several = list(data) if isinstance(data, Sequence) and not isinstance(data, str) else [data]
-    if check and all(_is_trajectory(one) for one in several):
-        raise ConfigError("what was learnt from trajectories cannot be tried on another recording; leave --check out")
-    if all(_is_trajectory(one) for one in several):
+    several = listed(data)
+    if simulation is not None:
+        from mbcacq.workflow.diagnose_simulation import Question, diagnose_against
+
+        return diagnose_against(several, listed(simulation), Question(progress, workers, options, tuple(check), place))
+    if check and all(is_trajectory(one) for one in several):
+        raise ConfigError(
+            "what was learnt from trajectories is tried on another recording in a model file only; add --simulation, or leave --check out"
+        )
+    if all(is_trajectory(one) for one in several):
         return diagnose_motion([one for one in several if not isinstance(one, Observations)])
     if len(several) > 1:
         return diagnose_together(several, progress, workers, options)
@@ -222,8 +239,14 @@ def diagnose(
     found = diagnose_poses(observations, progress, workers, options)
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
-        found = replace(found, checks=tuple(checked(observations, found, other, place, progress) for other in check))
+        others = [other for other in check if not isinstance(other, Trajectory)]
+        found = replace(found, checks=tuple(checked(observations, found, other, place, progress) for other in others))
     return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
+
+
+def listed(data: Data | Sequence[Data]) -> list[Data]:
+    """One or several recordings as a list."""
+    return list(data) if isinstance(data, Sequence) and not isinstance(data, str) else [data]
 
 
 def diagnose_together(
@@ -233,8 +256,8 @@ def diagnose_together(
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
-    motions = [one for one in data if _is_trajectory(one)]
-    recordings = [as_observations(one) for one in data if not _is_trajectory(one) and not isinstance(one, Trajectory)]
+    motions = [one for one in data if is_trajectory(one)]
+    recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
     if len(recordings) == 1:
         found = diagnose_poses(recordings[0], progress, workers, options)
     else:
@@ -277,7 +300,7 @@ def checked(
     return check_transfer(as_observations(other), cell, alone.state.chain, place=place, recording=name)
 
 
-def provenance(data: Data, check: Sequence[Observations | Path | str], options: dict[str, Any]) -> dict[str, Any]:
+def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> dict[str, Any]:
     """Where a diagnosis comes from: files with their SHA-256, versions of the programs, options."""
     import platform
 
@@ -365,7 +388,7 @@ def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Call
     return replace(found, motion=diagnose_trajectories(stretches))
 
 
-def _is_trajectory(data: Data) -> bool:
+def is_trajectory(data: Data) -> bool:
     from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
 
     return isinstance(data, Trajectory) or (isinstance(data, Path | str) and is_trajectory_set(data))

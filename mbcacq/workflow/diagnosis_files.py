@@ -13,9 +13,9 @@ from mbcacq.recording import write_diagnosis
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
 
-def write_rrd(observations: Observations, words: str, pictures: dict[str, Any], path: Path) -> None:
+def write_rrd(observations: Observations, words: str, pictures: dict[str, Any], path: Path, cards: str = "") -> None:
     """Arrows before and after in the cell, the misfit of each pose, and the covariate held responsible, for the viewer."""
-    write_diagnosis(path, observations, words, pictures)
+    write_diagnosis(path, observations, words, pictures, cards=cards)
 
 
 def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], observations: Observations, run: Path) -> None:
@@ -28,4 +28,15 @@ def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], o
         (run / PICTURES_JSON).write_text(json.dumps(pictures, allow_nan=False), encoding="utf-8")
     except OSError as error:
         raise RecordingError(f"the diagnosis cannot be kept in {run}: {error.strerror}; free the disk, or make it writable") from error
-    write_diagnosis(run / "diagnosis.rrd", observations, words, pictures, run)
+    write_diagnosis(run / "diagnosis.rrd", observations, words, pictures, run, cards_of(content))
+
+
+def cards_of(content: dict[str, Any]) -> str:
+    """The diagnosis as Markdown for the viewer: a card an effect. '' where it is one of motion."""
+    from mbcacq.report.cards import diagnosis_cards
+    from mbcacq.report.sources.from_diagnosis import diagnosis_content
+
+    try:
+        return diagnosis_cards(diagnosis_content(content, None))
+    except (KeyError, TypeError):
+        return ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,18 +51,22 @@ class RunResult:
         return self.calibration._repr_html_() + self.verification._repr_html_()
 
 
-def evaluate(run: Path, limit_mm: float | None = None) -> RunResult:
+def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str], None] = lambda text: None) -> RunResult:
     """Calibrate what a run recorded, verify it on the poses kept apart, write result.json, report.html and the residuals into its folder.
 
     What is calibrated follows from the plan's phases and stations (``options_for``). limit_mm: the plan's limit of the sphere spacing
-    error.
+    error. progress: gets a sentence a step.
     """
     from mbcacq.recording import find_gaps, log_result
     from mbcacq.recording.datasets.csvfile import write_text
+    from mbcacq.recording.rrd.result_recording import Judgement
     from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.report import read_run_info, report_from_result
+    from mbcacq.report import content_of, read_run_info, write_report_page
+    from mbcacq.report.cards import verdict_card
 
+    progress("reading the recording")
     observations = load_observations(run)
+    progress("calibrating and verifying")
     options = options_for(observations, CalibrationOptions())
     calibration = calibrate(observations, options)
     verification = verify(observations, calibration, limit_mm=limit_mm)
@@ -73,8 +78,13 @@ def evaluate(run: Path, limit_mm: float | None = None) -> RunResult:
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
     write_text(run / "result.json", json.dumps(content, indent=1))
-    report = report_from_result(content, path=run / "report.html", observations=observations, run_info=read_run_info(run))
-    log_result(run, observations, calibration.state, calibration.preliminary)
+    progress("writing the report")
+    page = content_of(content, observations, read_run_info(run))
+    report = write_report_page(page, run / "report.html")
+    judgement = Judgement(verdict_card(page))
+    if (s := page.spacing) is not None:
+        judgement = Judgement(judgement.text, s.place, s.before, s.after, s.sigma, s.limit)
+    log_result(run, observations, calibration.state, calibration.preliminary, judgement)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
     return RunResult(run, calibration, verification, content, limit_mm)

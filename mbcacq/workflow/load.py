@@ -75,12 +75,12 @@ def as_plan(plan: LoadedPlan | Path | str) -> LoadedPlan:
 
 
 def as_observations(data: Observations | Path | str) -> Observations:
-    """Observations as they are, or read from their place; see :func:`load_observations`."""
+    """Observations as they are, or read from their place; see ``load_observations``."""
     return data if isinstance(data, Observations) else load_observations(data)
 
 
 def as_trajectories(data: Sequence[Trajectory | Path | str]) -> list[Trajectory]:
-    """Trajectories as they are, or read from their places; see :func:`load_trajectories`."""
+    """Trajectories as they are, or read from their places; see ``load_trajectories``."""
     return [t for one in data for t in ([one] if isinstance(one, Trajectory) else load_trajectories(one))]
 
 

@@ -49,15 +49,18 @@ def _write(
     """The report; whoever calls holds the lock of the run folder."""
     from mbcacq.report import report_from_result
 
+    progress("reading the recording")
     observations = data.observations if isinstance(data, Calibration) else load_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
         result["gaps"] = _gaps(run)
     if observations.cell.simulated:
         result["simulated"] = True
+    progress("reading timing and health of the devices")
     info = {} if run is None else _about(run)
     if diagnose and "diagnosis" not in info:
         info |= _diagnosis(observations, run, progress)
+    progress("drawing the report")
     target = Path(out) if out is not None else Path(run or "") / "report.html"
     return report_from_result(result, path=target, observations=observations, run_info=info)
 

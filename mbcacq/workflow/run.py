@@ -92,7 +92,7 @@ def run(
         done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)
         if folder is not None and all(pose.number in done for pose in poses):
             operator.message(f"all {len(poses)} poses were measured already; nothing moves")
-            return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm)
+            return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.message)
         acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
         acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
         if not dry_run:
@@ -106,7 +106,7 @@ def run(
                 acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error
-        return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm)
+        return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.message)
 
 
 def _with_fakes_named(error: ConnectError, loaded: LoadedPlan, dry_run: bool) -> ConnectError:

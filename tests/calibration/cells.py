@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -228,19 +229,33 @@ def _inverse(chain: Chain, target: np.ndarray, rng, start: np.ndarray | None = N
         if start is not None
         else rng.uniform(-1, 1, n) * 0.8 + (np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0]))
     )
+    scale, damping = np.array([1e-3] * 3 + [1.0] * 3), (1e-6 if exact else 0.03)
     for _ in range(60):
-        frames = chain.frames(q[None])
-        off = target @ se3.inverse(frames[0, -1])
-        xi = np.concatenate([off[:3, 3] + np.cross(target[:3, 3], np.zeros(3)), se3.rotation_log(off[:3, :3])])
-        J = chain.joint_twists(frames)[0].T
-        scale = np.array([1e-3] * 3 + [1.0] * 3)
-        step = np.linalg.lstsq(
-            np.vstack([scale[:, None] * J, (1e-6 if exact else 0.03) * np.eye(n)]), np.concatenate([scale * xi, np.zeros(n)]), rcond=None
-        )[0]
+        frames = chain.frames(q[None])[0]
+        xi = scale * _twist(target, frames[-1])
+        axis, point = frames[:-1, :3, 2], frames[:-1, :3, 3]
+        J = scale * np.concatenate([_cross(point, axis), axis], axis=1) * chain.sign[:, None]  # (n, 6)
+        step = np.linalg.solve(J @ J.T + damping**2 * np.eye(n), J @ xi)
         q = q + np.clip(step, -0.3, 0.3)
-        if np.abs(scale * xi).max() < (1e-10 if exact else 1e-3):
+        if np.abs(xi).max() < (1e-10 if exact else 1e-3):
             return q if exact or np.abs(q).max() < 3 else None
     return None
+
+
+def _twist(target: np.ndarray, reached: np.ndarray) -> np.ndarray:
+    """(6,) displacement mm and rotation vector rad that take ``reached`` to ``target``, both (4, 4)."""
+    R = target[:3, :3] @ reached[:3, :3].T
+    sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    size = math.sqrt(sine @ sine)
+    angle = math.atan2(size, (np.trace(R) - 1) / 2)
+    rotation = sine * (angle / size) if 1e-9 < size and angle < 3.1 else se3.rotation_log(R)
+    return np.concatenate([target[:3, 3] - R @ reached[:3, 3], rotation])
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n, 3) cross products; numpy's own costs as much as all the rest where n is small."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 __all__ = [

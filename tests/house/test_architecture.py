@@ -18,6 +18,12 @@ ROOT = Path(__file__).parents[2]
 FOLDERS = ("mbcacq", "drivers", "fakes")
 PACKAGES = ("mbcacq", "mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq_fakes")
 REPLACED = {"told", "chance", "crew", "atlas", "ledger", "worth", "envelope", "envelopes", "leftover", "wiggle", "prospect", "foreseen"}
+# held-out data, expected from noise alone, identified with the correct cause, a one-sided test, unmodelled effects
+REPLACED_PHRASES = re.compile(
+    r"\btook no part\b|\bnoise alone makes\b|\btold by\b|\byields backwards\b|\bhalf of chance\b|\bhas no name\b"
+    r"|\bsimulation and recording part\b",
+    re.IGNORECASE,
+)
 
 
 @cache
@@ -54,6 +60,16 @@ def test_no_name_uses_a_word_that_the_terms_replace():
             name = getattr(node, "name", None) or getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", None)
             words = re.findall(r"[A-Z]?[a-z]+", name) if isinstance(name, str) else ()
             found |= {f"{path.relative_to(ROOT)}: {name}" for word in words if word.lower() in REPLACED}
+    assert sorted(found) == []
+
+
+def test_no_page_and_no_text_uses_a_phrase_that_the_terms_replace():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")]
+    texts = {path: path.read_text(encoding="utf-8") for path in pages}
+    texts |= {
+        p: "\n".join(n.value for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)) for p, t in sources().items()
+    }
+    found = [f"{path.relative_to(ROOT)}: {match[0]}" for path, text in texts.items() for match in REPLACED_PHRASES.finditer(text)]
     assert sorted(found) == []
 
 

@@ -5,7 +5,7 @@ import pytest
 from click.testing import CliRunner
 
 from mbcacq.cli.plan import command
-from mbcacq.design.new_plan import NewPlan, write_new_plan
+from mbcacq.design.new_plan import NewPlan, NewPlanOptions, write_new_plan
 from mbcacq.design.station_repair import repaired, station_moves
 from mbcacq.errors import ConfigError
 from mbcacq.model import shipped
@@ -27,7 +27,8 @@ def test_a_new_plan_has_no_errors_and_spreads_its_stations(tmp_path):
     artefact = tmp_path / "four.yaml"
     artefact.write_text(FOUR_BALLS)
     out = tmp_path / "plan.yaml"
-    request = NewPlan(shipped.robot_file("kr6_r900_2"), shipped.named_file("scanners", "gocator-3210"), artefact, out, stations=4, poses=14)
+    options = NewPlanOptions(stations=4, poses=14)
+    request = NewPlan(shipped.robot_file("kr6_r900_2"), shipped.named_file("scanners", "gocator-3210"), artefact, out, options)
     list(write_new_plan(request))
     loaded = load(out)
     poses = expand(loaded)

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import shutil
 import stat
 from pathlib import Path
@@ -70,7 +71,9 @@ def test_one_flipped_bit_in_a_stored_centre_is_found_named_and_left_out(folder):
     at = (folder / "run.rrd").read_bytes().rindex(row["xyz"][:3].tobytes())
     flip(folder / "run.rrd", at + 5, 3)
     assert any("the observation of pose 2" in fault for fault in faults(folder))
-    assert any("(with pose 2) are not as they were written" in fault for fault in faults(folder))
+    assert any(
+        re.search(r"\(with pose [^)]*\b2\b[^)]*\) are not as they were written", fault) for fault in faults(folder)
+    )  # several at once on a slow disk
     left = load_observations(folder)
     assert left.pose_id.tolist() == [0, 1, 3]
     assert set(map(tuple, left.xyz.tolist())) < set(map(tuple, true.xyz.tolist()))

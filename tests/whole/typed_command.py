@@ -1,6 +1,5 @@
 """The command as a user types it, a shipped plan with a change, and the one sentence in which a command fails."""
 
-import signal
 import sys
 import time
 from contextlib import chdir
@@ -18,13 +17,8 @@ MBCACQ = Path(sys.executable).parent / "mbcacq"
 
 def mbcacq(*args):
     """The command without a terminal, in this process, which has its libraries loaded; what must be a process of its own starts MBCACQ."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))}
-    try:
-        with chdir(ROOT):
-            done = CliRunner().invoke(app, [str(arg) for arg in args])
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with chdir(ROOT):
+        done = CliRunner().invoke(app, [str(arg) for arg in args])
     return SimpleNamespace(returncode=done.exit_code, stdout=done.stdout, stderr=done.stderr)
 
 

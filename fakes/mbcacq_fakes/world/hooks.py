@@ -1,6 +1,6 @@
 """Where injected effects may act.
 
-An effect is any object with the methods of :class:`WorldEffect`; the world calls them in time order.
+An effect is any object with the methods of ``WorldEffect``; the world calls them in time order.
 """
 
 from __future__ import annotations

@@ -36,24 +36,28 @@ def log_set_bayes_factor(
     most probable ones, one effect at a time.
     """
 
-    def log_factor(chosen: list[float]) -> float:
+    def log_factors(chosen: list[float], j: int) -> np.ndarray:
+        """With each of the sizes of the effect j."""
         t = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, chosen, strict=True)])
-        normal = np.eye(len(t)) + t[:, None] * A * t
-        inverse = np.linalg.inv(normal)
-        mean = inverse @ (t * a)
-        value = 0.5 * (float((t * a) @ mean) - float(np.linalg.slogdet(normal)[1]))
+        t = np.repeat(t[None], len(sizes[j]), axis=0)
+        t[:, slices[j]] = sizes[j][:, None]
+        normal = identity + t[:, :, None] * A * t[:, None, :]
+        inverse, scaled = np.linalg.inv(normal), t * a
+        mean = (inverse @ scaled[:, :, None])[:, :, 0]
+        value = 0.5 * (np.sum(scaled * mean, axis=1) - np.linalg.slogdet(normal)[1])
         for p, bounded in zip(slices, positive, strict=True):
             if bounded:
-                value += LN2 + float(log_ndtr(mean[p.start] / np.sqrt(inverse[p.start, p.start])))
+                value = value + LN2 + log_ndtr(mean[:, p.start] / np.sqrt(inverse[:, p.start, p.start]))
         return value
 
+    identity = np.eye(len(a))
     chosen = [float(np.median(s)) for s in sizes]
     spread: list[float] = [0.0] * len(slices)
     best = -np.inf
     for _ in range(3):
         before = list(chosen)
         for j, own in enumerate(sizes):
-            values = np.array([log_factor([*chosen[:j], float(s), *chosen[j + 1 :]]) for s in own])
+            values = log_factors(chosen, j)
             chosen[j], best = float(own[values.argmax()]), float(values.max())
             spread[j] = float(np.logaddexp.reduce(values) - best) - float(np.log(len(own)))
         if chosen == before:

@@ -78,7 +78,7 @@ class NoisePoint:
         back = self.projected.whiten.transpose(columns) ** 2
         by_row = back.sum(axis=(0, 2)) if back.shape[2] else np.zeros(self.linear.width)
         rows = np.r_[by_row[:3], by_row[3:].sum()] * self._row_variances
-        joints = np.array([np.sum(self._sums(z[:, None] * columns) ** 2) for z in self._joint_rows.T])
+        joints = np.sum(self.projected.whiten.pose_products(self._joint_rows, columns) ** 2, axis=(0, 2))
         return self._order(rows, joints)
 
     def score(self, conditioned: CandidateScoring) -> tuple[np.ndarray, np.ndarray]:

@@ -73,7 +73,7 @@ class HeldOutTable:
 def assemble(
     fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_validated: dict[str, np.ndarray] | None, options: MotionOptions
 ) -> MotionDiagnosis:
-    """cross_validated: mean squares (2, J) before and after by group, on parts that took no part in selecting or fitting; None for the
+    """cross_validated: mean squares (2, J) before and after by group, on held-out parts, not used in selecting or fitting; None for the
     figures by which effects were selected."""
     effects: list[MotionEffect | UnmodelledMotionEffect] = []
     mismatch: list[MotionMismatch] = []

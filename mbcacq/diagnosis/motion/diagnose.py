@@ -47,7 +47,7 @@ def diagnose_trajectories(
 ) -> MotionDiagnosis:
     """Diagnose one or several recordings of one robot. Raises ConfigError where they do not fit together.
 
-    The held-out errors of the result's channels are of parts (a trajectory, or a block of the only one) that took no part in selecting
+    The held-out errors of the result's channels are of held-out parts (a trajectory, or a block of the only one), not used in selecting
     or fitting anything; without ``cross_validation``, in a third of the time, of parts that took part in selecting.
     """
     recordings = _Recordings(trajectories, options)

@@ -1,6 +1,6 @@
 """Forward selection with backward elimination: which effects a group of channels needs.
 
-Effects are selected one by one, by what they gain on parts of the recordings that took no part in the fit; an effect that later ones
+Effects are selected one by one, by what they gain on held-out parts of the recordings; an effect that later ones
 make needless is dropped again.
 """
 

@@ -32,7 +32,7 @@ def prepare(trajectory: Trajectory, options: MotionOptions = DEFAULTS) -> tuple[
     rigid, gravity, payload = None, None, None
     if torque is not None or (q_joint is not None and robot.mass.any()):
         inertial = regressor(robot.chain, smooth, qd, qdd, robot.gravity)
-        rigid = _rigid(inertial, robot)
+        rigid = _rigid(inertial, robot) if trajectory.simulated_torque is None else resample(trajectory.simulated_torque)
         still = np.zeros_like(q)
         gravity = _rigid(regressor(robot.chain, smooth, still, still, robot.gravity), robot)
         payload = inertial[:, :, -1]

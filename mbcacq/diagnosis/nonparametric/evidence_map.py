@@ -71,6 +71,7 @@ class EvidenceMap:
 
     def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks):
         self.projected, self.design_blocks = projected, design_blocks
+        self.whitened: dict[int, np.ndarray] = {}  # of groups that are functions of the centre
         self.normal = [self._normal(group, plan) for group, plan in zip(design_blocks.groups, design_blocks.plans, strict=True)]
 
     def _normal(self, group: BlockGroup, plan: BlockPlan) -> Normal:
@@ -90,7 +91,13 @@ class EvidenceMap:
         return projected_out(blocks, plan, by_functions(group, C)), (U.T @ b).T.reshape(-1), (own.T @ (U * U)).reshape(-1)
 
     def _whitened(self, group: BlockGroup) -> np.ndarray:
-        return self.projected.whiten(self._columns(group, np.arange(group.components), np.arange(group.functions.shape[1])))
+        key = id(group)
+        if key not in self.whitened:
+            rows, functions = np.arange(group.components), np.arange(group.functions.shape[1])
+            # With the group itself, so that no other one gets its identity.
+            _, columns = self.projected.linear.computed_once(("group", key), lambda: (group, self._columns(group, rows, functions)))
+            self.whitened[key] = self.projected.whiten(columns)
+        return self.whitened[key]
 
     def _columns(self, group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(M, R, rows x index), component-major."""

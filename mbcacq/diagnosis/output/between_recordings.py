@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
 from mbcacq.diagnosis.result import BetweenRecordings
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.effects.effect import Candidate
-
-GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
+from mbcacq.estimation.meta_analysis import random_effect
 
 
 def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
@@ -72,25 +70,6 @@ def values_of_recordings(
 
 def summarised(name: str, where: tuple[str, ...], parameter: str, values: np.ndarray, std: np.ndarray) -> BetweenRecordings:
     """The common value and the standard deviation between recordings of values (R,) with standard deviations (R,)."""
-    between = restricted_maximum_likelihood(values, std)
-    common, own = weighted_mean(values, std**2 + between**2)
-    fixed, _ = weighted_mean(values, std**2)
-    p_value = float(chi2.sf(np.sum((values - fixed) ** 2 / std**2), len(values) - 1))
-    return BetweenRecordings(name, where, parameter, tuple(values.tolist()), tuple(std.tolist()), common, own, between, p_value)
-
-
-def weighted_mean(values: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
-    weight = 1.0 / variance
-    return float(np.sum(weight * values) / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
-
-
-def restricted_maximum_likelihood(values: np.ndarray, std: np.ndarray) -> float:
-    """Most probable standard deviation between recordings."""
-    scale = float(np.sqrt(np.mean(std**2)))
-    grid = GRID * max(scale, float(np.std(values)) / 10)
-    variance = std**2 + grid[:, None] ** 2
-    weight = 1.0 / variance
-    total = weight.sum(axis=1)
-    mean = np.sum(weight * values, axis=1) / total
-    log = -0.5 * (np.log(variance).sum(axis=1) + np.log(total) + np.sum(weight * (values - mean[:, None]) ** 2, axis=1))
-    return float(grid[int(np.argmax(log))])
+    found = random_effect(values, std)
+    each = tuple(values.tolist()), tuple(std.tolist())
+    return BetweenRecordings(name, where, parameter, *each, found.common, found.common_std, found.between_std, found.p_value)

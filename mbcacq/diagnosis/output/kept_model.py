@@ -1,4 +1,4 @@
-"""The effects of a diagnosis as a model that can be kept: what :meth:`mbcacq.diagnosis.result.Diagnosis.model` holds."""
+"""The effects of a diagnosis as a model that can be kept: what ``mbcacq.diagnosis.result.Diagnosis.model`` holds."""
 
 from __future__ import annotations
 

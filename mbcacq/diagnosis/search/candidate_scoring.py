@@ -49,6 +49,7 @@ class ProductStore:
     scans: dict[tuple[str, int], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
+    beyond_geometry: list[np.ndarray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,9 @@ class CandidateScoring:
 
     def beyond_geometry(self) -> np.ndarray:
         """(rows,) whitened residual with geometry alone projected out."""
-        return self.r0 - self.Q @ (self.Q.T @ self.r0)
+        if not self.store.beyond_geometry:
+            self.store.beyond_geometry.append(self.r0 - self.Q @ (self.Q.T @ self.r0))
+        return self.store.beyond_geometry[0]
 
     @property
     def chi2(self) -> float:

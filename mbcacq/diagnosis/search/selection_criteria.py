@@ -47,7 +47,7 @@ class SelectionCriteria:
     def independent_trials(self, candidate: Candidate, hyper: float | None, present: Collection[Candidate] = ()) -> float:
         """Number of independent trials that a candidate of this kind has: locations (by their detectability) times values of the
         hyper-parameter; where the same joint errs so already (a wheel and its mesh) the location is given. Half a trial where the sign is
-        known: nothing yields backwards.
+        known (a one-sided test): stiffness is positive.
         """
         here = any(c.name == candidate.name and c.where == candidate.where for c in present)
         locations = 1.0 if here else max(self._detectability[candidate.name] / candidate.detectability, 1.0)

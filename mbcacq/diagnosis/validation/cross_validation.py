@@ -5,7 +5,7 @@ What happens to a single station alone no other station can know of: whether suc
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, located_name
-from mbcacq.diagnosis.validation.folds import Fold, FoldResult, split
+from mbcacq.diagnosis.validation.folds import Fold, FoldResult, evaluated_fold, split
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score, predicts_better
 from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.effects.pose import payload
@@ -54,8 +54,18 @@ class CrossValidation:
         return float(np.clip(chi2 / max(self.before.chi2 - self.before.dof, 1e-9), 0, 1))
 
 
-def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, workers: int = 1) -> CrossValidation:
-    """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data."""
+def cross_validate(
+    problem: DiagnosisProblem,
+    full: ModelFit,
+    folds: int = 4,
+    pool: WorkerPool | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> CrossValidation:
+    """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data.
+
+    pool: of processes that share the folds, unless the recording is long: each would need as much memory as all of them in turn.
+    progress: gets a sentence a fold.
+    """
     linear = full.geometry_only.linear
     fold, how = split(linear, folds)
     left_out = [fold == k for k in range(int(fold.max()) + 1)]
@@ -64,17 +74,39 @@ def cross_validate(problem: DiagnosisProblem, full: ModelFit, folds: int = 4, wo
     if not keys and not everywhere:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)
         return CrossValidation(plain, plain, how, {}, (), (), (plain, plain))
-    with WorkerPool(lambda k: Fold(problem, full, left_out[k], full.smooth is not None), len(left_out), workers) as pool:
-        results: list[FoldResult] = pool.ask("evaluate", keys, centres_elsewhere(full), everywhere)
-        before, after = summed(a.before for a in results), summed(a.after for a in results)
-        without = {key: summed(a.without[key] for a in results) for key in keys}
+    expected, elsewhere = full.smooth is not None, centres_elsewhere(full)
+    problem = problem.with_linearization(linear)
+    dropped: tuple[str, ...] = ()
+
+    def begun(done: int) -> None:
+        if done < len(left_out):
+            progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
+
+    begun(0)
+    results: list[FoldResult] = []
+    if full.evidence is not None:
+        again = [(problem, full.noise, test, expected, keys, elsewhere, everywhere) for test in left_out]
+        results = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
+        before, after, without = totals(results, keys)
+    else:
+        each = [Fold(problem, full.noise, test, expected) for test in left_out]
+        for one in each:
+            results.append(one.evaluate(keys, elsewhere, everywhere))
+            begun(len(results))
         parametric = summed(a.parametric for a in results) if everywhere else None
-        dropped = () if full.evidence is not None else not_predictive(full, without, parametric or after)
-        if dropped:
-            after = summed(pool.ask("without", dropped))
+        before, after, without = totals(results, keys)
+        if dropped := not_predictive(full, without, parametric or after):
+            after = summed(one.without(dropped) for one in each)
+    parametric = summed(a.parametric for a in results) if everywhere else None
     there = summed(a.before_there for a in results), summed(a.after_there for a in results)
     decisive = there if there[0].count > OPTIONS.deciding_share * before.count else (before, after)
     return CrossValidation(before, after, how, without, tuple(a.names for a in results), dropped, decisive, parametric)
+
+
+def totals(results: list[FoldResult], keys: tuple[str, ...]) -> tuple[PredictiveScore, PredictiveScore, dict[str, PredictiveScore]]:
+    """Sums over the folds: before, after, and without each effect."""
+    without = {key: summed(a.without[key] for a in results) for key in keys}
+    return summed(a.before for a in results), summed(a.after for a in results), without
 
 
 def effect_keys(full: ModelFit) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import Noise
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,12 @@ class FoldResult:
 class Fold:
     """The model found without one fold, and its scores on it."""
 
-    def __init__(self, problem: DiagnosisProblem, full: ModelFit, test: np.ndarray, structure_expected: bool):
-        """test: (P,) bool, the poses left out."""
-        linear = full.geometry_only.linear
-        self.linear, self.noise = linear, full.noise
+    def __init__(self, problem: DiagnosisProblem, noise: Noise, test: np.ndarray, structure_expected: bool):
+        """problem: linearised at the fit of all data; noise: of that fit; test: (P,) bool, the poses left out."""
+        linear = problem.linear
+        self.linear, self.noise = linear, noise
         self.train, self.test = linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose]
-        self.found = fit_model(problem.with_linearization(linear), self.train, structure_expected=structure_expected)
+        self.found = fit_model(problem, self.train, structure_expected=structure_expected)
 
     def score(self, model: EffectSet, smooth: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
         return held_out_score(self.linear, self.train, self.test if test is None else test, model, smooth, self.noise)
@@ -65,6 +66,19 @@ class Fold:
     def without(self, names: tuple[str, ...]) -> PredictiveScore:
         """Score of the model without these effects."""
         return self.score(self.found.model.without(names), self.found.smooth)
+
+
+def evaluated_fold(
+    problem: DiagnosisProblem,
+    noise: Noise,
+    test: np.ndarray,
+    structure_expected: bool,
+    keys: tuple[str, ...],
+    elsewhere: np.ndarray,
+    everywhere: bool,
+) -> FoldResult:
+    """``Fold`` and its evaluation in one call, which a worker process can do."""
+    return Fold(problem, noise, test, structure_expected).evaluate(keys, elsewhere, everywhere)
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:

@@ -1,23 +1,24 @@
-"""A pool of worker processes for several jobs of the same kind.
+"""A pool of worker processes (loky) for calls of the same kind.
 
-Each job is made once and asked questions afterwards. Processes are forked, so what a job is made of need not be sent; answers must be
-picklable. With one worker, or where forking is not safe, the jobs are made in this process, one after the other: the answers are the
-same. Forking needs Linux.
+Processes are started anew, not forked, so that threads do no harm and every system has them. Inside a process that may have no children
+(a worker of a dask cluster), and with one worker, the calls are made here, one after the other: the answers are the same.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import sys
-import threading
-from collections.abc import Callable
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from typing import Any
+import signal
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from loky import ProcessPoolExecutor
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def cores() -> int:
@@ -27,66 +28,52 @@ def cores() -> int:
 
 
 class WorkerPool:
-    """make(k): job k of ``count``, with methods to be asked. Use as a context."""
+    """Processes that start while other work goes on, and end with the context."""
 
-    def __init__(self, make: Callable[[int], Any], count: int, workers: int = 1):
-        self.jobs: list[Any] = []
-        self.connections: list[Connection] = []
-        self.processes: list[BaseProcess] = []
-        if min(workers, count) > 1 and sys.platform == "linux" and threading.active_count() == 1:
-            self._fork(make, count, min(workers, count))
-        else:
-            self.jobs = [make(k) for k in range(count)]
+    def __init__(self, workers: int = 1):
+        self._pool: ProcessPoolExecutor | None = None
+        if workers > 1 and not multiprocessing.current_process().daemon:
+            from loky import ProcessPoolExecutor
 
-    def _fork(self, make: Callable[[int], Any], count: int, workers: int) -> None:
-        context = multiprocessing.get_context("fork")
-        for first in range(workers):
-            here, there = context.Pipe()
-            process = context.Process(target=_work, args=(there, make, range(first, count, workers)), daemon=True)
-            process.start()
-            there.close()
-            self.connections.append(here)
-            self.processes.append(process)
+            self._pool = ProcessPoolExecutor(workers, initializer=_prepare, env=ONE_THREAD)
+            for _ in range(workers):
+                self._pool.submit(_prepare)
 
-    def ask(self, method: str, *args: Any) -> list[Any]:
-        """Answers of all jobs, in order. Raises the error of a job, and CalibrationError where a process was killed."""
-        if not self.connections:
-            return [getattr(job, method)(*args) for job in self.jobs]
-        answers: dict[int, Any] = {}
+    def map(
+        self, function: Callable[..., Any], *arguments: Iterable[Any], answered: Callable[[int], None] = lambda count: None
+    ) -> list[Any]:
+        """Answers to all calls, in order. answered: gets the number of answers so far, after each.
+
+        Raises the error of a call, and CalibrationError where a process was killed.
+        """
+        if self._pool is None:
+            return _counted(map(function, *arguments), answered)
+        from concurrent.futures.process import BrokenProcessPool
+
         try:
-            for connection in self.connections:
-                connection.send((method, args))
-            received = [connection.recv() for connection in self.connections]
-        except (EOFError, OSError):
+            return _counted(self._pool.map(function, *arguments), answered)
+        except BrokenProcessPool:
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
-        for answer in received:
-            if isinstance(answer, Exception):
-                raise answer
-            answers |= answer
-        return [answers[k] for k in sorted(answers)]
 
     def __enter__(self) -> WorkerPool:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        for connection, process in zip(self.connections, self.processes, strict=True):
-            connection.close()
-            process.terminate()
-            process.join()
+    def __exit__(self, kind: object, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, kill_workers=kind is not None)
 
 
-def _work(connection: Connection, make: Callable[[int], Any], numbers: range) -> None:
-    """A worker process: makes its jobs when first asked, answers until the connection is closed."""
-    jobs: dict[int, Any] = {}
-    while True:
-        try:
-            method, args = connection.recv()
-        except (EOFError, KeyboardInterrupt):
-            return
-        try:
-            jobs = jobs or {k: make(k) for k in numbers}
-            connection.send({k: getattr(job, method)(*args) for k, job in jobs.items()})
-        except KeyboardInterrupt:
-            return
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the question was asked
-            connection.send(error)
+def _counted(answers: Iterable[Any], answered: Callable[[int], None]) -> list[Any]:
+    out = []
+    for answer in answers:
+        out.append(answer)
+        answered(len(out))
+    return out
+
+
+def _prepare() -> None:
+    """A worker leaves Ctrl-C to the process that started it, and imports what it will need."""
+    import importlib
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    importlib.import_module("mbcacq.diagnosis.validation.folds")

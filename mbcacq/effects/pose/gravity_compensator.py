@@ -1,7 +1,7 @@
 """A spring or gas balancer at A2, whose torque winds the gearbox up against gravity; nothing of it stands in the rigid-body model.
 
 A rod between a point of the base, D apart from the axis, and one of the link, k along it, pulls with F0 + F1 (l - l0), l its length: the
-law of :mod:`mbcacq.effects.motion.gravity_compensator`. The wind-up is that torque times the compliance of A2, so two angles are
+law of ``mbcacq.effects.motion.gravity_compensator``. The wind-up is that torque times the compliance of A2, so two angles are
 identified: of the constant force and of the part that grows as the rod gets longer; and the angle about which the law is even, which is
 near that of the upright link.
 """

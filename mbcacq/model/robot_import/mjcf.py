@@ -79,13 +79,21 @@ def _hinges(path: Path, mujoco: Any, model: Any, base: str | None, flange: str |
     for b in _ancestors(model, body):
         if b == stop:
             break
-        chain[:0] = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+        own = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+        chain[:0] = [j for j in own if len(own) == 1 or not is_gear_spring(mujoco, model, j)]
     odd = [model.joint(j).name for j in chain if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE]
     if odd:
         raise ConfigError(f"{path}: joint '{odd[0]}' is no hinge; an arm of hinges is needed, name its --base and --flange")
     if len(chain) < 2:
         raise ConfigError(f"{path}: fewer than two hinges lead to the flange; name the arm's last body or site with --flange")
     return chain, [model.joint(j).name for j in range(model.njnt) if j not in chain]
+
+
+def is_gear_spring(mujoco: Any, model: Any, joint: int) -> bool:
+    """A hinge that a spring holds and no actuator turns: the wind-up of the gear of another hinge on the same body."""
+    driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT}
+    hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+    return bool(hinge and np.max(np.atleast_1d(model.jnt_stiffness[joint])) > 0 and joint not in driven)
 
 
 def _ancestors(model: Any, body: int) -> list[int]:

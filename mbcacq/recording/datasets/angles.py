@@ -27,7 +27,7 @@ def radians(degrees: np.ndarray, text: Sequence[str]) -> np.ndarray:
 
 
 def degrees_text(angle: np.ndarray) -> list[str]:
-    """The shortest decimals (deg) that :func:`radians` turns back into ``angle`` (k,) rad, bit for bit."""
+    """The shortest decimals (deg) that ``radians`` turns back into ``angle`` (k,) rad, bit for bit."""
     angle = np.asarray(angle, dtype=float)
     best, found = degrees(angle)
     text = list(map(repr, best.tolist()))

@@ -1,4 +1,4 @@
-"""The observation set, a folder of ``cell.yaml``, ``poses.csv`` and ``centres.csv``, as :class:`Observations`.
+"""The observation set, a folder of ``cell.yaml``, ``poses.csv`` and ``centres.csv``, as ``Observations``.
 
 Numbers come back bit for bit. Columns this program does not know are kept in ``Observations.extra`` and written back.
 """

@@ -1,4 +1,4 @@
-"""Trajectory sets: folders of ``cell.yaml`` and ``trajectory.csv``, as :class:`Trajectory` and back."""
+"""Trajectory sets: folders of ``cell.yaml`` and ``trajectory.csv``, as ``Trajectory`` and back."""
 
 from __future__ import annotations
 

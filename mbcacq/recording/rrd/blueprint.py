@@ -1,10 +1,11 @@
-"""Layout of a recording in the viewer: five tabs, from the motion of the cell to the diagnosis."""
+"""Layout of a recording in the viewer: tabs from the cell to the calibration, and one of the diagnosis where there is one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 import yaml
 from rerun.blueprint import encodings
@@ -12,9 +13,11 @@ from rerun.blueprint import encodings
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.chart import SHEET
 from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
+WHOLE = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
 LOG_COLUMNS = rrb.TextLogColumns(
     timeline_columns=[encodings.TimelineColumn(layout.TIME)],
@@ -25,11 +28,13 @@ ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white
 
 @dataclass(frozen=True)
 class Enlarged:
-    """How many times longer than they are arrows are drawn; None where there are none yet."""
+    """What there is to show. pose, all, diagnosis: how many times longer than they are arrows are drawn; None where there are none yet."""
 
     pose: float | None = None  # of the current pose, after calibration
     all: float | None = None  # of all poses, before and after
     diagnosis: float | None = None
+    lengths: bool = False  # whether lengths were verified
+    responses: int = 0  # charts of the diagnosis
 
 
 @dataclass(frozen=True)
@@ -43,12 +48,13 @@ class ViewerCamera:
 def blueprint(
     viewpoint: ViewerCamera = ViewerCamera(), enlarged: Enlarged = Enlarged(), live: bool = False, balls: int = 10
 ) -> rrb.Blueprint:
-    """The five tabs; those of calibration and diagnosis without their curves until there are some. live: follow what comes. balls: how many
-    the cell has."""
+    """The tabs; that of the calibration without its curves until there are some, that of the diagnosis only where there is one. live:
+    follow what comes. balls: how many the cell has."""
+    diagnosis = (_diagnosis,) if enlarged.diagnosis is not None else ()
     return rrb.Blueprint(
         rrb.Tabs(
             _cell(viewpoint, enlarged, balls),
-            *(build(viewpoint, enlarged) for build in (_motion, _spheres, _calibration, _diagnosis)),
+            *(build(viewpoint, enlarged) for build in (_motion, _spheres, _calibration, *diagnosis)),
             active_tab=0,
             name="mbcacq",
         ),
@@ -59,10 +65,12 @@ def blueprint(
 
 
 def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
-    arrows = "" if enlarged.pose is None else f", arrows: error after calibration, {enlarged.pose:g} times enlarged"
-    cell = _space(f"Cell in mm{arrows}", [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}"], viewpoint)
+    arrows = "" if enlarged.pose is None else f"; pink arrows: error after calibration, {enlarged.pose:g} times enlarged"
+    contents = [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}", f"- /{layout.CALIBRATED}/**"]
+    cell = _space(f"Cell in mm, current station bright{arrows}", contents, viewpoint, hidden=(layout.PATH,))
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
     texts = rrb.Tabs(
+        *((rrb.TextDocumentView(name="Verdict", origin=layout.VERDICT),) if enlarged.pose is not None else ()),
         rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
         rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
         rrb.TextDocumentView(name="Cell description", origin=layout.CELL),
@@ -70,34 +78,53 @@ def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Contai
     found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10) + 1)  # round, and its label in the frame
     return rrb.Horizontal(
         rrb.Vertical(cell, states, row_shares=[8, 2.3]),
-        rrb.Vertical(_scan(), found, texts, row_shares=[5, 2, 3]),
+        rrb.Vertical(texts, _scan(), found, row_shares=[3, 5, 2]),
         column_shares=[3, 2],
         name="Cell",
     )
 
 
 def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
-    return rrb.Vertical(
-        _curves("Axes in deg: set (broad), actual (thin)", [layout.SET, layout.JOINTS]),
-        rrb.Horizontal(_curves("Set minus actual, deg", [layout.FOLLOWING]), _curves("Motor current, %", [layout.CURRENT])),
+    axes = rrb.Vertical(
+        _curves("Joint positions: commanded (broad), actual (thin), deg", [layout.SET, layout.JOINTS], legend=False, whole=True),
         rrb.Horizontal(
-            _curves("Cycle period, ms", [layout.PERIOD]),
-            _curves("Answers late, count", [layout.DELAY]),
-            _curves("Temperatures, deg C", [f"{layout.TEMPERATURE}/**"]),
+            _curves("Following error (commanded minus actual), deg", [layout.FOLLOWING], legend=False, whole=True),
+            _curves("Motor current, % of the largest", [layout.CURRENT], legend=False, whole=True),
         ),
-        row_shares=[15, 8, 6],
+        row_shares=[15, 8],
+    )
+    names = rrb.Spatial2DView(
+        name="Axes",
+        origin=f"/{layout.AXES_KEY}",
+        background=rrb.Background(color=NIGHT),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-30.0, 60.0), y_range=(-20.0, 420.0)),
+    )
+    return rrb.Vertical(
+        rrb.Horizontal(axes, names, column_shares=[14, 1]),
+        rrb.Horizontal(
+            _curves("Cycle period, ms", [layout.PERIOD], whole=True),
+            _curves("Answers late, count", [layout.DELAY], legend=False, whole=True),
+            _curves("Temperatures, deg C", [f"{layout.TEMPERATURE}/**"], whole=True),
+        ),
+        row_shares=[23, 6],
         name="Motion",
     )
 
 
 def _spheres(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
-        rrb.Vertical(_scan(), _curves("Scatter between exposures and fit, um", [layout.SCATTER, layout.FIT_RMS]), row_shares=[3, 1]),
         rrb.Vertical(
-            _curves("Fit residual of each ball (rms), um", [layout.BALL_RMS]),
-            _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False),
-            _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE], legend=False),
-            _curves("Points on each ball", [layout.BALL_POINTS], legend=False),
+            _scan(),
+            _curves("Scatter between exposures, and fit residual, um", [layout.SCATTER, layout.FIT_RMS], from_zero=True),
+            row_shares=[3, 1],
+        ),
+        rrb.Vertical(
+            _curves("Fit residual of each ball (rms) and its limit, um", [layout.BALL_RMS, f"{layout.LIMITS}/rms"], from_zero=True),
+            _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False, from_zero=True),
+            _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE, f"{layout.LIMITS}/zero"], legend=False),
+            _curves(
+                "Points on each ball and the fewest accepted", [layout.BALL_POINTS, f"{layout.LIMITS}/points"], legend=False, from_zero=True
+            ),
             row_shares=[6, 3, 3, 3],
         ),
         column_shares=[2, 3],
@@ -111,18 +138,18 @@ def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         title, [f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], viewpoint
     )
     result = rrb.TextDocumentView(name="Result", origin=layout.SUMMARY)
+    if enlarged.lengths:
+        result = rrb.Tabs(rrb.TextDocumentView(name="Verdict", origin=layout.VERDICT), result)
     if enlarged.all is None:
         return rrb.Horizontal(errors, result, column_shares=[2, 1], name="Calibration")
     return rrb.Horizontal(
         rrb.Vertical(errors, result, row_shares=[1, 1]),
         rrb.Vertical(
-            _curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"]),
-            _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False),
+            *((_chart("Length error at each place, with its uncertainty and the limit", layout.LENGTHS),) if enlarged.lengths else ()),
+            _curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"], from_zero=True),
+            _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False, from_zero=True),
             _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
-            rrb.Horizontal(
-                *(_bars(f"Balls in their order, {when}: 3D rms, um", f"{layout.RMS_BALL}/{when}") for when in ("before", "after"))
-            ),
-            row_shares=[4, 3, 4, 3],
+            row_shares=[6, 3, 3, 3] if enlarged.lengths else [4, 3, 4],
         ),
         column_shares=[1, 1],
         name="Calibration",
@@ -139,20 +166,23 @@ def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     text = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
     if enlarged.diagnosis is None:
         return rrb.Horizontal(cell, text, column_shares=[2, 1], name="Diagnosis")
-    return rrb.Horizontal(
-        rrb.Vertical(cell, text, row_shares=[3, 2]),
-        rrb.Vertical(
-            _curves("Difference between model and data at each pose (3D rms), um", [f"{layout.MISFIT}/**"]),
-            _curves("Variables that the effects depend on (empty: none)", [f"{layout.CAUSE}/**"]),
-        ),
-        column_shares=[1, 1],
-        name="Diagnosis",
-    )
+    charts = [_chart("Displacement over the variable it depends on", f"{layout.RESPONSES}/{k}") for k in range(enlarged.responses)]
+    if not charts:
+        charts = [_curves("Difference between model and data at each pose (3D rms), um", [f"{layout.MISFIT}/**"], from_zero=True)]
+    return rrb.Horizontal(rrb.Vertical(text, cell, row_shares=[3, 3]), rrb.Vertical(*charts), column_shares=[1, 1], name="Diagnosis")
 
 
-def _space(name: str, contents: list[str], viewpoint: ViewerCamera) -> rrb.Spatial3DView:
+def _chart(name: str, entity: str) -> rrb.Spatial2DView:
+    width, height = SHEET
+    bounds = rrb.VisualBounds2D(x_range=(0.0, width), y_range=(0.0, height))
+    return rrb.Spatial2DView(name=name, origin=f"/{entity}", background=rrb.Background(color=NIGHT), visual_bounds=bounds)
+
+
+def _space(name: str, contents: list[str], viewpoint: ViewerCamera, hidden: tuple[str, ...] = ()) -> rrb.Spatial3DView:
+    """hidden: entities that are there but not shown until they are switched on."""
     return rrb.Spatial3DView(
         name=name,
+        overrides={entity: rrb.EntityBehavior(visible=False) for entity in hidden},
         origin=layout.WORLD,
         contents=contents,
         background=rrb.Background(color=NIGHT),
@@ -172,20 +202,26 @@ def _scan() -> rrb.Spatial3DView:
     )
 
 
-def _curves(name: str, entities: list[str], legend: bool = True, most: float | None = None) -> rrb.TimeSeriesView:
-    """most: upper end of an axis that begins at 0; without it the axis fits what is shown."""
+def _curves(
+    name: str, entities: list[str], legend: bool = True, most: float | None = None, from_zero: bool = False, whole: bool = False
+) -> rrb.TimeSeriesView:
+    """most: upper end of an axis that begins at 0; without it the axis fits what is shown, with from_zero zero too. whole: from the first
+    to the last value in time."""
     axis = None if most is None else rrb.ScalarAxis(range=(0.0, most))
-    return rrb.TimeSeriesView(name=name, contents=[f"+ /{e}" for e in entities], plot_legend=rrb.PlotLegend(visible=legend), axis_y=axis)
+    zero = [f"{layout.LIMITS}/zero"] if from_zero else []
+    return rrb.TimeSeriesView(
+        name=name,
+        contents=[f"+ /{e}" for e in dict.fromkeys(entities + zero)],
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        axis_y=axis,
+        axis_x=rrb.TimeAxis(view_range=WHOLE) if whole else None,
+    )
 
 
-def _bars(name: str, entity: str) -> rrb.BarChartView:
-    return rrb.BarChartView(name=name, origin=entity, plot_legend=rrb.PlotLegend(visible=False))
-
-
-def alone(viewpoint: ViewerCamera, diagnosis: float) -> rrb.Blueprint:
+def alone(viewpoint: ViewerCamera, diagnosis: float, responses: int = 0) -> rrb.Blueprint:
     """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
     return rrb.Blueprint(
-        _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis)),
+        _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis, responses=responses)),
         rrb.TimePanel(state="collapsed", timeline=layout.POSE),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),

@@ -63,10 +63,14 @@ class CycleWriter:
             self._rec.send_columns(entity, self._index(host[at], robot[at]), scalars)
         keep = self._to_draw(robot)
         if cell is not None and keep:
-            for entity, T in scene.arm_frames(cell, q[keep]).items():
-                self._rec.send_columns(entity, self._index(host[keep], robot[keep]), rr.Transform3D.columns(**scene.transforms(T)))
+            frames, index = scene.arm_frames(cell, q[keep]), self._index(host[keep], robot[keep])
+            moves = scene.transforms(np.concatenate(list(frames.values())))
+            for k, entity in enumerate(frames):
+                own = slice(k * len(keep), (k + 1) * len(keep))
+                columns = rr.Transform3D.columns(translation=moves["translation"][own], quaternion=moves["quaternion"][own])
+                self._rec.send_columns(entity, index, columns)
             if self.urdf is not None:
-                self.urdf.pose(self._rec, q[keep], self._index(host[keep], robot[keep]))
+                self.urdf.pose(self._rec, q[keep], index)
 
     def _periods(self, robot: np.ndarray, host: np.ndarray) -> np.ndarray:
         """(k, 2) ms from the cycle before, by the controller's clock and by this computer's; NaN for the first of all."""

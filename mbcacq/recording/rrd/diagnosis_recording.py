@@ -15,15 +15,21 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
+from mbcacq.recording.rrd.chart import GRID, Chart
+from mbcacq.recording.rrd.new_stream import new_stream
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
 ARROW_SHARE = 0.10  # of the extent of the measured places: how long a large difference (95 %) before is drawn
 RECORDED = (235, 238, 242)
+MOST_CHARTS = 4
 
 
-def write_diagnosis(path: Path | str, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None) -> Path:
-    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.figures`` makes them; text: the diagnosis in words).
+def write_diagnosis(
+    path: Path | str, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None, cards: str = ""
+) -> Path:
+    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.figures`` makes them; text: the diagnosis in words;
+    cards: the same as Markdown, a card an effect, shown in its place where it is given).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
     and is shown alone. Raises RecordingError if it cannot be written.
@@ -31,18 +37,18 @@ def write_diagnosis(path: Path | str, observations: Observations, text: str, pic
     path, obs = Path(path), observations
     centres = {name: np.asarray(values, float) for name, values in pictures["centres"].items() if isinstance(values, list)}
     point, before, after = (centres[name].reshape(-1, 3) for name in ("point_mm", "before_mm", "after_mm"))
-    scale = _scale(point, before)
+    scale, curves = _scale(point, before), list(pictures.get("curves", ()))[:MOST_CHARTS]
     times, recording_id = _of_run(run)
     partial = path.with_name(f".{path.stem}.part.rrd")
-    stream = rr.RecordingStream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
+    stream = new_stream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
     try:
         viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
-        stream.save(rerun_path(partial), default_blueprint=alone(viewpoint, scale) if run is None else None)
+        stream.save(rerun_path(partial), default_blueprint=alone(viewpoint, scale, len(curves)) if run is None else None)
         if run is None:
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
-        stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale), static=True)
-        stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(f"```\n{text}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
+        stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=float(len(curves))), static=True)
+        stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(cards or f"```\n{text}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
         for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
             stream.log(
                 f"{layout.DIAGNOSIS_ARROWS}/{name}",
@@ -55,6 +61,8 @@ def write_diagnosis(path: Path | str, observations: Observations, text: str, pic
             entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
             label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
             stream.log(entity, rr.SeriesPoints(names=[label], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
+        for k, curve in enumerate(curves):
+            _log_response(stream, f"{layout.RESPONSES}/{k}", curve)
         _log_poses(stream, centres, before, after, pictures["causes"], times)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
@@ -64,6 +72,25 @@ def write_diagnosis(path: Path | str, observations: Observations, text: str, pic
     finally:
         partial.unlink(missing_ok=True)
     return path
+
+
+def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, Any]) -> None:
+    """The displacement of each pose over the variable that the effect depends on: before, the model, and what remains after."""
+    x, model, before = (np.asarray(curve[name], float) for name in ("x", "y", "seen"))
+    if len(x) == 0:
+        return
+    after = before - model
+    low, high = np.percentile(np.concatenate([before, after, model]), [1, 99])
+    pad = 0.1 * max(high - low, 1e-9)
+    span = max(float(np.ptp(x)), 1e-9)
+    unit = f", {curve['x_unit']}" if curve["x_unit"] else ""
+    name = "unmodelled effect" if curve["effect"] == "unknown" else str(curve["effect"]).replace("_", " ")
+    labels = f"{curve['x_label']}{unit}", f"{name} at {curve['at']}: {curve['what']}, {curve['unit']}"
+    chart = Chart(stream, entity, (x.min() - 0.03 * span, x.max() + 0.03 * span), (low - pad, high + pad), labels)
+    chart.level("zero", (0.0,), GRID)
+    chart.points("before", x, before, BEFORE)
+    chart.points("after", x, after, AFTER)
+    chart.points("model", x, model, RECORDED, 1.4)
 
 
 def _of_run(run: Path | None) -> tuple[dict[int, float], str | None]:

@@ -12,8 +12,10 @@ from mbcacq.devices import Scan
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import layout, scan_colouring, scene
+from mbcacq.spheres.found import SphereOptions
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
+LIMITS = SphereOptions()
 SEGMENT_POINTS = 8  # of a segment straight in joint space
 
 
@@ -34,6 +36,7 @@ class Drawing:
         self._cell, self._route = cell, list(event.route)
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
+        scene.log_limits(self._rec)
         self._rec.log(layout.SUMMARY, _markdown("No calibration yet: `mbcacq run` makes one at its end."), static=True)
         self._rec.log(layout.DIAGNOSIS_TEXT, _markdown("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
         if event.route:
@@ -42,8 +45,12 @@ class Drawing:
             self._rec.log(layout.PATH, rr.LineStrips3D.from_fields(colors=[TO_COME] * len(strips)))
 
     def station(self, event: events.StationReached) -> None:
-        if self._cell is not None:
-            self._artefact = self._cell.artefact(event.artefact)
+        """The artefact's new place is the bright one, those before fade."""
+        if self._cell is None:
+            return
+        self._artefact = self._cell.artefact(event.artefact)
+        for other in self._balls:
+            scene.fade_balls(self._rec, other, bright=other == event.station)
 
     def reached(self, event: events.PoseReached) -> None:
         self._form = []
@@ -74,6 +81,9 @@ class Drawing:
     def done(self, event: events.PoseDone) -> None:
         if self._cell is None:
             return
+        self._rec.log(f"{layout.LIMITS}/zero", rr.Scalars(0.0))
+        self._rec.log(f"{layout.LIMITS}/points", rr.Scalars(float(LIMITS.min_points)))
+        self._rec.log(f"{layout.LIMITS}/rms", rr.Scalars(1e3 * LIMITS.max_noise))
         values = _by_ball(self._cell, event.ball, np.stack([event.n_points, 1e3 * np.asarray(event.rms_mm)], axis=1))
         for entity, column in zip((layout.BALL_POINTS, layout.BALL_RMS), values.T, strict=True):
             self._rec.log(entity, rr.Scalars(column))

@@ -31,12 +31,14 @@ TEMPERATURE = "motion/temperature_C"  # motion/temperature_C/QUANTITY: the tempe
 # Measured.
 CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
 JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
+AXES_KEY = "joints/names"  # Points2D: names and colours of the axes, beside their curves
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count
 SCAN = "world/scan"  # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
 ON_BALLS, BACKGROUND = "world/scan/on_balls", "world/scan/beside"  # Points3D for display: by distance to the ball; the rest
 EXPOSURE = "exposure"  # mbcacq.Centres of one exposure
 OBSERVATION = "observation"  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load_observations reads
 BALLS_FOUND, FIT_RMS, SCATTER = "quality/balls_found", "quality/fit_rms_um", "quality/exposure_scatter_um"  # Scalars
+LIMITS = "spheres/limit"  # .../NAME: Scalars, the limits that the spheres are judged by
 BALL_POINTS, BALL_RMS, BALL_FORM, BALL_SIZE = (  # Scalars, one value a ball of the cell (NaN where not found)
     "spheres/points",
     "spheres/rms_um",
@@ -56,9 +58,11 @@ OBSTACLES = "world/obstacles"  # Boxes3D
 # The result, in a file of its own with the same recording id.
 RESIDUAL = "result/residual_um"  # result/residual_um/after, before: Scalars, mean of a pose along x, y, z
 RESIDUAL_BALL = "result/residual"  # mbcacq.Residual: float64, every centre
-RMS_POSE, RMS_BALL = "result/rms_pose_um", "result/rms_ball_um"  # .../before, .../after: Scalars 3D rms of a pose; BarChart by ball
+RMS_POSE = "result/rms_pose_um"  # .../before, .../after: Scalars, 3D rms of a pose
 VIEW = "view"  # TextDocument, only in the small file that ``mbcacq view`` opens first
 SUMMARY = "result/summary"  # TextDocument
+VERDICT = "result/verdict"  # TextDocument: the verdict, and the one number against its limit
+LENGTHS = "result/length_error"  # chart (2D): error of each certified length with its uncertainty and the limit
 ENLARGED = "result/enlarged"  # mbcacq.Enlarged: how many times longer than they are arrows are drawn
 CALIBRATED = "world/calibrated"  # world/calibrated/STATION: Transform3D T_base_station, certified balls
 ARROWS = "world/residuals"  # Arrows3D of the pose, enlarged
@@ -70,6 +74,7 @@ DIAGNOSIS_TEXT = "diagnosis/text"  # TextDocument
 DIAGNOSIS_ARROWS = "diagnosis/cell/arrows"  # .../before, .../after
 DIAGNOSIS_BALLS = "diagnosis/cell/balls"  # Points3D, recorded centres
 CAUSE = "diagnosis/cause"  # diagnosis/cause/NAME: Scalars, the variable that an effect depends on
+RESPONSES = "diagnosis/responses"  # diagnosis/responses/K: chart (2D), displacement over its own variable before and after
 MISFIT = "diagnosis/residual_um"  # .../before, .../after: Scalars, 3D rms of a pose
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"

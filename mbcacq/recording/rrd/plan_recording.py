@@ -26,9 +26,10 @@ def write_plan_recording(
 
     from mbcacq.recording.rrd import layout, scene
     from mbcacq.recording.rrd.blueprint import place_camera
+    from mbcacq.recording.rrd.new_stream import new_stream
 
     cell = loaded.cell
-    rec = rr.RecordingStream("mbcacq_plan")
+    rec = new_stream("mbcacq_plan")
     viewpoint = place_camera(cell.robot.chain, np.array([_planned_pose(s)[:3, 3] for s in cell.stations]))
     view = rrb.Spatial3DView(
         name="Plan",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,20 +16,39 @@ from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
+from mbcacq.recording.rrd.chart import Chart
+from mbcacq.recording.rrd.new_stream import new_stream
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
-BALL_ARROW_MM, SPACE_ARROW = 25.0, 0.12  # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
+BALL_ARROW_MM, SPACE_ARROW = 60.0, 0.12  # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
 BEFORE, AFTER = (230, 159, 0), (86, 180, 233)
 CERTIFIED = (240, 228, 66)
+ERROR = (255, 80, 190)  # an arrow that stands out from the arm, the balls and the field of view
 AXES = ("x", "y", "z")
 
 
-def log_result(run: Path | str, observations: Observations, after: CellState, before: CellState | None = None) -> Path:
+@dataclass(frozen=True)
+class Judgement:
+    """What the verification says. text: Markdown of the verdict; place: k names; error, sigma: (k,) mm, of each certified length and its
+    standard uncertainty; before: (k,) mm; limit: mm, or None."""
+
+    text: str
+    place: Sequence[str] = ()
+    before: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    error: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    sigma: np.ndarray | None = None
+    limit: float | None = None
+
+
+def log_result(
+    run: Path | str, observations: Observations, after: CellState, before: CellState | None = None, judgement: Judgement | None = None
+) -> Path:
     """Write result.rrd into a run folder (replacing an older one); viewers show it together with the run.
 
     observations: those of the run, or any selection of them; poses of a station that the calibration did not determine (its
-    T_base_station is the identity) are left out. after, before: the calibrated cell, and the cell to compare it with.
+    T_base_station is the identity) are left out. after, before: the calibrated cell, and the cell to compare it with. judgement: of its
+    verification.
     Raises RecordingError where the run cannot be read or the file cannot be written.
     """
     run = Path(run)
@@ -35,13 +56,13 @@ def log_result(run: Path | str, observations: Observations, after: CellState, be
     times = {int(row["pose"][0]): float(row["time_s"][0]) for recording in recordings for row in recording.observed()}
     path = run / layout.RESULT_FILE
     partial = path.with_name(".result.part.rrd")
-    stream = rr.RecordingStream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
+    stream = new_stream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
     try:
         states = {"before": before, "after": after} if before is not None else {"after": after}
         errors = {name: residual(observations, predict(observations, state))[:, :3] for name, state in states.items()}
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
-        scale = _scales(observations, after, errors, shown)
+        scale = replace(_scales(observations, after, errors, shown), lengths=judgement is not None and len(judgement.error) > 0)
         stream.save(rerun_path(partial), default_blueprint=for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
         _log_static(stream, scale)
         for k, number in enumerate(observations.pose_id.tolist()):
@@ -53,6 +74,8 @@ def log_result(run: Path | str, observations: Observations, after: CellState, be
         stream.reset_time()
         _log_all(stream, observations, after, errors, shown, scale.all)
         _log_stations(stream, observations, after, known)
+        if judgement is not None:
+            _log_judgement(stream, judgement)
         summary = _summary(observations, errors, shown, scale)
         stream.log(layout.SUMMARY, rr.TextDocument(summary, media_type=rr.MediaType.MARKDOWN), static=True)
         stream.flush(timeout_sec=60.0)
@@ -97,7 +120,7 @@ def _log_static(stream: rr.RecordingStream, scale: Enlarged) -> None:
         stream.log(f"{layout.RESIDUAL}/{name}", rr.SeriesPoints(names=names, colors=colours, marker_sizes=[2.5]), static=True)
     for name, colour in (("before", BEFORE), ("after", AFTER)):
         stream.log(f"{layout.RMS_POSE}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
-    values = {key: value for key, value in (("pose", scale.pose), ("all", scale.all)) if value is not None}
+    values = {key: value for key, value in (("pose", scale.pose), ("all", scale.all), ("lengths", 1.0 if scale.lengths else None)) if value}
     stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, **values), static=True)
 
 
@@ -124,8 +147,8 @@ def _log_pose(
         rr.Arrows3D(
             origins=origins,
             vectors=scale * errors["after"][mine] @ T[:3, :3].T,
-            colors=[AFTER],
-            radii=[0.8],
+            colors=[ERROR],
+            radii=rr.Radius.ui_points(2.5),
             labels=[f"ball {b}" for b in ball],
             show_labels=False,
         ),
@@ -135,12 +158,10 @@ def _log_pose(
 def _log_all(
     stream: rr.RecordingStream, obs: Observations, after: CellState, errors: dict[str, np.ndarray], shown: np.ndarray, scale: float | None
 ) -> None:
-    """Every error at once, and the rms of each ball."""
+    """Every error at once."""
     if scale is None:
         return
     origins, rotation = _in_base(obs, after)
-    ids = np.array(obs.cell.ball_ids)
-    measured = np.unique(obs.ball[shown])
     for name, error in errors.items():
         colour = BEFORE if name == "before" else AFTER
         vectors = scale * np.einsum("mij,mj->mi", rotation[shown], error[shown])
@@ -149,8 +170,27 @@ def _log_all(
             rr.Arrows3D(origins=origins[shown], vectors=vectors, colors=[colour], radii=rr.Radius.ui_points(0.6)),
             static=True,
         )
-        rms = [1e3 * _rms(error[shown & (obs.ball == b)]) for b in measured]
-        stream.log(f"{layout.RMS_BALL}/{name}", rr.BarChart(rms, abscissa=ids[measured], color=colour), static=True)
+
+
+def _log_judgement(stream: rr.RecordingStream, judged: Judgement) -> None:
+    """The verdict, and the chart of the number that judges: the length error at each place."""
+    stream.log(layout.VERDICT, rr.TextDocument(judged.text, media_type=rr.MediaType.MARKDOWN), static=True)
+    if not len(judged.error):
+        return
+    uncertainty = np.zeros(len(judged.error)) if judged.sigma is None else 2 * judged.sigma
+    top = 1.15 * max(float(np.max(np.abs(judged.error) + uncertainty)), judged.limit or 0.0, 1e-6)
+    x = np.arange(len(judged.error), dtype=float)
+    chart = Chart(stream, layout.LENGTHS, (-0.6, len(x) - 0.4), (-top, top), ("place", "length error, mm"), [str(p) for p in judged.place])
+    beyond = np.abs(judged.before) > top
+    chart.points("before", x[~beyond], judged.before[~beyond], BEFORE, 5.0)
+    if beyond.any():  # far above the limit, as before a calibration: marked at the edge with their value in the legend
+        largest = float(np.max(np.abs(judged.before)))
+        chart.points(f"before, up to {largest:.2f}", x[beyond], judged.before[beyond], BEFORE, 5.0)
+    chart.bars("after", x, judged.error, 0.5, AFTER)
+    if judged.sigma is not None:
+        chart.whiskers("U (k = 2)", x, judged.error - uncertainty, judged.error + uncertainty)
+    if judged.limit is not None:
+        chart.level(f"limit {judged.limit:g} mm", (-judged.limit, judged.limit))
 
 
 def _rms(error: np.ndarray) -> float:

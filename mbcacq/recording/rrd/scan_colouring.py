@@ -36,10 +36,10 @@ def colour_scan(points: np.ndarray, artefact: Artefact, ball: np.ndarray, centre
     form, size = np.full(len(ball), np.nan), np.full(len(ball), np.nan)
     for k, (number, middle) in enumerate(zip(np.asarray(ball).tolist(), np.asarray(centre), strict=True)):
         r = float(radius[number])
-        near = np.flatnonzero(np.all(np.abs(thinned - middle) < r + SHELL_MM, axis=1))
-        distance = np.linalg.norm(thinned[near] - middle, axis=1) - r
-        mine = np.abs(distance) < SHELL_MM
-        near, distance = near[mine], distance[mine]
+        away = thinned - middle
+        distance = np.sqrt(np.einsum("nc,nc->n", away, away)) - r
+        near = np.flatnonzero(np.abs(distance) < SHELL_MM)
+        distance = distance[near]
         free[near] = False
         if len(near) >= 4:
             low, high = np.percentile(distance, [2.5, 97.5])

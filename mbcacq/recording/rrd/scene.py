@@ -16,7 +16,7 @@ from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
 
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
-HOUSING, VIEW, BALL, BAR = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168)
+HOUSING, VIEW, BALL, BAR, PALE = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168), (62, 68, 78)
 CURVES = [(86, 180, 233), (230, 159, 0), (0, 190, 140), (213, 94, 0), (204, 121, 167), (240, 228, 66), (150, 160, 255), (180, 180, 180)]
 MARKERS = [MarkerShape.Circle, MarkerShape.Diamond, MarkerShape.Square, MarkerShape.Up, MarkerShape.Cross, MarkerShape.Plus]
 LARGEST_BOX = 2000.0  # mm
@@ -43,7 +43,7 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
         "paused": (230, 159, 0),
         "stopped": (120, 60, 60),
     }
-    rec.log(layout.STATE, rr.StateConfiguration(values=list(states), colors=list(states.values())), static=True)
+    rec.log(layout.STATE, rr.StateConfiguration(values=list(states), labels=list(states), colors=list(states.values())), static=True)
 
 
 def log_series(rec: rr.RecordingStream, n: int) -> None:
@@ -52,7 +52,10 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
     colours = (CURVES * 2)[:n]
     for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
         rec.log(entity, rr.SeriesLines(names=axes, colors=colours, widths=[1.3]), static=True)
-    rec.log(layout.SET, rr.SeriesLines(names=[f"{a} set" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True)
+    rec.log(
+        layout.SET, rr.SeriesLines(names=[f"{a} commanded" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True
+    )
+    log_axes_key(rec, n)
     rec.log(
         layout.PERIOD,
         rr.SeriesLines(names=["controller, ms", "this computer, ms"], colors=[CURVES[0], CURVES[1]], widths=[1.3]),
@@ -65,6 +68,13 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
         (layout.SCATTER, "scatter between exposures, um", CURVES[1]),
     ):
         rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+
+
+def log_axes_key(rec: rr.RecordingStream, n: int) -> None:
+    """Names and colours of the n axes, shown beside their curves."""
+    places = np.column_stack([np.zeros(n), 30.0 * np.arange(n)])
+    names = [f"A{i + 1}" for i in range(n)]
+    rec.log(layout.AXES_KEY, rr.Points2D(places, colors=(CURVES * 2)[:n], radii=8.0, labels=names, show_labels=True), static=True)
 
 
 def log_ball_series(rec: rr.RecordingStream, cell: Cell) -> None:
@@ -145,6 +155,20 @@ def log_balls(rec: rr.RecordingStream, station: str, artefact: Artefact, balls: 
     )
     if len(artefact.ball_ids) == 2 and len(balls) == 2:
         rec.log(f"{entity}/bar", rr.LineStrips3D([centres], colors=[BAR], radii=[float(radius.min()) * 0.4]))
+
+
+def fade_balls(rec: rr.RecordingStream, station: str, bright: bool) -> None:
+    """Another colour for the balls of a station, and for its bar: bright where the arm is, pale elsewhere."""
+    entity = f"{layout.STATIONS}/{rr.escape_entity_path_part(station)}"
+    rec.log(entity, rr.Ellipsoids3D.from_fields(colors=[BALL if bright else PALE]))
+    rec.log(f"{entity}/bar", rr.LineStrips3D.from_fields(colors=[BAR if bright else PALE]))
+
+
+def log_limits(rec: rr.RecordingStream) -> None:
+    """Names and colours of the limits that the spheres are judged by."""
+    for name, label in (("rms", "limit"), ("points", "fewest"), ("zero", "")):
+        colour = BASE if name == "zero" else CURVES[3]
+        rec.log(f"{layout.LIMITS}/{name}", rr.SeriesLines(names=[label], colors=[colour], widths=[1.5]), static=True)
 
 
 def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:

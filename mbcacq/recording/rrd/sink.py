@@ -18,6 +18,7 @@ from mbcacq.errors import RecordingError
 from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, note_stretch
+from mbcacq.recording.rrd.new_stream import new_stream
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 STALLED_S = 5  # without one byte more in the file, while there is something to write
@@ -36,7 +37,7 @@ class Sink:
         self.live_url: str | None = None
         config = rr.ChunkBatcherConfig(flush_tick=TICK_S)
         rr.set_strict_mode(True)
-        self.stream = rr.RecordingStream(layout.APPLICATION, recording_id=recording_id, batcher_config=config)
+        self.stream = new_stream(layout.APPLICATION, recording_id=recording_id, batcher_config=config)
         try:
             sinks: list = [rr.FileSink(path)]
             if live:

@@ -51,7 +51,7 @@ def recover(path: Path | str) -> list[Recovered]:
 
 
 def make_readable(path: Path) -> list[Recovered]:
-    """:func:`recover` for one who holds the lock of the run folder."""
+    """``recover`` for one who holds the lock of the run folder."""
     if path.is_dir():
         sources = layout.originals(path)
         if not sources:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -67,11 +67,19 @@ def view(sources: Sequence[Path | str]) -> None:
         raise RecordingError(f"the viewer could not be opened ({reason}); without a screen, use --screenshot DIR")
 
 
-def screenshots(sources: Sequence[Path | str], folder: Path, size: tuple[int, int] = (1600, 1000), pose: int | None = None) -> list[Path]:
+def screenshots(
+    sources: Sequence[Path | str],
+    folder: Path,
+    size: tuple[int, int] = (1600, 1000),
+    pose: int | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Path]:
     """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing.
 
-    Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where there is no such pose.
+    progress: gets a sentence a step. Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where
+    there is no such pose.
     """
+    progress("reading the recording")
     folder = Path(folder).absolute()
     moment = _moment(sources, pose)
     try:
@@ -79,9 +87,13 @@ def screenshots(sources: Sequence[Path | str], folder: Path, size: tuple[int, in
     except OSError as error:
         raise ConfigError(f"{folder} cannot be made: {error.strerror}; choose another folder for the pictures") from error
     written: list[Path] = []
+    progress("starting the viewer")
     with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as made, _headless(size) as client:
+        progress("loading the recording")
         _load(client, layout_first(sources, Path(made)))
-        for tab in _tabs(client):
+        tabs = _tabs(client)
+        for number, tab in enumerate(tabs, 1):
+            progress(f"picture of {tab}: {number} of {len(tabs)}")
             _turn_to(client, tab)
             _go_to(client, tab, moment)
             time.sleep(TAB_SETTLE_S if written else SETTLE_S)
@@ -114,7 +126,9 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
 
     from mbcacq.recording.datasets.cell_yaml import parse_cell
     from mbcacq.recording.rrd.blueprint import for_cell
+    from mbcacq.recording.rrd.new_stream import new_stream
     from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.scene import log_axes_key
 
     try:
         first = Recording(sources[0])
@@ -122,9 +136,10 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
     except MbcacqError:
         return list(sources)
     path = folder / "layout.rrd"
-    stream = rr.RecordingStream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
+    stream = new_stream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
     stream.save(rerun_path(path), default_blueprint=for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
+    log_axes_key(stream, cell.robot.n)  # an older recording has none
     stream.flush(timeout_sec=10.0)
     stream.disconnect()
     return [path, *sources]
@@ -159,16 +174,16 @@ def _root_entity(blueprint: dict[str, Any]) -> str:
 
 
 def enlarged(sources: Sequence[Path | str]) -> Any:
-    """How many times the arrows of the sources are enlarged (``blueprint.Enlarged``)."""
+    """What result and diagnosis among the sources hold to show (``blueprint.Enlarged``)."""
     from mbcacq.recording.rrd.blueprint import Enlarged
     from mbcacq.recording.rrd.reader import Recording
 
-    found: dict[str, float] = {}
+    found: dict[str, Any] = {}
     for source in sources:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
-                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis") if name in row}
-    return Enlarged(**found)
+                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths", "responses") if name in row}
+    return Enlarged(**found | {"lengths": bool(found.get("lengths")), "responses": int(found.get("responses", 0))})
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """A fake Modbus TCP server with a positioner and sensors behind it.
 
-pymodbus calls its simulator experimental and changes it; everything that depends on it is in :class:`FakeModbus`.
+pymodbus calls its simulator experimental and changes it; everything that depends on it is in ``FakeModbus``.
 """
 
 from __future__ import annotations

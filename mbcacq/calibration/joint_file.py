@@ -1,0 +1,40 @@
+"""Reading the result of several recordings of one arm, format 'mbcacq-joint-result/1': one result for each recording.
+
+One of them is named by its number behind the file: ``result.json#2`` is the cell of the second recording.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from mbcacq.errors import ConfigError
+
+FORMAT = "mbcacq-joint-result/1"
+
+
+def split_number(path: Path) -> tuple[Path, int | None]:
+    """The file and the number of the recording in it that a path like ``result.json#2`` names; None where it names none."""
+    found = re.fullmatch(r"(.+)#(\d+)", path.name)
+    return (path, None) if path.exists() or not found else (path.with_name(found[1]), int(found[2]))
+
+
+def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: bool = False) -> Any:
+    """The result of one recording in a joint result; any other content as it is. any_of_them: without a number the first will do, where
+    only what they share is asked for. Raises ConfigError where it is not said which.
+    """
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        if number is not None:
+            raise ConfigError(f"{file} is not of several recordings; leave out '#{number}'")
+        return content
+    try:
+        names, results = zip(*((str(one["name"]), one["result"]) for one in content["recordings"]), strict=True)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{file}: the joint result is damaged ({error}); write it anew with mbcacq calibrate") from error
+    if number is None and any_of_them:
+        number = 1
+    if number is None or not 1 <= number <= len(results):
+        choice = ", ".join(f"{file}#{i + 1} ({name})" for i, name in enumerate(names))
+        raise ConfigError(f"{file} is of {len(results)} recordings with one arm, each with its own tool and stations; give one: {choice}")
+    return results[number - 1]

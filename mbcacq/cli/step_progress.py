@@ -1,0 +1,89 @@
+"""Progress of a command that computes: which step it is at, for how long, and how long it still takes; on stderr.
+
+The clock is a timer signal, not a thread: a process that has threads cannot fork its workers safely.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+import threading
+import time
+from types import TracebackType
+
+from mbcacq.cli.terminal import echo
+
+EVERY_S = 1.5  # nothing is silent for more than two seconds
+COUNTED = re.compile(r"(\d+) of (\d+)$")
+
+
+class StepProgress:
+    """Call it with a sentence at the begin of each step; use it as a context. A sentence that ends with 'k of n' is counted: the time
+    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each message is a line."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet, self._terminal = quiet, sys.stderr.isatty()
+        self._text, self._began, self._counting_since = "", 0.0, 0.0
+        self._count: tuple[int, int] | None = None
+        self._written = 0
+        self._timed = False
+
+    def __call__(self, text: str) -> None:
+        self.begin(text)
+        self._say(f"{text}{self._left(self._began)} ...")
+
+    def begin(self, text: str) -> None:
+        """A step whose begin is not worth a line: it is named only when it takes long."""
+        now = time.monotonic()
+        found = COUNTED.search(text)
+        count = (int(found[1]), int(found[2])) if found else None
+        if count is None or self._count is None or count[0] <= self._count[0]:
+            self._counting_since = now
+        self._text, self._began, self._count = text, now, count
+
+    def __enter__(self) -> StepProgress:
+        in_main = threading.current_thread() is threading.main_thread()
+        free = hasattr(signal, "SIGALRM") and signal.getsignal(signal.SIGALRM) == signal.SIG_DFL  # else the alarm is somebody else's
+        self._timed = free and in_main and not self._quiet
+        if self._timed:
+            signal.signal(signal.SIGALRM, lambda *_: self._tick())
+            signal.siginterrupt(signal.SIGALRM, False)
+            signal.setitimer(signal.ITIMER_REAL, EVERY_S, EVERY_S)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._timed:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        self.clear()
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self._text and now - self._began > 0.5 * EVERY_S:
+            self._say(f"{self._text}: {now - self._began:.0f} s so far{self._left(now)}")
+
+    def _left(self, now: float) -> str:
+        if self._count is None or self._count[0] < 2:
+            return ""
+        number, of = self._count
+        each = (self._began - self._counting_since) / (number - 1)
+        return f", about {max(each * (of - number + 1) - (now - self._began), 1.0):.0f} s left"
+
+    def _say(self, text: str) -> None:
+        if self._quiet:
+            return
+        if not self._terminal:
+            echo(text, err=True)
+            return
+        self.clear()
+        shown = text[:78]
+        echo(shown, err=True, nl=False)
+        self._written = len(shown)
+
+    def clear(self) -> None:
+        """Take the line away, before something else is printed."""
+        if self._written:
+            sys.stderr.write("\r" + " " * self._written + "\r")
+            sys.stderr.flush()
+            self._written = 0

@@ -1,0 +1,77 @@
+"""Tasks on a cluster of dask: one of this computer, or one whose scheduler is given."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from mbcacq.errors import ConfigError, ConnectError
+from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask, evaluate_recording
+from mbcacq.fleet.recordings import FleetRecording
+
+LOOPBACK = "127.0.0.1"
+CONNECT_S = 10.0
+QUIET = logging.CRITICAL
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": 1,  # a recording at which two workers end is given up
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+
+
+def evaluated(
+    recordings: Sequence[FleetRecording], task: FleetTask, workers: int, scheduler: str | None
+) -> Iterator[tuple[FleetRecording, dict[str, Any]]]:
+    """Each recording with what came of it, in the order in which they are done.
+
+    workers: processes of a cluster of this computer, which is closed in the end, whatever happens. scheduler: address of a running
+    cluster instead; its workers must see the recordings under the same paths. Raises ConnectError where it does not answer.
+    """
+    try:
+        from dask import config
+        from dask.distributed import Client, LocalCluster, as_completed
+    except ImportError as error:
+        raise ConfigError("a fleet needs dask: pip install 'mbcacq[fleet]'") from error
+    logging.getLogger("distributed").setLevel(QUIET)  # what goes wrong with a recording stands in its row
+    with ExitStack() as closing:
+        closing.enter_context(config.set(SETTINGS))
+        address: Any = scheduler
+        if scheduler is None:
+            address = closing.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host=LOOPBACK,
+                    dashboard_address=f"{LOOPBACK}:0",  # its own default is a fixed port
+                    scheduler_kwargs={"dashboard": False},
+                    silence_logs=QUIET,
+                )
+            )
+        try:
+            client = closing.enter_context(Client(address, timeout=CONNECT_S))
+        except (OSError, ValueError) as error:
+            raise ConnectError(
+                f"no scheduler answers at {scheduler} ({error}); start one (dask scheduler) or leave --scheduler out"
+            ) from error
+        futures = client.map(evaluate_recording, recordings, task=task, pure=False)
+        by_key = {future.key: one for future, one in zip(futures, recordings, strict=True)}
+        waiting = as_completed(futures)
+        del futures
+        for future in waiting:
+            recording = by_key[future.key]
+            yield recording, _outcome(recording, future)
+            future.release()
+
+
+def _outcome(recording: FleetRecording, future: Any) -> dict[str, Any]:
+    """What a task returned; a failed row where its worker ended."""
+    error = future.exception()
+    if error is None:
+        return future.result()
+    row = {"recording": recording.path, "arm": recording.arm, "time": recording.time or None, "status": FAILED}
+    ended = type(error).__name__ == "KilledWorker"
+    reason = "the process that worked on it was ended (memory?), twice" if ended else f"unexpected {type(error).__name__}: {error}"
+    return {"format": FORMAT, "row": row | {"reason": reason}}

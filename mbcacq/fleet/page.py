@@ -1,0 +1,88 @@
+"""The content of a fleet's page: from rows, charts and outliers to plain values in mm and deg."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
+from mbcacq.fleet.evaluation import EVALUATED
+from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
+
+TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
+MOST_LISTED = 200  # outliers and broken recordings on the page; the table has all
+
+
+def fleet_content(rows: Sequence[Mapping[str, Any]], kinds: Sequence[ArmType], outside: Sequence[Outlier]) -> FleetContent:
+    """What the page shows."""
+    broken = [row for row in rows if row["status"] != EVALUATED]
+    arms = {(row.get("robot"), row["arm"]) for row in rows if row["status"] == EVALUATED}
+    headlines = [
+        ("recordings", str(len(rows)), f"{len(rows) - len(broken)} evaluated"),
+        ("arms", str(len(arms)), f"of {len(kinds)} type{'s' * (len(kinds) != 1)}"),
+        ("outside the control limits", str(len({o.recording for o in outside if o.recording})), "recordings"),
+        ("unlike the others", str(len({o.arm for o in outside if o.recording is None})), "arms"),
+        ("without a result", str(len(broken)), "recordings"),
+    ]
+    verdicts = Counter(row["verdict"] for row in rows if row.get("verdict"))
+    effects = Counter(effect for row in rows for effect in row.get("effects") or ())
+    return FleetContent(
+        headlines,
+        [_listed(o) for o in outside[:MOST_LISTED]],
+        [(row["arm"], Path(row["recording"]).name, row["status"], row["reason"] or "") for row in broken[:MOST_LISTED]],
+        [(verdict, str(count)) for verdict, count in verdicts.most_common()],
+        [(effect, str(count)) for effect, count in effects.most_common(20)],
+        [_type(kind) for kind in kinds],
+        max(len(outside) - MOST_LISTED, 0) + max(len(broken) - MOST_LISTED, 0),
+    )
+
+
+def scale_and_unit(name: str) -> tuple[float, str]:
+    """Factor and unit in which a figure is shown."""
+    angle = name.startswith(("theta", "alpha", "beta")) or name.rpartition(".")[2] in ("rx", "ry", "rz")
+    return (180 / np.pi, "deg") if angle else (1.0, "mm")
+
+
+def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
+    """Arm, recording, figure, its difference from the centre line, the limit, and the two over each other."""
+    scale, unit = scale_and_unit(outlier.name)
+    away = outlier.value - outlier.centre
+    where = "all, against the other arms" if outlier.recording is None else Path(outlier.recording).name
+    figures = (f"{scale * away:+.4f} {unit}", f"± {scale * outlier.limit:.4f} {unit}", f"{abs(away) / outlier.limit:.1f}")
+    return (outlier.arm, where, TITLES.get(outlier.name, outlier.name), *figures)
+
+
+def _type(kind: ArmType) -> ArmTypeContent:
+    """Charts of a type, the one with the farthest outlier first."""
+    charts = sorted(kind.charts, key=lambda chart: -_farthest(chart))
+    names = [Path(row["recording"]).name for row in kind.rows]
+    return ArmTypeContent(
+        kind.robot, list(charts[0].arms) if charts else [], names, [row["time"] or "" for row in kind.rows], list(map(_chart, charts))
+    )
+
+
+def _farthest(chart: ControlChart) -> float:
+    """Largest distance from a centre line, in limits."""
+    ratio = np.abs(chart.deviation) / chart.limit
+    return float(np.nanmax(ratio)) if np.isfinite(ratio).any() else 0.0
+
+
+def _chart(chart: ControlChart) -> FleetChart:
+    scale, unit = scale_and_unit(chart.name)
+    return FleetChart(
+        TITLES.get(chart.name, chart.name),
+        unit,
+        chart.arm,
+        scale * chart.value,
+        scale * chart.std,
+        scale * chart.deviation,
+        scale * chart.limit,
+        chart.outside,
+        scale * chart.usual,
+        float(scale * np.nanmedian(chart.arm_limit)) if np.isfinite(chart.arm_limit).any() else np.nan,
+        chart.unusual,
+    )

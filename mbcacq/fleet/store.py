@@ -1,0 +1,96 @@
+"""The folder of a fleet: one file for each recording, written as results come, and the table of all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask
+from mbcacq.fleet.recordings import FleetRecording
+
+TABLE, PAGE, RECORDINGS = "fleet.parquet", "fleet.html", "recordings"
+TEXTS = ("recording", "arm", "time", "robot", "status", "reason", "verdict")
+COUNTS = ("poses", "centres", "rejected")
+LISTS = {"effects": "string", "out_of_control": "string", "names": "string", "nominal": "double", "covariance": "double"}
+NUMBERS = (
+    "wall_s", "processor_s", "rms_mm", "chi2_dof", "expected_accuracy_mm", "spacing_max_mm", "spacing_mean_mm", "scanner_noise_mm",
+    "joint_noise_rad", "transfer_rms_mm", "transfer_own_rms_mm", "transfer_normalised_error",
+)  # fmt: skip
+
+
+class FleetStore:
+    """Results in a folder. A result counts while recording, task and version of the program are what they were."""
+
+    def __init__(self, folder: Path, task: FleetTask):
+        from mbcacq.version import __version__
+
+        tried = Path(task.verify).read_bytes() if task.verify and Path(task.verify).is_file() else b""
+        self.folder, self.task = folder, hashlib.sha256(f"{__version__}|{task!r}|".encode() + tried).hexdigest()
+        try:
+            (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder} cannot be made ({error.strerror}); give another --out") from error
+
+    def path(self, recording: FleetRecording) -> Path:
+        return self.folder / RECORDINGS / f"{recording.key}.json"
+
+    def stamp(self, recording: FleetRecording) -> str:
+        """What a result is valid for."""
+        return hashlib.sha256(f"{self.task}|{recording.fingerprint()}".encode()).hexdigest()
+
+    def row(self, recording: FleetRecording) -> dict[str, Any] | None:
+        """The row of a recording that is done; None where it is not, has changed since, or failed for no fault of its own."""
+        try:
+            content = json.loads(self.path(recording).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("stamp") != self.stamp(recording):
+            return None
+        row = content["row"] | {"arm": recording.arm, "time": recording.time or None}
+        return None if row["status"] == FAILED else row
+
+    def keep(self, recording: FleetRecording, content: Mapping[str, Any], stamp: str) -> dict[str, Any]:
+        """Write a result, in one step; its row. stamp: of the recording before it was read. Raises RecordingError."""
+        from mbcacq.recording.datasets.csvfile import write_text
+
+        write_text(self.path(recording), json.dumps({**content, "stamp": stamp}))
+        return content["row"]
+
+    def write_table(self, rows: Sequence[Mapping[str, Any]]) -> Path:
+        """All rows as one Parquet table, in the order given. Raises RecordingError."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
+        types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
+        types |= {name: pa.float64() for name in (*NUMBERS, *parameters)}
+        types |= {name: pa.list_(pa.string() if kind == "string" else pa.float64()) for name, kind in LISTS.items()}
+        table = pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema(list(types.items())))
+        path = self.folder / TABLE
+        made = path.with_suffix(".part")
+        try:
+            parquet.write_table(table, made)
+            made.replace(path)
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be written ({error.strerror or error}); free space or give another --out") from error
+        return path
+
+
+def read_table(fleet: Path) -> list[dict[str, Any]]:
+    """The rows of a fleet: of its folder, or of its Parquet table. Raises ConfigError."""
+    from pyarrow import parquet
+    from pyarrow.lib import ArrowException
+
+    path = fleet / TABLE if fleet.is_dir() else fleet
+    try:
+        rows = parquet.read_table(path).to_pylist()
+    except (OSError, ArrowException) as error:
+        raise ConfigError(f"{path} cannot be read as the table of a fleet ({error}); give what mbcacq fleet wrote") from error
+    needed = {"recording", "arm", "status", "names", "covariance", "nominal"}
+    if not rows or not needed <= set(rows[0]):
+        raise ConfigError(f"{path} is no table of a fleet; give what mbcacq fleet wrote")
+    return rows

@@ -1,0 +1,45 @@
+"""The verdict and the diagnosis in Markdown, as the viewer shows them beside its pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.report.content import Content, DiagnosisContent, EffectContent
+
+SIGNS = {"pass": "✔", "fail": "✘", "undecided": "?", "found": "→", "none": "–"}
+
+
+def verdict_card(content: Content) -> str:
+    """The verdict, and the one number against its limit."""
+    lines = [f"# {SIGNS[content.verdict.level]} {content.verdict.headline}", ""]
+    spacing = content.spacing
+    if spacing is not None:
+        worst = float(np.abs(spacing.after).max())
+        limit = "no limit in the plan" if spacing.limit is None else f"limit {spacing.limit:.3f} mm"
+        lines += [f"## Largest length error {worst:.3f} mm, {limit}", f"before calibration {np.abs(spacing.before).max():.3f} mm", ""]
+    return "\n".join([*lines, content.verdict.reason, "", *(f"*{caveat}*" for caveat in content.caveats)])
+
+
+def diagnosis_cards(diagnosis: DiagnosisContent) -> str:
+    """The verdict, then a card for each effect: what, where, how much, how sure, what else it could be."""
+    lines = [f"# {SIGNS[diagnosis.level]} {diagnosis.headline}", "", diagnosis.reason, ""]
+    lines += ["| difference between model and data (3D rms) | before | after |", "|---|---|---|"]
+    lines += [f"| {label} | {before} | {after} |" for label, before, after in diagnosis.validation]
+    lines += [f"| expected from noise alone | | {diagnosis.noise_floor} |", ""]
+    for number, effect in enumerate(diagnosis.effects, 1):
+        lines += _card(number, effect)
+    return "\n".join([*lines, *(f"- {remark}" for remark in diagnosis.remarks)])
+
+
+def _card(number: int, effect: EffectContent) -> list[str]:
+    what, _, where = effect.title.rpartition(" at ")
+    values = [f"{name} {value} ± {std} {unit}".rstrip() for name, value, std, unit in effect.parameters]
+    much = "; ".join(values[:6]) + (f"; {len(values) - 6} more in the report" if len(values) > 6 else "")
+    rows = [
+        ("what", f"{what}" + (f", depends on {effect.depends_on}" if effect.depends_on else "")),
+        ("where", where),
+        ("how much", much or "see its response curve"),
+        ("how sure", f"p-value {effect.p_value}; removes {effect.gain} of the excess over noise in held-out data"),
+        ("what else", "; ".join(effect.alternatives) or "no other candidate comes near"),
+    ]
+    return [f"## {number}. {effect.title}", "", "| | |", "|---|---|", *(f"| {label} | {text} |" for label, text in rows), ""]

@@ -1,0 +1,164 @@
+"""Figures of a fleet: how far each arm is out, its drift over time with control limits, the arms of one type beside each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
+from mbcacq.report.content import ArmTypeContent, FleetChart
+
+MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
+GREY = "#9aa3a8"
+
+
+def overview(kind: ArmTypeContent) -> go.Figure:
+    """Largest distance of each arm's recordings from its centre line, in control limits, for every figure."""
+    ratio = np.array([[_farthest(chart, a) for chart in kind.charts] for a in range(len(kind.arms))])
+    shown = np.arange(len(kind.arms))
+    if len(shown) > MOST_ARMS:
+        shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
+    figure = go.Figure(
+        go.Heatmap(
+            z=ratio[shown],
+            x=[chart.title.translate(ESCAPES) for chart in kind.charts],
+            y=[kind.arms[a].translate(ESCAPES) for a in shown],
+            zmin=0,
+            zmax=2,
+            colorscale=[(0.0, "#f3f5f6"), (0.499, "#a9c8dd"), (0.5, "#f2b26b"), (1.0, LIMIT)],
+            colorbar={"title": "limits", "thickness": 12, "outlinewidth": 0, "tickvals": [0, 1, 2], "ticktext": ["0", "1", "2 and more"]},
+            xgap=1,
+            ygap=1,
+            hovertemplate="%{y}, %{x}: %{z:.2f} of the limit<extra></extra>",
+        )
+    )
+    figure.update_xaxes(tickangle=-60, tickfont={"size": 10}, showgrid=False, dtick=1)
+    figure.update_yaxes(autorange="reversed", title="arm", tickfont={"size": 10}, showgrid=False, dtick=1, type="category")
+    return styled(figure, int(170 + 16 * len(shown)))
+
+
+def drift(kind: ArmTypeContent) -> go.Figure:
+    """Distance of each recording from the centre line of its arm over time; the figure is chosen from a list."""
+    times, title = _times(kind)
+    figure = go.Figure()
+    for k, chart in enumerate(kind.charts):
+        order, gaps = _by_arm(chart.arm)
+        y, x = chart.deviation[order], [times[i] for i in order]
+        text = [f"{kind.arms[chart.arm[i]]}, {kind.recordings[i]}".translate(ESCAPES) for i in order]
+        figure.add_scatter(
+            x=_broken(x, gaps),
+            y=_broken(y.tolist(), gaps),
+            text=_broken(text, gaps),
+            mode="lines+markers",
+            line={"color": GREY, "width": 0.7},
+            marker={"color": AFTER, "size": 5},
+            name="recording",
+            visible=k == 0,
+            hovertemplate="%{text}<br>%{x}: %{y:.4f}<extra></extra>",
+        )
+        out = [j for j, i in enumerate(order) if chart.outside[i]]
+        figure.add_scatter(
+            x=[x[j] for j in out],
+            y=[float(y[j]) for j in out],
+            text=[kind.arms[chart.arm[order[j]]].translate(ESCAPES) for j in out],
+            customdata=[text[j] for j in out],
+            mode="markers+text" if len(out) <= 12 else "markers",
+            textposition="top center",
+            textfont={"size": 10, "color": LIMIT},
+            marker={"color": LIMIT, "size": 9, "symbol": "diamond"},
+            name="outside the limits",
+            visible=k == 0,
+            hovertemplate="%{customdata}<br>%{x}: %{y:.4f}<extra></extra>",
+        )
+        limit = float(np.nanmedian(chart.limit)) if np.isfinite(chart.limit).any() else np.nan
+        ends = [min(times), max(times)] if times else []
+        figure.add_scatter(
+            x=[*ends, None, *ends],
+            y=[limit, limit, None, -limit, -limit],
+            mode="lines",
+            line={"color": LIMIT, "dash": "dash", "width": 1.4},
+            name="control limits",
+            visible=k == 0,
+            hoverinfo="skip",
+        )
+    figure.update_xaxes(title=title)
+    return _chosen(figure, kind, 3, "difference from the arm's centre line")
+
+
+def side_by_side(kind: ArmTypeContent) -> go.Figure:
+    """Every recording of each arm, arms beside each other, with the range that is usual among them."""
+    figure = go.Figure()
+    names = [arm.translate(ESCAPES) for arm in kind.arms]
+    for k, chart in enumerate(kind.charts):
+        for unusual in (False, True):
+            here = chart.unusual[chart.arm] == unusual
+            figure.add_scatter(
+                x=[names[a] for a in chart.arm[here]],
+                y=chart.value[here],
+                error_y={"type": "data", "array": 2 * chart.std[here], "thickness": 0.8, "width": 0},
+                text=[name.translate(ESCAPES) for name, mine in zip(kind.recordings, here, strict=True) if mine],
+                mode="markers",
+                marker={"color": LIMIT, "size": 8, "symbol": "diamond"} if unusual else {"color": AFTER, "size": 5},
+                name="arm outside of them" if unusual else "recording, ± k = 2",
+                visible=k == 0,
+                hovertemplate="%{x}, %{text}: %{y:.4f}<extra></extra>",
+            )
+        low, high = chart.usual - chart.permitted, chart.usual + chart.permitted
+        ends = [names[0], names[-1]]
+        figure.add_scatter(
+            x=[*ends, None, *ends, None, *ends],
+            y=[chart.usual, chart.usual, None, low, low, None, high, high],
+            mode="lines",
+            line={"color": LINE, "dash": "dash", "width": 1.2},
+            name="median of the arms and limits",
+            visible=k == 0,
+            hoverinfo="skip",
+        )
+    figure.update_xaxes(title="arm", type="category", categoryorder="array", categoryarray=names, tickangle=-60 if len(names) > 12 else 0)
+    return _chosen(figure, kind, 3, "value")
+
+
+def _chosen(figure: go.Figure, kind: ArmTypeContent, traces: int, what: str) -> go.Figure:
+    """The figure with a list of the charts, of which one is shown at a time."""
+    total = traces * len(kind.charts)
+    buttons = [
+        {
+            "label": chart.title.translate(ESCAPES),
+            "method": "update",
+            "args": [{"visible": [j // traces == k for j in range(total)]}, {"yaxis.title.text": f"{what} / {chart.unit}"}],
+        }
+        for k, chart in enumerate(kind.charts)
+    ]
+    figure = styled(figure, 420)
+    figure.update_layout(
+        updatemenus=[{"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.02, "yanchor": "bottom", "bgcolor": "#ffffff"}],
+        margin={"l": 62, "r": 16, "t": 56, "b": 48},
+    )
+    figure.update_yaxes(title=buttons[0]["args"][1]["yaxis.title.text"])
+    return figure
+
+
+def _farthest(chart: FleetChart, arm: int) -> float:
+    """Largest distance of an arm's recordings from its centre line, in limits; NaN where there is none."""
+    here = (chart.arm == arm) & np.isfinite(chart.deviation) & (chart.limit > 0)
+    return float(np.max(np.abs(chart.deviation[here]) / chart.limit[here])) if here.any() else np.nan
+
+
+def _times(kind: ArmTypeContent) -> tuple[list, str]:
+    """Abscissa of the recordings: their time, or their number within the arm where one has none."""
+    if all(kind.times):
+        return list(kind.times), "time"
+    arm = kind.charts[0].arm
+    return [int(np.sum(arm[:i] == arm[i])) + 1 for i in range(len(arm))], "recording of the arm"
+
+
+def _by_arm(arm: np.ndarray) -> tuple[list[int], list[int]]:
+    """Recordings arm by arm, and after which of them the line is broken."""
+    order = np.argsort(arm, kind="stable")
+    return order.tolist(), np.flatnonzero(np.diff(arm[order])).tolist()
+
+
+def _broken(values: list, gaps: list[int]) -> list:
+    """The values with None after each gap, so that a line ends there."""
+    after = set(gaps)
+    return [v for i, value in enumerate(values) for v in ((value, None) if i in after else (value,))]

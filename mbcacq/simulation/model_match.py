@@ -1,0 +1,123 @@
+"""What was changed in a MuJoCo model so that it agrees with a recording: plain data, as text and JSON, and the model itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mbcacq.errors import ConfigError
+
+BETTER = 0.9  # of the error before: above that a channel counts as unchanged in the text
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """One number of the model. name, where: of its block, e.g. 'friction' at joint 'A2'; parameter: with its unit; before, after: in the
+    model as it was given and as found; std: standard deviation, nan where none is known; p_value: of the block's difference from the
+    model as it was given; named: by the diagnosis, or else asked for by the residual that it left."""
+
+    name: str
+    where: str
+    parameter: str
+    before: float
+    after: float
+    std: float
+    p_value: float
+    named: bool
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Root mean squares of a channel, in its unit: of its noise, of the model as it was given, of the model found."""
+
+    channel: str
+    unit: str
+    noise: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class ModelCheck:
+    """Errors in a recording that took no part."""
+
+    recording: str
+    errors: tuple[ChannelError, ...]
+
+
+@dataclass(frozen=True)
+class ModelMatch:
+    """A MuJoCo model with what was found in recordings.
+
+    model: the file that was given; xml: the model found, as MJCF. parameters: what changed. compared: 'runs' of the model by its servos,
+    'torques' along the recorded motion, or 'poses'. errors: by channel, each part of the recordings predicted by what was fitted to the
+    others. checks: on recordings that took no part. remarks: what a model cannot hold, in sentences.
+    """
+
+    model: str
+    xml: str
+    parameters: tuple[ModelParameter, ...]
+    compared: str
+    errors: tuple[ChannelError, ...]
+    checks: tuple[ModelCheck, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def write(self, path: Path | str) -> Path:
+        """Write the model with what was found. Raises ConfigError where the file cannot be written."""
+        try:
+            Path(path).write_text(self.xml, encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{path}: the model cannot be written ({error.strerror}); name a folder that may be written") from None
+        return Path(path)
+
+    def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
+        """The same with the errors in a recording that took no part."""
+        return replace(self, checks=(*self.checks, ModelCheck(recording, errors)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON content."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> ModelMatch:
+        """From what ``to_dict`` gave. Raises KeyError or TypeError for anything else."""
+        lists: dict[str, Any] = {
+            "parameters": tuple(ModelParameter(**{**p, "std": _number(p["std"])}) for p in content["parameters"]),
+            "errors": tuple(ChannelError(**e) for e in content["errors"]),
+            "checks": tuple(ModelCheck(c["recording"], tuple(ChannelError(**e) for e in c["errors"])) for c in content["checks"]),
+            "remarks": tuple(content["remarks"]),
+        }
+        known: dict[str, Any] = {name: content[name] for name in ("model", "xml", "compared")}
+        return cls(**known, **lists)
+
+    @property
+    def text(self) -> str:
+        """In plain lines, as the command line prints it."""
+        lines = [
+            "",
+            f"Written into {Path(self.model).name}:" if self.parameters else f"Nothing is to be changed in {Path(self.model).name}.",
+        ]
+        for p in self.parameters:
+            std = "" if p.std != p.std else f" +- {p.std:.2g}"
+            lines.append(f"  {p.where:<12} {p.parameter:<24} {p.before:.6g} -> {p.after:.6g}{std}")
+        lines += [f"  ({remark})" for remark in self.remarks]
+        if self.compared != "poses":
+            what = (
+                "new runs of MuJoCo by the recorded set points" if self.compared == "runs" else "MuJoCo's torque along the recorded motion"
+            )
+            lines += ["", f"Recorded against {what}, on held-out parts (rms before, after, noise):", *_rows(self.errors)]
+        else:
+            lines += ["", *(f"  {e.channel}: {e.after:.2g} {e.unit}" for e in self.errors)]
+        for check in self.checks:
+            lines += ["", f"In {check.recording}, which took no part:", *_rows(check.errors)]
+        return "\n".join(lines)
+
+
+def _rows(errors: tuple[ChannelError, ...]) -> list[str]:
+    return [f"  {e.channel:<12} {e.before:.3g} -> {e.after:.3g} {e.unit} (noise {e.noise:.2g})" for e in errors]
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value

@@ -1,0 +1,170 @@
+"""Recordings of motion against a MuJoCo model: what differs is located and named, then fitted in MuJoCo and written into the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.options import DEFAULTS
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
+from mbcacq.diagnosis.motion.signals import rates
+from mbcacq.errors import ConfigError
+from mbcacq.model.trajectory import Trajectory
+from mbcacq.simulation import parameters
+from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.simulation.mujoco_arm import TORQUE, MujocoArm, check_recordings, check_sampling, gear_spring, mujoco_engine, torque_along
+from mbcacq.simulation.parameters import Block, pseudo_inertia
+from mbcacq.simulation.refinement import ROUNDS, ModelFit, runs_by_servos
+from mbcacq.simulation.write_model import T_body_link, as_xml
+
+RUNS, TORQUES = "runs", "torques"
+PAYLOAD_SIGMA = 1.0  # prior of an undescribed tool, in logarithms: a factor of e^2 of the mass
+WRITABLE = ("friction", "payload", "joint_compliance", "channel_latency")
+NOT_IN_FRICTION = ("stribeck", "uneven", "load_dependent")  # of which MJCF has no attribute
+
+
+def diagnose_against_model(
+    trajectories: Sequence[Trajectory], arm: MujocoArm, progress: Callable[[str], None] = lambda text: None, workers: int = 2
+) -> tuple[MotionDiagnosis, ModelMatch]:
+    """Locate and name the mismatch against MuJoCo's torque along the recorded motion, then fit in MuJoCo what its models can have.
+
+    Raises ConfigError where the recordings are not of the model's arm.
+    """
+    check_recordings(arm, trajectories)
+    if runs_by_servos(arm, trajectories):
+        for t in trajectories:
+            check_sampling(arm, t)
+    progress("MuJoCo follows the recorded motion")
+    found = diagnose_trajectories([against_model(t, arm) for t in trajectories])
+    fit = ModelFit(arm, trajectories, workers)
+    blocks, remarks = named_blocks(found, arm, fit)
+    for block in blocks:
+        fit.add(block, named=True)
+    progress("fitting what was found in MuJoCo's own runs" if fit.runs else "fitting what was found to MuJoCo's torques")
+    fit.fit()
+    for _ in range(ROUNDS):
+        more = fit.select(candidates(arm, fit))
+        if not more:
+            break
+        for block in more:
+            fit.add(block, named=False)
+        progress(f"fitting {', '.join(' '.join(b.key) for b in more)} too")
+        fit.fit()
+    if fit.prune():
+        fit.fit()
+    changed = tuple(p for block in fit.fitted() for p in block.parameters())
+    compared = RUNS if fit.runs else TORQUES
+    return found, ModelMatch(str(arm.path), as_xml(arm, fit.model()), changed, compared, tuple(fit.errors()), remarks=tuple(remarks))
+
+
+def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajectory], name: str) -> ModelMatch:
+    """The match with the errors in recordings that took no part: of the model as it was given, and of the model found."""
+    check_recordings(arm, trajectories)
+    fit = ModelFit(arm, trajectories)
+    if fit.runs != (match.compared == RUNS):
+        raise ConfigError(f"{name}: has no set points as the recordings diagnosed have; check a recording of the same channels")
+    return match.with_check(name, tuple(fit.errors_of(mujoco_engine().MjSpec.from_string(match.xml))))
+
+
+def against_model(t: Trajectory, arm: MujocoArm) -> Trajectory:
+    """The recording with what MuJoCo's drives and gears do along the same motion. The set points are left to MuJoCo's own servos."""
+    step = float(np.median(np.diff(t.time_s)))
+    q, qd, qdd = (rates(t.q, step, d, DEFAULTS.rate_window_s) for d in (0, 1, 2))
+    torque, windup = torque_along(arm, arm.spec, q, qd, qdd, step)
+    q_joint = None if t.q_joint is None else t.q_joint - windup
+    robot = replace(arm.robot, gear_ratio=t.robot.gear_ratio)
+    return replace(t, robot=robot, q_set=None, q_joint=q_joint, simulated_torque=torque)
+
+
+def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: ModelFit) -> tuple[list[Block], list[str]]:
+    """What the diagnosis named, as blocks of the model, and sentences about what a model cannot have."""
+    out: list[Block] = []
+    remarks: list[str] = []
+    for effect in found.named_effects:
+        where = ", ".join(effect.where)
+        if effect.name not in WRITABLE:
+            remarks.append(f"{effect.name} at {where} has no counterpart in MJCF and is not written")
+            continue
+        lost = sorted({part for part in NOT_IN_FRICTION for name in effect.parameters if part in name}) if effect.name == "friction" else []
+        if lost:
+            remarks.append(f"friction at {where}: MJCF has Coulomb and viscous friction alone, {', '.join(lost)} is not written")
+        out.append(_block_of(effect, arm, fit, found))
+    return out, remarks
+
+
+def _block_of(effect: MotionEffect, arm: MujocoArm, fit: ModelFit, found: MotionDiagnosis) -> Block:
+    if effect.name == "payload":
+        return parameters.inertia(arm, _last_body(arm), _with_tool(arm, found), PAYLOAD_SIGMA)
+    if effect.name == "channel_latency":
+        delay = float(effect.parameters["latency_s"]["value"])
+        block = parameters.sensor_delay(arm, effect.where[0])
+        return replace(block, first=np.clip(np.array([delay]), block.lower, block.upper))
+    axis = int(effect.where[0][1:]) - 1
+    torque, speed = _reached(fit)
+    if effect.name == "joint_compliance":
+        added = float(effect.parameters[f"A{axis + 1}.compliance_rad_per_Nm"]["value"])
+        return parameters.gear(arm, arm.joints[axis], added, torque[axis])
+    block = parameters.friction(arm, arm.joints[axis], torque[axis], speed[axis])
+    p = effect.parameters
+    added = [float(p.get(f"A{axis + 1}.{name}", {"value": 0.0})["value"]) for name in ("coulomb_Nm", "viscous_Nms_per_rad")]
+    return replace(block, first=np.clip(block.start + added, block.lower, block.upper))
+
+
+def candidates(arm: MujocoArm, fit: ModelFit) -> list[Block]:
+    """All blocks that a model of this arm can have and the recordings can show, except elastic gears, which a joint-side angle names."""
+    torque, speed = _reached(fit)
+    carried = _carried(arm)
+    out = [parameters.inertia(arm, arm.spec.joint(joint).parent.name) for joint in arm.joints]
+    out += [parameters.armature(arm, joint, carried[k]) for k, joint in enumerate(arm.joints)]
+    out += [parameters.friction(arm, joint, torque[k], speed[k]) for k, joint in enumerate(arm.joints)]
+    out += [parameters.sensor_delay(arm, signal) for signal in sorted({c.signal for c in fit.channels})]
+    out += [parameters.gear(arm, joint, 0.0, torque[k]) for k, joint in enumerate(arm.joints) if gear_spring(arm.spec, joint) is not None]
+    if fit.runs:
+        out += [parameters.servo_gains(arm, joint) for joint in arm.joints]
+        out += [parameters.actuator_delay(arm, [joint], joint) for joint in arm.joints]
+        out.append(parameters.actuator_delay(arm, arm.joints, "all"))
+    return out
+
+
+def _reached(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
+    """Largest torque and speed (n,) of each axis in the recordings."""
+    torque, speed = np.ones(fit.arm.n), np.zeros(fit.arm.n)
+    for t, data in zip(fit.trajectories, fit.data, strict=True):
+        speed = np.maximum(speed, np.abs(np.gradient(t.q, t.time_s, axis=0)).max(axis=0))
+        for k, c in enumerate(fit.channels):
+            if c.signal == TORQUE:
+                torque[c.axis] = max(torque[c.axis], float(np.abs(data[:, k]).max()))
+    return torque, speed
+
+
+def _carried(arm: MujocoArm) -> np.ndarray:
+    """(n,) kg m^2 that each joint turns, in the model's own first posture, rotor included."""
+    engine = mujoco_engine()
+    model = arm.spec.compile()
+    data = engine.MjData(model)
+    engine.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    engine.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else engine.mj_fullM(model, data, full)
+    return np.array([full[d, d] for d in (int(model.jnt_dofadr[model.joint(j).id]) for j in arm.joints)])
+
+
+def _last_body(arm: MujocoArm) -> str:
+    return arm.spec.joint(arm.joints[-1]).parent.name
+
+
+def _with_tool(arm: MujocoArm, found: MotionDiagnosis) -> np.ndarray | None:
+    """(4, 4) pseudo-inertia of the last body with the tool that the diagnosis found, in the body's frame."""
+    tool = next((b for b in found.inertial if b.body == "tool"), None)
+    if tool is None:
+        return None
+    xx, xy, xz, yy, yz, zz = tool.tensor_kg_m2
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    S, h = 0.5 * np.trace(tensor) * np.eye(3) - tensor, 1e-3 * np.array(tool.first_moment_kg_mm)
+    J = np.block([[S, h[:, None]], [h[None], np.array([[tool.mass_kg]])]])
+    T = T_body_link(arm, arm.n - 1)
+    T = np.block([[T[:3, :3], 1e-3 * T[:3, 3:]], [T[3:]]])
+    out = pseudo_inertia(arm.spec, _last_body(arm)) + T @ J @ T.T
+    return out if np.linalg.eigvalsh(out)[0] > 0 else None

@@ -1,0 +1,300 @@
+"""What a recording can change in a MuJoCo model, in blocks: friction, rotors, gears, inertias, delays, servo gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.simulation.mujoco_arm import LINEAR, LONGEST_DELAY_S, MujocoArm, gear_spring, mujoco_engine, sensors_of
+
+Values = dict[str, float]
+RELATIVE_STEP = 1e-3  # of a finite difference, against the size of a coordinate
+DELAY_STEP = 1.5  # timesteps: MuJoCo takes a delay below one as one
+GEAR_DAMPING_S = 1e-3  # first guess of a gear's damping, as a share of its stiffness
+LEAST_COMPLIANCE = 1e-8  # rad/(N m); a stiffer gear is rigid, and no timestep would carry it
+LEAST_ROTOR = 1e-4  # of the model's largest diagonal inertia: an elastic gear needs a rotor in front of it
+
+
+@dataclass(frozen=True)
+class Block:
+    """Coordinates x (k,) of a model that belong together, and how they are set.
+
+    name: of the mismatch; where: joint or body of the model. lower, upper: (k,) bounds; start: (k,) value in the model as it was given;
+    step: (k,) of a finite difference; sigma: (k,) prior standard deviation about the start; first: (k,) from which a search sets out;
+    absent: the model as it was given has nothing of it, and start is a guess.
+    prepare(spec) makes what is missing in the model, apply(spec, x) sets the values; values(x) are the same in the model's own terms, by
+    name with unit.
+    """
+
+    name: str
+    where: str
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    step: np.ndarray
+    sigma: np.ndarray
+    apply: Callable[[Any, np.ndarray], None]
+    values: Callable[[np.ndarray], Values]
+    prepare: Callable[[Any], None] = lambda spec: None
+    first: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    absent: bool = False
+
+    def __post_init__(self) -> None:
+        if not len(self.first):
+            object.__setattr__(self, "first", self.start)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.name, self.where
+
+    @property
+    def size(self) -> int:
+        return len(self.start)
+
+
+def _first(value: Any) -> float:
+    return float(np.atleast_1d(value)[0])
+
+
+def _set_first(element: Any, attribute: str, value: float) -> None:
+    """Set a number, or the linear coefficient where MuJoCo keeps a polynomial."""
+    if np.ndim(getattr(element, attribute)) == 0:
+        setattr(element, attribute, float(value))
+    else:
+        getattr(element, attribute)[0] = float(value)
+
+
+def friction(arm: MujocoArm, joint: str, torque: float, speed: float) -> Block:
+    """frictionloss (N m) and damping (N m s/rad) of a joint; torque, speed: what it reaches in the recordings."""
+    own = arm.spec.joint(joint)
+    scale = np.array([torque, torque / max(speed, 1e-3)])
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        spec.joint(joint).frictionloss = float(x[0])
+        _set_first(spec.joint(joint), "damping", x[1])
+
+    start = np.array([_first(own.frictionloss), _first(own.damping)])
+    return _block("friction", joint, start, RELATIVE_STEP * scale, 0.3 * scale, apply, ("frictionloss_Nm", "damping_Nms_per_rad"))
+
+
+def armature(arm: MujocoArm, joint: str, inertia: float) -> Block:
+    """Rotor inertia (kg m^2) at the joint; inertia: of what the joint carries."""
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        spec.joint(joint).armature = float(x[0])
+
+    start = np.array([_first(arm.spec.joint(joint).armature)])
+    scale = np.array([max(inertia, start[0])])
+    return _block("armature", joint, start, RELATIVE_STEP * scale, scale, apply, ("armature_kg_m2",), lower=LEAST_ROTOR * inertia)
+
+
+def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
+    """A gear that winds up: a second hinge on the joint's body, with stiffness and damping; compliance: a first guess in rad/(N m)."""
+    name = f"{joint}_gear"
+
+    def prepare(spec: Any) -> None:
+        if gear_spring(spec, joint) is None:
+            own = spec.joint(joint)
+            engine = mujoco_engine()
+            added = own.parent.add_joint(name=name, type=engine.mjtJoint.mjJNT_HINGE, axis=own.axis, pos=own.pos)
+            added.limited, added.range = engine.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
+            for attribute in ("frictionloss", "armature"):
+                setattr(added, attribute, 0.0)
+            apply(spec, start)
+
+    def spring(spec: Any) -> Any:
+        known = spec.joint(name)
+        return known if known is not None else gear_spring(spec, joint)
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        _set_first(spring(spec), "stiffness", 1.0 / x[0])
+        _set_first(spring(spec), "damping", x[1] / x[0])
+
+    old = gear_spring(arm.spec, joint)
+    start = np.array([max(compliance, LEAST_COMPLIANCE), GEAR_DAMPING_S])
+    if old is not None:
+        stiffness = _first(old.stiffness)
+        start = np.array([1.0 / stiffness, _first(old.damping) / stiffness])
+    scale = np.array([max(start[0], 1e-4 / max(torque, 1.0)), 5 * GEAR_DAMPING_S])
+    block = _block("gear", joint, start, RELATIVE_STEP * scale, scale, apply, (), lower=LEAST_COMPLIANCE)
+    return replace(
+        block,
+        prepare=prepare,
+        absent=old is None,
+        lower=np.array([LEAST_COMPLIANCE, 0.0]),
+        step=np.array([RELATIVE_STEP, 0.05]) * scale,
+        values=lambda x: {"stiffness_Nm_per_rad": 1.0 / x[0], "damping_Nms_per_rad": x[1] / x[0]},
+    )
+
+
+def sensor_delay(arm: MujocoArm, channel: str) -> Block:
+    """Delay (s) of the sensors of one channel, of all joints alike."""
+
+    def each(spec: Any) -> list[Any]:
+        return [sensor for joint in arm.joints for sensor in sensors_of(spec, channel, joint)]
+
+    def prepare(spec: Any) -> None:
+        for sensor in each(spec):
+            _needs_delays(sensor)
+            sensor.nsample = max(sensor.nsample, int(np.ceil(LONGEST_DELAY_S / arm.timestep_s)) + 2)
+            sensor.interp = LINEAR
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        for sensor in each(spec):
+            sensor.delay = _possible_delay(x[0], arm.timestep_s)
+
+    known = [float(getattr(s, "delay", 0.0)) for s in each(arm.spec)]
+    return _delay("sensor_delay", channel, known[0] if known else 0.0, arm.timestep_s, prepare, apply)
+
+
+def actuator_delay(arm: MujocoArm, joints: Sequence[str], where: str) -> Block:
+    """Delay (s) of the servos of these joints, all alike."""
+    numbers = [a for joint, a in zip(arm.joints, arm.servos or (), strict=False) if joint in joints]
+
+    def prepare(spec: Any) -> None:
+        for number in numbers:
+            servo = spec.actuators[number]
+            _needs_delays(servo)
+            servo.nsample = max(servo.nsample, int(np.ceil(LONGEST_DELAY_S / arm.timestep_s)) + 2)
+            servo.interp = LINEAR
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        for number in numbers:
+            spec.actuators[number].delay = _possible_delay(x[0], arm.timestep_s)
+
+    return _delay("actuator_delay", where, float(getattr(arm.spec.actuators[numbers[0]], "delay", 0.0)), arm.timestep_s, prepare, apply)
+
+
+def servo_gains(arm: MujocoArm, joint: str) -> Block:
+    """Position and velocity gain of a joint's servo."""
+    number = (arm.servos or ())[arm.joints.index(joint)]
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        servo = spec.actuators[number]
+        servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = x[0], -x[0], -x[1]
+
+    old = arm.spec.actuators[number]
+    start = np.array([-float(old.biasprm[1]), -float(old.biasprm[2])])
+    scale = np.maximum(start, [1.0, 0.01 * start[0]])
+    return _block("servo_gains", joint, start, RELATIVE_STEP * scale, 0.3 * scale, apply, ("kp", "kv"))
+
+
+def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: float = 0.3) -> Block:
+    """Mass, centre and inertia of a body: ten coordinates of its pseudo-inertia, which stays one that a body can have.
+
+    The coordinates are those of a triangular matrix E in J = L E E^T L^T, with J = L L^T the pseudo-inertia (4, 4) at the start and
+    log E_ii on the diagonal (Rucker and Wensing, Smooth parameterization of rigid-body inertia, 2022). start: (4, 4) pseudo-inertia from
+    which the search sets out; where it is None, the model's.
+    """
+    nominal = pseudo_inertia(arm.spec, body)
+    L = np.linalg.cholesky(nominal if start is None else start)
+    rows, columns = np.tril_indices(4)
+    diagonal = rows == columns
+
+    def matrix(x: np.ndarray) -> np.ndarray:
+        E = np.zeros((4, 4))
+        E[rows, columns] = np.where(diagonal, np.exp(np.clip(x, -20, 20)), x)
+        return L @ E @ E.T @ L.T
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        _set_inertia(spec.body(body), matrix(x))
+
+    def values(x: np.ndarray) -> Values:
+        J = matrix(x)
+        out = {"mass_kg": J[3, 3]} | {f"centre_{a}_mm": 1e3 * J[k, 3] / J[3, 3] for k, a in enumerate("xyz")}
+        tensor = _central_tensor(J)
+        return out | {f"inertia_{a}{a}_kg_m2": tensor[k, k] for k, a in enumerate("xyz")}
+
+    # L L^T is where the search sets out; the coordinates of the model as it was given are those that lead back to it.
+    back = np.linalg.solve(L, np.linalg.cholesky(nominal))
+    origin = back[rows, columns]
+    origin[diagonal] = np.log(origin[diagonal])
+    bound = np.full(10, 20.0)
+    return Block("inertia", body, origin, -bound, bound, np.full(10, RELATIVE_STEP), np.full(10, sigma), apply, values, first=np.zeros(10))
+
+
+def pseudo_inertia(spec: Any, body: str) -> np.ndarray:
+    """(4, 4) [[S, h], [h^T, m]] of a body in its own frame, kg, m, as the model compiles it."""
+    model = spec.compile()
+    own = model.body(body)
+    rotation = np.zeros(9)
+    mujoco_engine().mju_quat2Mat(rotation, own.iquat)
+    R = rotation.reshape(3, 3)
+    central = R @ np.diag(own.inertia) @ R.T
+    mass, c = float(own.mass[0]), np.array(own.ipos)
+    S = 0.5 * np.trace(central) * np.eye(3) - central + mass * np.outer(c, c)
+    out = np.block([[S, mass * c[:, None]], [mass * c[None], np.array([[mass]])]])
+    return out + np.diag([*[1e-9 * max(np.trace(S), 1e-9)] * 3, 0.0])  # a plate or a point has no Cholesky factor
+
+
+def _central_tensor(J: np.ndarray) -> np.ndarray:
+    c = J[:3, 3] / J[3, 3]
+    S = J[:3, :3] - J[3, 3] * np.outer(c, c)
+    return np.trace(S) * np.eye(3) - S
+
+
+def _set_inertia(body: Any, J: np.ndarray) -> None:
+    tensor = _central_tensor(J)
+    values, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] = -axes[:, 0]
+    quaternion = np.zeros(4)
+    mujoco_engine().mju_mat2Quat(quaternion, axes.ravel())
+    body.explicitinertial = True
+    body.mass, body.ipos = float(J[3, 3]), J[:3, 3] / J[3, 3]
+    body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # MuJoCo's mark of a tensor that is given by its axes
+    body.inertia, body.iquat = values, quaternion
+
+
+def _possible_delay(delay_s: float, timestep_s: float) -> float:
+    """None, or at least one timestep: MuJoCo knows nothing in between."""
+    return 0.0 if delay_s < timestep_s / 2 else max(float(delay_s), timestep_s)
+
+
+def _delay(
+    name: str, where: str, start: float, timestep_s: float, prepare: Callable[[Any], None], apply: Callable[[Any, np.ndarray], None]
+) -> Block:
+    return Block(
+        name,
+        where,
+        np.array([start]),
+        np.zeros(1),
+        np.array([LONGEST_DELAY_S]),
+        np.array([DELAY_STEP * timestep_s]),
+        np.array([LONGEST_DELAY_S]),
+        apply,
+        lambda x: {"delay_s": _possible_delay(x[0], timestep_s)},
+        prepare,
+    )
+
+
+def _needs_delays(element: Any) -> None:
+    if not hasattr(element, "delay"):
+        raise ConfigError("this version of MuJoCo has no delays of sensors and actuators; pip install --upgrade mujoco")
+
+
+def _block(
+    name: str,
+    where: str,
+    start: np.ndarray,
+    step: np.ndarray,
+    sigma: np.ndarray,
+    apply: Callable[[Any, np.ndarray], None],
+    names: Sequence[str],
+    lower: float = 0.0,
+) -> Block:
+    return Block(
+        name,
+        where,
+        start,
+        np.full(len(start), lower),
+        np.full(len(start), np.inf),
+        step,
+        sigma,
+        apply,
+        lambda x: dict(zip(names, (float(v) for v in x), strict=True)),
+    )

@@ -1,0 +1,72 @@
+"""Commands that take long say what they do; tables fit a terminal; what is heavy is loaded only where it is used."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mbcacq.cli import step_progress
+from mbcacq.cli.step_progress import StepProgress
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_a_long_step_is_named_again_while_it_lasts(monkeypatch, capfd):
+    monkeypatch.setattr(step_progress, "EVERY_S", 0.02)
+    monkeypatch.setattr(step_progress.signal, "getsignal", lambda number: step_progress.signal.SIG_DFL)  # pytest-timeout has its own alarm
+    with StepProgress() as progress:
+        progress("calibrating")
+        end = time.monotonic() + 20.0
+        said = ""
+        while "so far" not in said and time.monotonic() < end:
+            time.sleep(0.02)
+            said += capfd.readouterr().err
+    assert said.startswith("calibrating ...\n")
+    assert "calibrating: 0 s so far" in said
+
+
+def test_the_time_left_follows_from_the_parts_done(monkeypatch, capfd):
+    clock = iter([0.0, 10.0, 20.0])
+    monkeypatch.setattr(step_progress.time, "monotonic", lambda: next(clock))
+    progress = StepProgress()
+    for part in (1, 2, 3):
+        progress(f"part {part} of 4")
+    said = capfd.readouterr().err.splitlines()
+    assert said == ["part 1 of 4 ...", "part 2 of 4, about 30 s left ...", "part 3 of 4, about 20 s left ..."]
+
+
+def test_nothing_is_said_where_nothing_is_wanted(capfd):
+    with StepProgress(quiet=True) as progress:
+        progress("calibrating")
+    assert capfd.readouterr().err == ""
+
+
+def test_the_table_of_challenges_fits_eighty_columns(monkeypatch, capsys):
+    from mbcacq.challenge.table import COLUMNS
+    from mbcacq.cli.challenge import print_table
+
+    monkeypatch.setenv("COLUMNS", "80")
+    row = dict.fromkeys(COLUMNS, 1.0) | {"kind": "gear_transmission_error, joint_compliance", "challenges": 1000, "that count": 1000}
+    print_table([row])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "transmission" in " ".join(lines)
+
+
+@pytest.mark.parametrize(
+    "modules",
+    [
+        ["mbcacq.workflow.run", "mbcacq.recording.rrd.writer", "mbcacq.spheres", "mbcacq_fakes.cell.fake_cell"],
+        ["mbcacq.workflow.calibrate", "mbcacq.workflow.diagnose", "mbcacq.workflow.report", "mbcacq.recording.viewer.open_viewer"],
+    ],
+    ids=["run", "evaluate"],
+)
+def test_what_needs_no_point_cloud_file_loads_no_open3d(modules):
+    code = f"import sys, {', '.join(modules)}\nfor name in [m for m in sys.modules if m.startswith('mbcacq')]: pass\nprint(*sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ}).stdout.split()
+    assert not {m for m in out if m.split(".")[0] in ("open3d", "dash", "IPython")}
