@@ -16,7 +16,7 @@ from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
-from mbcacq.diagnosis.output.kept_model import kept_model
+from mbcacq.diagnosis.output.kept_model import kept_model, partly_covered
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
 from mbcacq.diagnosis.output.observability import Unobservable, unobservable
@@ -28,6 +28,7 @@ from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.effects.pose import gear_transmission_error
 from mbcacq.estimation.variance_components import first_noise
 
 # Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
@@ -71,7 +72,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=tuple(advice),
         dropped=setup.dropped,
-        notes=(*notes(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
+        notes=(*notes(setup, full), *partial_periods(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
         exclusion_limits=exclusion_limits(setup, full),
         between_recordings=between_recordings(full),
         model=kept_model(setup, full, judged.effects) or None,
@@ -176,6 +177,21 @@ def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -
     found = [p for e in effects for name, p in e.parameters.items() if name.rpartition(".")[2] == "at_pose"]
     moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]
     return interruptions.confounded(setup.linear.obs, {e.name for e in effects}, moments)
+
+
+def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
+    """Sentences on periodic errors of which the recording covers less than a period."""
+    out = []
+    for candidate, hyper in full.model.effects:
+        for name in partly_covered(setup.context, candidate, hyper):
+            values = setup.context.value(name)
+            share = gear_transmission_error.periods_covered(values, hyper or 0.0)
+            low, high = np.degrees([values.min(), values.max()])
+            out.append(
+                f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period, so that it is a "
+                f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat; beyond, it is held constant"
+            )
+    return out
 
 
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:

@@ -149,3 +149,28 @@ def test_leaving_the_learnt_range_is_said(recording, fitted):
 def test_an_unmodelled_effect_by_the_tilt_has_no_group_that_can_be_kept(plan):
     """The tilt of the artefact to the scanner follows from the fitted stations: no other recording states it."""
     assert kept_group(Covariates(plan), "scanner", "tilt") is None
+
+
+def test_a_periodic_error_seen_over_a_part_of_its_period_is_not_repeated_beyond(plan):
+    """Order 4 over 23 deg is a quarter of a period: a smooth function of the angle, which holds its last value where it was not seen."""
+
+    def with_angles(degrees):
+        q = plan.q.copy()
+        q[:, 3] = np.radians(np.linspace(*degrees, plan.n_poses))
+        return replace(plan, q=q)
+
+    def kept(obs, order):
+        state = simulated.nominal_state(obs)
+        here = Context(obs, state, forward_model.predict(obs, state))
+        every = catalogue.candidates(here)[0]
+        gear = next(c for c in every if c.name == "gear_transmission_error" and c.where == ("A4",))
+        return term_of(here, gear, order, np.array([1e-4, 0.0]), np.zeros(2)), LearntRecording.of(obs)
+
+    narrow, wide = with_angles((0, 23)), with_angles((-90, 90))
+    term, learnt = kept(narrow, 4.0)
+    (part,) = term.parts_at(Covariates(wide), learnt)
+    beyond = np.degrees(wide.q[:, 3])
+
+    np.testing.assert_allclose(part.basis[beyond > 23, 0], np.sin(np.radians(4 * 23)))
+    np.testing.assert_allclose(part.basis[beyond < 0, 0], 0.0, atol=1e-12)
+    assert kept(wide, 4.0)[0].clamped == ()

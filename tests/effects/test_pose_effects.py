@@ -9,7 +9,7 @@ from independent_cell import World
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.pose import payload
+from mbcacq.effects.pose import lost_motion, payload
 from mbcacq.estimation import terms
 
 ESTIMATED_WITH_A_CURVE = ("order", "phase_deg", "time_constant_s", "at_pose", "breakpoint_Nm")  # not linear in the coefficients
@@ -103,3 +103,20 @@ def test_every_distortion_of_the_field_has_a_case(context):
     single = {c.variant for c in catalogue.candidates(context)[0] if c.name == "scanner_distortion" and c.k == 1}
 
     assert single == {case.variant for case in CASES if case.name == "scanner_distortion" and len(case.parameters) == 1}
+
+
+def test_stiffnesses_of_a_data_sheet_are_the_slopes_on_either_side_of_the_breakpoint():
+    """A gear of 10 kN m/rad about zero torque and 40 kN m/rad beyond; 1 % of either compliance is 1 % of its stiffness."""
+    beyond, below = 1 / 40e3, 1 / 10e3
+    covariance = np.array([[1.0, -1.0], [-1.0, 1.0]]) * (0.01 * beyond) ** 2 + np.diag([0.0, (0.01 * below) ** 2])
+
+    found = lost_motion.stiffnesses("A2", beyond, below - beyond, covariance)
+
+    assert (found["A2.K1_Nm_per_rad"].value, found["A2.K2_Nm_per_rad"].value) == pytest.approx((10e3, 40e3))
+    assert (found["A2.K1_Nm_per_rad"].std, found["A2.K2_Nm_per_rad"].std) == pytest.approx((100.0, 400.0))
+
+
+def test_a_gear_that_does_not_yield_beyond_its_breakpoint_has_no_second_stiffness():
+    found = lost_motion.stiffnesses("A3", 1e-8, 1e-6, np.diag([1e-16, 1e-16]))
+
+    assert set(found) == {"A3.K1_Nm_per_rad"}

@@ -12,8 +12,8 @@ from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.effects.pose import payload
+from mbcacq.effects.effect import ParameterEstimate, Parameters
+from mbcacq.effects.pose import lost_motion, payload
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 MOST_LOCATIONS = 6  # entries of the mismatch where no model of it was fitted
@@ -61,7 +61,21 @@ def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, Parameter
         for name, new in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
             old = out.get(name)
             out[name] = new if old is None else ParameterEstimate(_joined(old.value, new.value), _joined(old.std, new.std))
+        if candidate.name == lost_motion.NAME:
+            out |= data_sheet_stiffnesses(full, j)
     return out
+
+
+def data_sheet_stiffnesses(full: ModelFit, j: int) -> Parameters:
+    """K1 and K2 of the gearbox whose lost motion is effect j; none where no compliance was found at its joint."""
+    model, slices = full.model, full.model.slices()
+    candidate, at = model.effects[j]
+    linear = next((k for k, (c, _) in enumerate(model.effects) if c.name == "joint_compliance" and c.where == candidate.where), None)
+    if linear is None or not at:
+        return {}
+    rows, scale = [slices[linear].start, slices[j].start], np.array([1.0, 1.0 / at])
+    c, e = model.coefficients[rows] * scale
+    return lost_motion.stiffnesses(candidate.where[0], float(c), float(e), model.covariance[np.ix_(rows, rows)] * np.outer(scale, scale))
 
 
 def _joined(a: float | tuple[float, ...], b: float | tuple[float, ...]) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from mbcacq.effects.functions import DescribedPart, cosine, sine
 
 NAME = "gear_transmission_error"
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
+WHOLE_PERIOD = 1.0  # of an order, which the travel must cover for the claim that the error is periodic
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -48,6 +49,11 @@ def candidates(context: Context) -> list[Candidate]:
             )
         )
     return out
+
+
+def periods_covered(q: np.ndarray, order: float) -> float:
+    """Periods of an order that the travel of a joint q (P,) rad covers."""
+    return float(order * np.ptp(q) / (2 * np.pi))
 
 
 def harmonics(q: np.ndarray, grid: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

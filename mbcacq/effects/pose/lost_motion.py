@@ -8,7 +8,7 @@ stiff branches, prolonged to zero torque.
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Part, number
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Parameters, Part, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "lost_motion"
@@ -24,6 +24,18 @@ def candidates(context: Context) -> list[Candidate]:
         raise Missing("no masses of the links given")
     torque = context.gravity_torque
     return [of_joint(context, i) for i in range(context.n) if np.ptp(torque[:, i]) > max(0.02 * np.ptp(torque, axis=0).max(), LEAST_TORQUE)]
+
+
+def stiffnesses(joint: str, compliance: float, excess: float, covariance: np.ndarray) -> Parameters:
+    """K1 and K2 of a data sheet in N m/rad, from the compliance beyond the breakpoint and what it is larger below, rad/(N m), with their
+    covariance (2, 2). K2 is left out where the compliance beyond is not larger than twice its standard deviation: it has no upper end.
+    """
+    below = compliance + excess
+    out = {f"{joint}.K1_Nm_per_rad": number(1 / below, np.sqrt(covariance.sum()) / below**2)}
+    std = float(np.sqrt(covariance[0, 0]))
+    if compliance > 2 * std:
+        out[f"{joint}.K2_Nm_per_rad"] = number(1 / compliance, std / compliance**2)
+    return out
 
 
 def of_joint(context: Context, i: int) -> Candidate:
