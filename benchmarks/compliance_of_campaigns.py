@@ -2,8 +2,9 @@
 
     python benchmarks/compliance_of_campaigns.py [--data ../shared/data] [--poses 1500]
 
-Each campaign is linearised at its geometry, with the noise that is left beside all groups; the compliances are fitted with the geometry, then
-with each joint's own errors, then with links and base that tilt under the weight behind them. Standard deviations are scaled by the misfit.
+Each campaign is linearised at its geometry, with the noise that is left beside all groups; the compliances are fitted with the geometry,
+then with each joint's own errors, then with links and base that tilt under the weight behind them. Standard deviations are scaled by the
+misfit.
 """
 
 from __future__ import annotations
