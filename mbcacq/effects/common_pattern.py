@@ -20,7 +20,6 @@ STEPS = 240  # offsets over a turn that are compared: 1.5 deg, a tenth of a peri
 FINE = np.radians(np.arange(-2.0, 2.01, 0.25))  # rad, about the best of them
 NEAR = np.radians(4.0)  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
-LEAST_OF_FURTHER = 0.0  # once LEAST_JOINTS share a pattern, another one does so as likely as not
 LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3
 MOST_STARTS = 2  # joints from which a pattern is sought
@@ -88,7 +87,8 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, Alignment]:
     found = {anchor: Alignment(0.0, 1, 0.0, 1.0)}
     while left := [j for j in errors.index if j not in found]:
         tried = {j: best_alignment(errors, found, j) for j in left}
-        least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else LEAST_OF_FURTHER
+        # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
+        least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else -np.log(len(found) + 1.0)
         good = {j: a for j, a in tried.items() if a.log_bayes_factor > least and a.certain > LEAST_CERTAIN}
         if not good:
             break
