@@ -95,7 +95,7 @@ def _words(counted: Counter) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plan", type=Path, default=Path("plans/kuka-effects.yaml"))
-    parser.add_argument("--poses", type=int, default=90)
+    parser.add_argument("--poses", type=int, default=70)
     parser.add_argument("--pairs", type=int, default=30)
     parser.add_argument("--write", action="store_true", help="put the table into benchmarks/joint_diagnosis.md")
     given = parser.parse_args()

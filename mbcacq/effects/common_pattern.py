@@ -14,12 +14,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 STEPS = 240  # offsets over a turn that are compared: 1.5 deg, a tenth of a period at order 25
 FINE = np.radians(np.arange(-2.0, 2.01, 0.25))  # rad, about the best of them
 NEAR = np.radians(4.0)  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
-LEAST_OF_FURTHER = 0.0  # once LEAST_JOINTS share a pattern, another one does so as likely as not
 LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3
 MOST_STARTS = 2  # joints from which a pattern is sought
@@ -87,7 +87,8 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, Alignment]:
     found = {anchor: Alignment(0.0, 1, 0.0, 1.0)}
     while left := [j for j in errors.index if j not in found]:
         tried = {j: best_alignment(errors, found, j) for j in left}
-        least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else LEAST_OF_FURTHER
+        # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
+        least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else -np.log(len(found) + 1.0)
         good = {j: a for j, a in tried.items() if a.log_bayes_factor > least and a.certain > LEAST_CERTAIN}
         if not good:
             break
@@ -96,7 +97,7 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, Alignment]:
     for j in [j for j in found if j != anchor]:
         others = {i: a for i, a in found.items() if i != j}
         fine = found[j].offset + FINE
-        gain = log_bayes_factors(errors, others, j, fine, found[j].direction)
+        gain = Comparison.of(errors, others, j).log_bayes_factors(fine, found[j].direction)
         found[j] = Alignment(float(fine[int(np.argmax(gain))]), found[j].direction, found[j].log_bayes_factor, found[j].certain)
     return found
 
@@ -104,7 +105,8 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, Alignment]:
 def best_alignment(errors: OwnErrors, found: Mapping[int, Alignment], joint: int) -> Alignment:
     """The most probable offset and direction of a joint under the pattern of others."""
     offsets = 2 * np.pi * np.arange(STEPS) / STEPS
-    gain = np.stack([log_bayes_factors(errors, found, joint, offsets, direction) for direction in (1, -1)])
+    compared = Comparison.of(errors, found, joint)
+    gain = np.stack([compared.log_bayes_factors(offsets, direction) for direction in (1, -1)])
     top = float(gain.max())
     weight = np.exp(gain - top)
     which, at = (int(i) for i in np.unravel_index(int(np.argmax(gain)), gain.shape))
@@ -114,31 +116,50 @@ def best_alignment(errors: OwnErrors, found: Mapping[int, Alignment], joint: int
     )
 
 
-def log_bayes_factors(errors: OwnErrors, found: Mapping[int, Alignment], joint: int, offsets: np.ndarray, direction: int) -> np.ndarray:
-    """(G,) logarithm of the Bayes factor of a joint that follows the pattern of ``found``, at each offset (G,) rad, against an error of
-    its own."""
-    S, b, keep = _with_pattern(errors, found, joint)
-    k2 = len(errors.pattern)
-    rest = np.setdiff1d(np.arange(len(b)), keep)
-    scale = 1 / np.sqrt(np.diag(S)[rest])
-    root = np.linalg.cholesky(scale[:, None] * S[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
-    taken = np.linalg.solve(root, scale[:, None] * np.c_[S[np.ix_(rest, keep)], b[rest]])
-    J = S[np.ix_(keep, keep)] - taken[:, :-1].T @ taken[:, :-1]
-    h = b[keep] - taken[:, :-1].T @ taken[:, -1]
-    A, B, C, hp, hv = J[:k2, :k2], J[:k2, k2:], J[k2:, k2:], h[:k2], h[k2:]
-    own = J.copy()
-    own[k2:, k2:] += np.diag(errors.sigma[joint] ** -2.0)
-    separate = log_evidence(own[None], h[None], np.concatenate([errors.pattern, errors.sigma[joint]]))[0]
-    # The deviation, whose prior is the same for sine and cosine and does not turn with them, is integrated out once for all offsets.
-    D = np.linalg.inv(C + np.diag(errors.deviation**-2.0))
-    constant = 0.5 * hv @ D @ hv + 0.5 * np.linalg.slogdet(D)[1] - np.log(errors.deviation).sum()
-    C, B, A, hv, hp = C - C @ D @ C, B - B @ D @ C, A - B @ D @ B.T, hv - C @ D @ hv, hp - B @ D @ hv
-    c, s = _phases(offsets, k2 // 2)
-    cross = _turned(np.swapaxes(_turned(C[None], c, s, direction), 1, 2), c, s, direction)
-    mixed = _turned(B.T[None], c, s, direction)
-    information = A + cross + mixed + np.swapaxes(mixed, 1, 2)
-    right = hp + _turned(hv[None, :, None], c, s, direction)[..., 0]
-    return log_evidence(information, right, errors.pattern) + constant - separate
+@dataclass(frozen=True)
+class Comparison:
+    """A joint's own error beside the pattern of others, everything else and the joint's deviation from a pattern integrated out.
+
+    Of the pattern A (2 K, 2 K) and hp (2 K,), of the joint C and hv, mixed B; sigma: prior of the pattern; constant: what the logarithm of
+    the Bayes factor has whatever the offset.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    hp: np.ndarray
+    hv: np.ndarray
+    sigma: np.ndarray
+    constant: float
+
+    @classmethod
+    def of(cls, errors: OwnErrors, found: Mapping[int, Alignment], joint: int) -> Comparison:
+        S, b, keep = _with_pattern(errors, found, joint)
+        k2 = len(errors.pattern)
+        rest = np.setdiff1d(np.arange(len(b)), keep)
+        scale = 1 / np.sqrt(np.diag(S)[rest])
+        root = np.linalg.cholesky(scale[:, None] * S[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
+        taken = solve_triangular(root, scale[:, None] * np.c_[S[np.ix_(rest, keep)], b[rest]], lower=True)
+        J = S[np.ix_(keep, keep)] - taken[:, :-1].T @ taken[:, :-1]
+        h = b[keep] - taken[:, :-1].T @ taken[:, -1]
+        A, B, C, hp, hv = J[:k2, :k2], J[:k2, k2:], J[k2:, k2:], h[:k2], h[k2:]
+        own = J.copy()
+        own[k2:, k2:] += np.diag(errors.sigma[joint] ** -2.0)
+        separate = log_evidence(own[None], h[None], np.concatenate([errors.pattern, errors.sigma[joint]]))[0]
+        # The prior of the deviation is the same for sine and cosine, and does not turn with them: it is integrated out for all offsets.
+        D = np.linalg.inv(C + np.diag(errors.deviation**-2.0))
+        constant = 0.5 * hv @ D @ hv + 0.5 * np.linalg.slogdet(D)[1] - np.log(errors.deviation).sum() - separate
+        CD, BD = C @ D, B @ D
+        return cls(A - BD @ B.T, B - BD @ C, C - CD @ C, hp - BD @ hv, hv - CD @ hv, errors.pattern, float(constant))
+
+    def log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
+        """(G,) logarithm of the Bayes factor of following the pattern at each offset (G,) rad, against an error of its own."""
+        c, s = _phases(offsets, len(self.sigma) // 2)
+        cross = _turned(np.swapaxes(_turned(self.C[None], c, s, direction), 1, 2), c, s, direction)
+        mixed = _turned(self.B.T[None], c, s, direction)
+        information = self.A + cross + mixed + np.swapaxes(mixed, 1, 2)
+        right = self.hp + _turned(self.hv[None, :, None], c, s, direction)[..., 0]
+        return log_evidence(information, right, self.sigma) + self.constant
 
 
 def log_evidence(information: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -158,15 +179,16 @@ def _with_pattern(errors: OwnErrors, found: Mapping[int, Alignment], joint: int)
     """Normal equations with a pattern as further columns, priors included but that of ``joint``; and the columns of pattern and joint."""
     g, k2 = len(errors.right), len(errors.pattern)
     order = np.arange(1, k2 // 2 + 1)
-    M = np.eye(g, g + k2)
+    P = np.zeros((g, k2))
     weight = np.concatenate([np.zeros(g), errors.pattern**-2.0])
     for i, index in errors.index.items():
         if i in found:
-            M[index, g:] = turning(order, found[i].offset, found[i].direction)
+            P[index] = turning(order, found[i].offset, found[i].direction)
         if i != joint:
             weight[index] = (errors.deviation if i in found else errors.sigma[i]) ** -2.0
-    S = M.T @ errors.information @ M + np.diag(weight)
-    return S, M.T @ errors.right, np.concatenate([np.arange(g, g + k2), errors.index[joint]])
+    SP = errors.information @ P
+    S = np.block([[errors.information, SP], [SP.T, P.T @ SP]]) + np.diag(weight)
+    return S, np.concatenate([errors.right, P.T @ errors.right]), np.concatenate([np.arange(g, g + k2), errors.index[joint]])
 
 
 def _phases(offsets: np.ndarray, orders: int) -> tuple[np.ndarray, np.ndarray]:

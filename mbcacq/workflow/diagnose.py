@@ -67,7 +67,7 @@ def diagnose(
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
         others = [other for other in check if not isinstance(other, Trajectory)]
-        found = replace(found, checks=tuple(checked(observations, found, other, place, progress) for other in others))
+        found = checked(observations, found, others, place, progress)
     return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
 
 

@@ -54,20 +54,26 @@ def thinned(observations: Observations) -> Observations:
 
 
 def checked(
-    learnt: Observations, found: DiagnosisResult, other: Observations | Path | str, place: str, progress: Callable[[str], None]
-) -> Transfer:
-    """What was found in a recording, tried on another one."""
+    learnt: Observations, found: DiagnosisResult, others: Sequence[Observations | Path | str], place: str, progress: Callable[[str], None]
+) -> DiagnosisResult:
+    """What was found in a recording, calibrated there once and tried on the others. The diagnosis keeps the effects as they were tried."""
     from mbcacq.calibration import CalibrationOptions
     from mbcacq.calibration.maximum_likelihood import calibrate
     from mbcacq.calibration.with_effects import calibrate_with_effects
 
-    name = "" if isinstance(other, Observations) else str(other)
-    progress(f"trying it on {name or 'the other recording'}")
     options = CalibrationOptions(refuse=False)
     learnt = thinned(learnt)
-    cell = calibrate_with_effects(learnt, options, found.model) if found.model else calibrate(learnt, options)
-    alone = cell if not found.model else calibrate(learnt, options)
-    return check_transfer(as_observations(other), cell, alone.state.chain, place=place, recording=name)
+    progress("calibrating with what was found")
+    alone = calibrate(learnt, options)
+    cell = calibrate_with_effects(learnt, options, found.model) if found.model else alone
+    checks = []
+    for other in others:
+        name = "" if isinstance(other, Observations) else str(other)
+        progress(f"trying it on {name or 'the other recording'}")
+        checks.append(check_transfer(as_observations(other), cell, alone.state.chain, place=place, recording=name))
+    if found.poses is not None and cell.effects is not None:
+        found = replace(found, poses=replace(found.poses, model=cell.effects))
+    return replace(found, checks=tuple(checks))
 
 
 def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> dict[str, Any]:

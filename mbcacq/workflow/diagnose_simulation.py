@@ -126,10 +126,9 @@ def _checked(
     found: DiagnosisResult, observations: Observations, others: Sequence[Observations], how: Question, source: Data
 ) -> DiagnosisResult:
     origin = provenance(source, how.check, {"place": how.place, "workers": how.workers})
-    checks = tuple(
-        replace(checked(observations, found, other, how.place, how.progress), recording=_name(name))
-        for other, name in zip(others, how.check, strict=True)
-    )
+    if others:
+        found = checked(observations, found, others, how.place, how.progress)
+    checks = tuple(replace(one, recording=_name(name)) for one, name in zip(found.checks, how.check, strict=True))
     return replace(found, provenance=origin, checks=checks)
 
 
