@@ -211,18 +211,21 @@ def page(found, match, seconds, peer, others) -> str:
     true |= {("inertia", "link6", f"centre_{a}_mm"): 1e3 * float(v) for a, v in zip("xyz", TOOL["pos"].split(), strict=True)}
     true |= {("inertia", "link6", f"inertia_{a}{a}_kg_m2"): float(v) for a, v in zip("xyz", TOOL["diaginertia"].split(), strict=True)}
     seen = {(p.name, p.where, p.parameter) for p in match.parameters}
+    named = sorted({f"{e.name} at {'+'.join(e.where)}" for e in found.named_effects})
+    asked = sorted({f"{p.name} of {p.where}" for p in match.parameters if not p.named})
     lines = [
         "# A MuJoCo model against a recording by another",
         "",
         "    pip install 'mbcacq[mjcf]' 'mujoco[sysid]'",
         "    python benchmarks/mujoco_models.py --write",
         "",
-        "A six-axis arm with position servos, as MJCF. It is recorded by a second model that conceals friction in all joints, a tool, an elastic A2 and torques that",
-        f"are {1e3 * DELAY_S:g} ms late. Two motions of {SECONDS:g} s are diagnosed (`--simulation`), a third takes no part. The recorder is stepped by code of its own.",
-        f"Noise: {NOISE['q']:g} rad on the angles of the motors, {NOISE['side']:g} rad behind the gears, {NOISE['tau']:g} N m on the torques.",
+        "A six-axis arm with position servos, as MJCF. It is recorded by a second model that conceals friction in all joints, a tool, an",
+        f"elastic A2 and torques that are {1e3 * DELAY_S:g} ms late. Two motions of {SECONDS:g} s are diagnosed (`--simulation`), a third",
+        "takes no part. The recorder is stepped by code of its own. Noise:",
+        f"{NOISE['q']:g} rad on the motors' angles, {NOISE['side']:g} rad behind the gears, {NOISE['tau']:g} N m on the torques.",
         "",
-        f"Named by the diagnosis: {', '.join(sorted({f'{e.name} at {chr(44).join(e.where)}' for e in found.named_effects}))}.",
-        f"Asked for by the residual that was left: {', '.join(sorted({f'{p.name} of {p.where}' for p in match.parameters if not p.named})) or 'nothing'}.",
+        f"Named by the diagnosis: {', '.join(named)}.",
+        f"Asked for by the residual that was left: {', '.join(asked) or 'nothing'}.",
         "",
         "## Written into the model",
         "",
@@ -233,9 +236,8 @@ def page(found, match, seconds, peer, others) -> str:
         key = (p.name, p.where, p.parameter)
         goal = true.get(key)
         off = "" if goal is None else f"{abs(p.after - goal) / p.std:.1f}"
-        lines.append(
-            f"| {p.name} {p.where} `{p.parameter}` | {p.before:.5g} | {p.after:.5g} ± {p.std:.2g} | {'nothing' if goal is None else f'{goal:g}'} | {off} |"
-        )
+        row = f"| {p.name} {p.where} `{p.parameter}` | {p.before:.5g} | {p.after:.5g} ± {p.std:.2g} |"
+        lines.append(f"{row} {'nothing' if goal is None else f'{goal:g}'} | {off} |")
     missed = [" ".join(k) for k in true if k not in seen]
     lines += [
         "",
@@ -257,8 +259,8 @@ def page(found, match, seconds, peer, others) -> str:
         lines[-1] += f", {theirs:.4f} by `mujoco.sysid` ({peer.seconds:.0f} s)"
         lines += [
             "",
-            "`mujoco.sysid` was told which parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the sensors, the weights of the channels,",
-            "the samples and the settled start of this program. Without that it cannot begin.",
+            "`mujoco.sysid` was told which parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the",
+            "sensors, the weights of the channels, the samples and the settled start of this program. Without that it cannot begin.",
         ]
     lines[-1] += "" if lines[-1].endswith(".") else "."
     return "\n".join(lines) + "\n"
