@@ -137,7 +137,9 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
 # the torque along a recorded motion
 
 
-def torque_along(arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+def torque_along(
+    arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Torque (T, n) N m that the drives of a model exert in MuJoCo along a motion of the motor-side angles q, qd, qdd (T, n), and the
     wind-up (T, n) rad of the gears, each at its equilibrium. Contacts and joint limits take no part. step_s: sampling interval; None for
     postures that are no motion."""
