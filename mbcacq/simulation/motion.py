@@ -4,26 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from mbcacq.diagnosis.motion import diagnose_trajectories
-from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
-from mbcacq.diagnosis.motion.signals import rates
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
 from mbcacq.simulation.model_match import ModelMatch
-from mbcacq.simulation.mujoco_arm import TORQUE, MujocoArm, check_recordings, check_sampling, gear_spring, mujoco_engine, torque_along
+from mbcacq.simulation.mujoco_arm import (
+    JOINT_SIDE,
+    TORQUE,
+    Channel,
+    MujocoArm,
+    carried_inertia,
+    check_recordings,
+    check_sampling,
+    gear_spring,
+    mujoco_engine,
+)
 from mbcacq.simulation.parameters import Block, pseudo_inertia
-from mbcacq.simulation.refinement import ROUNDS, ModelFit, runs_by_servos
+from mbcacq.simulation.refinement import ROUNDS, ModelFit, along, runs_by_servos
 from mbcacq.simulation.write_model import T_body_link, as_xml
 
 RUNS, TORQUES = "runs", "torques"
 PAYLOAD_SIGMA = 1.0  # prior of an undescribed tool, in logarithms: a factor of e^2 of the mass
 WRITABLE = ("friction", "payload", "joint_compliance", "channel_latency")
-NOT_IN_FRICTION = ("stribeck", "uneven", "load_dependent")  # of which MJCF has no attribute
 
 
 def diagnose_against_model(
@@ -38,13 +46,12 @@ def diagnose_against_model(
         for t in trajectories:
             check_sampling(arm, t)
     progress("MuJoCo follows the recorded motion")
-    found = diagnose_trajectories([against_model(t, arm) for t in trajectories])
+    found = diagnose_trajectories([against_model(t, arm, arm.spec) for t in trajectories])
     fit = ModelFit(arm, trajectories, workers)
-    blocks, remarks = named_blocks(found, arm, fit)
-    for block in blocks:
+    for block in named_blocks(found, arm, fit):
         fit.add(block, named=True)
     progress("fitting what was found in MuJoCo's own runs" if fit.runs else "fitting what was found to MuJoCo's torques")
-    fit.fit()
+    fit.fit(precisely=False)
     for _ in range(ROUNDS):
         more = fit.select(candidates(arm, fit))
         if not more:
@@ -52,12 +59,15 @@ def diagnose_against_model(
         for block in more:
             fit.add(block, named=False)
         progress(f"fitting {', '.join(' '.join(b.key) for b in more)} too")
-        fit.fit()
-    if fit.prune():
-        fit.fit()
+        fit.fit(precisely=False)
+    fit.prune()
+    fit.fit()
+    progress("comparing with the model found")
+    model = fit.model()
+    left = diagnose_trajectories([against_model(t, arm, model) for t in trajectories], cross_validation=False)
     changed = tuple(p for block in fit.fitted() for p in block.parameters())
     compared = RUNS if fit.runs else TORQUES
-    return found, ModelMatch(str(arm.path), as_xml(arm, fit.model()), changed, compared, tuple(fit.errors()), remarks=tuple(remarks))
+    return found, ModelMatch(str(arm.path), as_xml(arm, model), changed, compared, tuple(fit.errors()), remarks=what_remains(left))
 
 
 def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajectory], name: str) -> ModelMatch:
@@ -69,30 +79,28 @@ def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajec
     return match.with_check(name, tuple(fit.errors_of(mujoco_engine().MjSpec.from_string(match.xml))))
 
 
-def against_model(t: Trajectory, arm: MujocoArm) -> Trajectory:
-    """The recording with what MuJoCo's drives and gears do along the same motion. The set points are left to MuJoCo's own servos."""
-    step = float(np.median(np.diff(t.time_s)))
-    q, qd, qdd = (rates(t.q, step, d, DEFAULTS.rate_window_s) for d in (0, 1, 2))
-    torque, windup = torque_along(arm, arm.spec, q, qd, qdd, step)
-    q_joint = None if t.q_joint is None else t.q_joint - windup
+def against_model(t: Trajectory, arm: MujocoArm, spec: Any) -> Trajectory:
+    """The recording with what the drives and gears of a model do along the same motion, each as late as its sensor. The set points are left
+    to MuJoCo's own servos."""
+    every = [Channel(signal, k) for signal in (TORQUE, JOINT_SIDE) for k in range(arm.n)]
+    sensed = along(arm, spec, t, every)
+    torque, q_joint = sensed[:, : arm.n], sensed[:, arm.n :]
     robot = replace(arm.robot, gear_ratio=t.robot.gear_ratio)
-    return replace(t, robot=robot, q_set=None, q_joint=q_joint, simulated_torque=torque)
+    return replace(t, robot=robot, q_set=None, q_joint=None if t.q_joint is None else t.q_joint - (q_joint - t.q), simulated_torque=torque)
 
 
-def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: ModelFit) -> tuple[list[Block], list[str]]:
-    """What the diagnosis named, as blocks of the model, and sentences about what a model cannot have."""
-    out: list[Block] = []
-    remarks: list[str] = []
-    for effect in found.named_effects:
-        where = ", ".join(effect.where)
-        if effect.name not in WRITABLE:
-            remarks.append(f"{effect.name} at {where} has no counterpart in MJCF and is not written")
-            continue
-        lost = sorted({part for part in NOT_IN_FRICTION for name in effect.parameters if part in name}) if effect.name == "friction" else []
-        if lost:
-            remarks.append(f"friction at {where}: MJCF has Coulomb and viscous friction alone, {', '.join(lost)} is not written")
-        out.append(_block_of(effect, arm, fit, found))
-    return out, remarks
+def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: ModelFit) -> list[Block]:
+    """What the diagnosis named, as far as a model can have it, as blocks of the model."""
+    return [_block_of(effect, arm, fit, found) for effect in found.named_effects if effect.name in WRITABLE]
+
+
+def what_remains(found: MotionDiagnosis) -> tuple[str, ...]:
+    """Sentences about what a diagnosis against the model found still names, of what a model has no place for."""
+    return tuple(
+        f"{effect.name} at {', '.join(effect.where)} remains: a model of this kind has no place for it"
+        for effect in found.named_effects
+        if effect.name not in WRITABLE
+    )
 
 
 def _block_of(effect: MotionEffect, arm: MujocoArm, fit: ModelFit, found: MotionDiagnosis) -> Block:
@@ -116,7 +124,7 @@ def _block_of(effect: MotionEffect, arm: MujocoArm, fit: ModelFit, found: Motion
 def candidates(arm: MujocoArm, fit: ModelFit) -> list[Block]:
     """All blocks that a model of this arm can have and the recordings can show, except elastic gears, which a joint-side angle names."""
     torque, speed = _reached(fit)
-    carried = _carried(arm)
+    carried = carried_inertia(arm)
     out = [parameters.inertia(arm, arm.spec.joint(joint).parent.name) for joint in arm.joints]
     out += [parameters.armature(arm, joint, carried[k]) for k, joint in enumerate(arm.joints)]
     out += [parameters.friction(arm, joint, torque[k], speed[k]) for k, joint in enumerate(arm.joints)]
@@ -138,17 +146,6 @@ def _reached(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
             if c.signal == TORQUE:
                 torque[c.axis] = max(torque[c.axis], float(np.abs(data[:, k]).max()))
     return torque, speed
-
-
-def _carried(arm: MujocoArm) -> np.ndarray:
-    """(n,) kg m^2 that each joint turns, in the model's own first posture, rotor included."""
-    engine = mujoco_engine()
-    model = arm.spec.compile()
-    data = engine.MjData(model)
-    engine.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    engine.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else engine.mj_fullM(model, data, full)
-    return np.array([full[d, d] for d in (int(model.jnt_dofadr[model.joint(j).id]) for j in arm.joints)])
 
 
 def _last_body(arm: MujocoArm) -> str:

@@ -137,9 +137,12 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
 # the torque along a recorded motion
 
 
-def torque_along(arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+def torque_along(
+    arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Torque (T, n) N m that the drives of a model exert in MuJoCo along a motion of the motor-side angles q, qd, qdd (T, n), and the
-    wind-up (T, n) rad of the gears, each at its equilibrium. Contacts and joint limits take no part."""
+    wind-up (T, n) rad of the gears, each at its equilibrium. Contacts and joint limits take no part. step_s: sampling interval; None for
+    postures that are no motion."""
     engine = mujoco_engine()
     model = spec.compile()
     model.opt.disableflags |= int(engine.mjtDisableBit.mjDSBL_CONTACT) | int(engine.mjtDisableBit.mjDSBL_LIMIT)
@@ -153,15 +156,15 @@ def torque_along(arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, qdd: 
     rest = np.array(model.qpos0)
     torque = np.zeros_like(q)
     for _ in range(DEFLECTION_ROUNDS if springs else 1):
-        speed = np.gradient(windup, step_s, axis=0) if springs else windup
-        jerk = np.gradient(speed, step_s, axis=0) if springs else windup
+        speed = np.gradient(windup, step_s, axis=0) if springs and step_s else np.zeros_like(q)
+        rate = np.gradient(speed, step_s, axis=0) if springs and step_s else np.zeros_like(q)
         force = np.zeros((len(q), model.nv))
         for i in range(len(q)):
             data.qpos[:] = rest
             data.qpos[position], data.qvel[dof], data.qacc[dof] = q[i], qd[i], qdd[i]
             if springs:
                 data.qpos[spring_position] = rest[spring_position] + windup[i, which]
-                data.qvel[spring_dof], data.qacc[spring_dof] = speed[i, which], jerk[i, which]
+                data.qvel[spring_dof], data.qacc[spring_dof] = speed[i, which], rate[i, which]
             engine.mj_inverse(model, data)
             force[i] = data.qfrc_inverse
         torque = force[:, dof]
@@ -174,6 +177,21 @@ def _addresses(model: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarra
     """Where the joints stand in qpos and in qvel."""
     ids = [model.joint(name).id for name in joints]
     return np.array([model.jnt_qposadr[j] for j in ids], int), np.array([model.jnt_dofadr[j] for j in ids], int)
+
+
+def carried_inertia(arm: MujocoArm) -> np.ndarray:
+    """(n,) kg m^2 that each joint turns, in the model's own first posture, rotor included."""
+    engine = mujoco_engine()
+    model = arm.spec.compile()
+    data = engine.MjData(model)
+    engine.mj_forward(model, data)
+    out = []
+    for joint in arm.joints:
+        alone, product = np.zeros(model.nv), np.zeros(model.nv)
+        alone[int(model.jnt_dofadr[model.joint(joint).id])] = 1.0
+        engine.mj_mulM(model, data, product, alone)
+        out.append(float(alone @ product))
+    return np.array(out)
 
 
 # new runs

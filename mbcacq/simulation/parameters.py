@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.simulation.mujoco_arm import LINEAR, LONGEST_DELAY_S, MujocoArm, gear_spring, mujoco_engine, sensors_of
+from mbcacq.simulation.mujoco_arm import LINEAR, LONGEST_DELAY_S, MujocoArm, carried_inertia, gear_spring, mujoco_engine, sensors_of
 
 Values = dict[str, float]
 RELATIVE_STEP = 1e-3  # of a finite difference, against the size of a coordinate
 DELAY_STEP = 1.5  # timesteps: MuJoCo takes a delay below one as one
 GEAR_DAMPING_S = 1e-3  # first guess of a gear's damping, as a share of its stiffness
 LEAST_COMPLIANCE = 1e-8  # rad/(N m); a stiffer gear is rigid, and no timestep would carry it
-LEAST_ROTOR = 1e-4  # of the model's largest diagonal inertia: an elastic gear needs a rotor in front of it
+LEAST_ROTOR = 1e-4  # of what a joint carries
+ADDED_ROTOR = 1e-2  # of what a joint carries: MuJoCo needs a rotor in front of a spring
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,8 @@ def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
             own = spec.joint(joint)
             engine = mujoco_engine()
             added = own.parent.add_joint(name=name, type=engine.mjtJoint.mjJNT_HINGE, axis=own.axis, pos=own.pos)
+            if own.armature == 0:
+                own.armature = ADDED_ROTOR * float(carried_inertia(arm)[arm.joints.index(joint)])
             added.limited, added.range = engine.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
             for attribute in ("frictionloss", "armature"):
                 setattr(added, attribute, 0.0)

@@ -50,7 +50,7 @@ def observations_of_model(recorded: Observations, arm: MujocoArm) -> Observation
 def windup(arm: MujocoArm, spec: Any, q: np.ndarray) -> np.ndarray:
     """(P, n) rad by which the gears of a model wind up under gravity."""
     still = np.zeros_like(q)
-    return torque_along(arm, spec, q, still, still, 1.0)[1] if any(gear_spring(spec, j) is not None for j in arm.joints) else still
+    return torque_along(arm, spec, q, still, still, None)[1] if any(gear_spring(spec, j) is not None for j in arm.joints) else still
 
 
 def write_into_model(arm: MujocoArm, found: Calibration, effects: Sequence[EffectFound]) -> ModelMatch:

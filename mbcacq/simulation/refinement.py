@@ -44,6 +44,8 @@ LEAST_GAIN, GAIN_PER_COORDINATE = 20.0, 4.0  # chi2 on held-out segments that a 
 SIGNIFICANCE = 1e-4  # of a block's difference from the model, over the number of blocks tried
 TIME_BLOCKS = 6  # held-out parts of a single recording
 ROUNDS = 3
+EVALUATIONS = 10  # of one fit
+FINE, COARSE = 1e-4, 3e-2  # relative change of chi2 at which a fit ends
 SMOOTH_FLOOR = 1e-6  # least standard deviation of a channel, as a share of its range: of recordings without noise
 
 
@@ -69,7 +71,8 @@ class FittedBlock:
         std = np.sqrt(np.maximum(np.einsum("ki,kl,li->i", A, self.covariance, A), 0.0))
         name, where = self.block.key
         return [
-            ModelParameter(name, where, p, before[p], after[p], float(s), self.p_value, self.named) for p, s in zip(after, std, strict=True)
+            ModelParameter(name, where, p, float(before[p]), float(after[p]), float(s), self.p_value, self.named)
+            for p, s in zip(after, std, strict=True)
         ]
 
 
@@ -89,6 +92,7 @@ class ModelFit:
         self.blocks: list[Block] = []
         self.named: set[tuple[str, str]] = set()
         self.x: list[np.ndarray] = []
+        self._linearised: tuple[Any, tuple[np.ndarray, np.ndarray]] | None = None
 
     # prediction
 
@@ -142,8 +146,8 @@ class ModelFit:
         if named:
             self.named.add(block.key)
 
-    def fit(self, evaluations: int = 12) -> None:
-        """Least squares over the coordinates of all blocks, within their bounds."""
+    def fit(self, precisely: bool = True) -> None:
+        """Least squares over the coordinates of all blocks, within their bounds; not precisely: as a start of further ones."""
         self._weigh()
         if not self.blocks:
             return
@@ -161,7 +165,9 @@ class ModelFit:
 
         first = np.clip(np.concatenate(self.x), lower, upper)
         search: Any = least_squares  # its type stub knows no function as jac
-        found = search(residual, first, derivative, (lower, upper), "dogbox", x_scale=sigma, ftol=1e-5, xtol=1e-7, max_nfev=evaluations)
+        found = search(
+            residual, first, derivative, (lower, upper), "dogbox", x_scale=sigma, ftol=FINE if precisely else COARSE, max_nfev=EVALUATIONS
+        )
         self.x = [np.array(v) for v in np.split(found.x, sizes)]
         self._weigh()
 
@@ -256,7 +262,10 @@ class ModelFit:
 
     def _linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Weighted residual (M,), its change with each coordinate (M, k) with the sign of a regression, and the prior's precision."""
-        r, J = self.jacobian(self.blocks, self.x, self.blocks)
+        at = tuple(b.key for b in self.blocks), np.concatenate(self.x).tobytes(), self.sigma.tobytes()
+        if self._linearised is None or self._linearised[0] != at:
+            self._linearised = at, self.jacobian(self.blocks, self.x, self.blocks)
+        r, J = self._linearised[1]
         k = J.shape[2]
         prior = np.diag(1.0 / np.concatenate([b.sigma for b in self.blocks]) ** 2)
         return (r / self.sigma).ravel(), -(J / self.sigma[:, None]).reshape(-1, k), prior

@@ -1,0 +1,274 @@
+"""A MuJoCo model of a six-axis arm, recorded by a second one that conceals what the first lacks: found, written back, run again.
+
+    python benchmarks/mujoco_models.py --write
+
+Needs the extra of the peer: pip install 'mujoco[sysid]'. The figures stand in benchmarks/mujoco_models.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import sysid
+from scipy.interpolate import CubicSpline
+
+from mbcacq.model.trajectory import Trajectory
+from mbcacq.simulation.motion import check_model, diagnose_against_model
+from mbcacq.simulation.mujoco_arm import MujocoArm, load_arm
+from mbcacq.simulation.refinement import ModelFit
+
+PAGE = Path(__file__).with_suffix(".md")
+TIMESTEP_S, SAMPLE_S, SECONDS = 0.002, 0.004, 6.0
+JOINTS = tuple(f"A{k}" for k in range(1, 7))
+GAINS = ((4e4, 2e3), (6e4, 3e3), (3e4, 1.2e3), (6e3, 150), (5e3, 120), (3e3, 60))
+NOISE = {"q": 2e-6, "tau": 0.4, "side": 4e-6}  # rad, N m, rad
+FRICTION = ((30, 12), (45, 20), (25, 10), (8, 3), (6, 3), (4, 1.5))  # concealed: N m, N m s/rad
+STIFFNESS, GEAR_DAMPING = 2.5e5, 500.0  # concealed, A2
+TOOL = {"mass": 11.0, "pos": "0.11 0.02 0.03", "diaginertia": "0.05 0.07 0.06"}  # concealed: link 6 with what it carries
+DELAY_S = 0.006  # concealed: of the torques
+LINKS = (
+    ("0 0 0.2", "0 0 1", "-170 170", 4, "0.05 0 0.1", 40, "1.2 1.1 0.9"),
+    ("0.15 0 0.2", "0 1 0", "-150 60", 6, "0.02 0 0.3", 30, "1.4 1.5 0.3"),
+    ("0 0 0.6", "0 1 0", "-120 150", 3, "0.1 0.01 0.05", 20, "0.3 0.4 0.4"),
+    ("0.2 0 0.1", "1 0 0", "-180 180", 0.6, "0.2 0 0", 9, "0.05 0.15 0.15"),
+    ("0.45 0 0", "0 1 0", "-120 120", 0.5, "0.03 0 0", 4, "0.01 0.012 0.012"),
+    ("0.1 0 0", "1 0 0", "-350 350", 0.3, "0.06 0 0.01", 5, "0.02 0.025 0.025"),
+)
+
+
+def model(concealed: bool) -> str:
+    """MJCF of the arm; concealed: with friction, a tool, an elastic A2, late torques, and sensors on both sides of the gears."""
+    bodies, end = "", ""
+    for k, (pos, axis, span, rotor, com, mass, tensor) in enumerate(LINKS):
+        friction = 'damping="2"' if not concealed else f'frictionloss="{FRICTION[k][0]}" damping="{FRICTION[k][1]}"'
+        gear = f'<joint name="A2_elastic" axis="{axis}" stiffness="{STIFFNESS}" damping="{GEAR_DAMPING}"/>' if concealed and k == 1 else ""
+        if concealed and k == 5:
+            com, mass, tensor = TOOL["pos"], TOOL["mass"], TOOL["diaginertia"]
+        bodies += (
+            f'<body name="link{k + 1}" pos="{pos}"><joint name="A{k + 1}" axis="{axis}" range="{span}" armature="{rotor}" {friction}/>'
+            f'{gear}<inertial pos="{com}" mass="{mass}" diaginertia="{tensor}"/>'
+        )
+        end += "</body>"
+    servos = "".join(f'<position name="servo{j}" joint="{j}" kp="{kp}" kv="{kv}"/>' for j, (kp, kv) in zip(JOINTS, GAINS, strict=True))
+    late = f'delay="{DELAY_S}" nsample="10" interp="linear"'
+    sensors = "".join(f'<jointpos joint="{j}"/>' for j in JOINTS)
+    sensors += "".join(f'<jointactuatorfrc joint="{j}" {late}/>' for j in JOINTS) + '<jointpos joint="A2_elastic"/>'
+    return (
+        f'<mujoco model="arm"><compiler angle="degree"/><option timestep="{TIMESTEP_S}" integrator="implicitfast">'
+        f'<flag contact="disable"/></option><worldbody><body name="base">{bodies}{end}</body></worldbody>'
+        f"<actuator>{servos}</actuator>{f'<sensor>{sensors}</sensor>' if concealed else ''}</mujoco>"
+    )
+
+
+def set_points(seed: int) -> np.ndarray:
+    """(T, 6) rad of a motion from rest to rest."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(SECONDS / SAMPLE_S) + 1) * SAMPLE_S
+    fade = np.clip(np.minimum(t, t[-1] - t), 0, 1)
+    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    out = np.zeros((len(t), 6))
+    for j, size in enumerate(np.radians([50, 25, 30, 60, 40, 90])):
+        for _ in range(4):
+            out[:, j] += size / 3 * rng.uniform(0.5, 1) * np.sin(2 * np.pi * rng.uniform(0.1, 0.8) * t + rng.uniform(0, 2 * np.pi))
+    return np.radians([0, -40, 60, 0, 30, 0]) + fade[:, None] * out
+
+
+def record(arm: MujocoArm, seed: int) -> Trajectory:
+    """What the second model's controller logs, stepped one by one, with noise."""
+    engine = mujoco.MjModel.from_xml_string(model(concealed=True))
+    data = mujoco.MjData(engine)
+    command = set_points(seed)
+    per = round(SAMPLE_S / TIMESTEP_S)
+    fine = CubicSpline(np.arange(len(command)), command)(np.arange((len(command) - 1) * per + 1) / per)
+    data.qpos[[engine.joint(j).qposadr[0] for j in JOINTS]] = command[0]
+    rows = []
+    for k in range(-500, len(fine)):
+        data.ctrl[:] = fine[max(k, 0)]
+        mujoco.mj_step(engine, data)
+        rows.append(np.array(data.sensordata))
+    sensed = np.array(rows)[500::per]
+    side = np.array(sensed[:, :6])
+    side[:, 1] += sensed[:, 12]
+    rng = np.random.default_rng(1000 + seed)
+    noisy = {n: v + rng.normal(0, NOISE[n], v.shape) for n, v in (("q", sensed[:, :6]), ("tau", sensed[:, 6:12]), ("side", side))}
+    time_s = SAMPLE_S * np.arange(len(command))
+    return Trajectory(arm.robot, time_s, noisy["q"], q_set=command, torque=noisy["tau"], q_joint=noisy["side"], name=f"motion {seed}")
+
+
+@dataclass(frozen=True)
+class Peer:
+    """mujoco.sysid with the structure and the names of the right parameters. chi2: of a recording that took no part, per sample."""
+
+    seconds: float
+    spec: mujoco.MjSpec
+
+
+def told(arm: MujocoArm, spec: mujoco.MjSpec, fit: ModelFit) -> Peer:
+    """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is told that it is these, and
+    gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors."""
+    begin = time.perf_counter()
+    base = spec.copy()
+    late = [s.name for s in base.sensors if s.type == mujoco.mjtSensor.mjSENS_JOINTACTFRC]
+    everything = sysid.ParameterDict()
+
+    def free(name, start, low, high, change):
+        everything.add(sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=lambda s, p: change(s, p.value)))
+
+    for j in JOINTS:
+        free(f"{j} friction", 10.0, 0.0, 100.0, lambda s, v, j=j: setattr(s.joint(j), "frictionloss", float(v[0])))
+        free(f"{j} damping", 4.0, 0.0, 100.0, lambda s, v, j=j: s.joint(j).damping.__setitem__(0, float(v[0])))
+    free("stiffness", 3.0, 0.5, 10.0, lambda s, v: s.joint("A2_gear").stiffness.__setitem__(0, 1e5 * float(v[0])))
+    free("gear damping", 3.0, 0.0, 50.0, lambda s, v: s.joint("A2_gear").damping.__setitem__(0, 1e2 * float(v[0])))
+    free("delay", 4.0, 2.0, 20.0, lambda s, v: [setattr(s.sensor(n), "delay", 1e-3 * float(v[0])) for n in late])
+    everything.add(
+        sysid.body_inertia_param(base, mujoco.MjModel.from_xml_string(model(False)), "link6", inertia_type=sysid.InertiaType.Pseudo)
+    )
+
+    sequences = []
+    compiled = base.compile()
+    settle = round(0.4 / TIMESTEP_S)
+    for number, t in enumerate(fit.trajectories):
+        fine = CubicSpline(np.arange(len(t.q)), t.q_set)(np.arange((len(t.q) - 1) * 2 + 1) / 2)
+        control = np.concatenate([np.repeat(fine[:1], settle, axis=0), fine])
+        data = mujoco.MjData(compiled)
+        data.qpos[[compiled.joint(j).qposadr[0] for j in JOINTS]] = t.q[:10].mean(axis=0)
+        start = sysid.create_initial_state(compiled, data.qpos, data.qvel, data.act)
+        times = TIMESTEP_S * np.arange(len(control))
+        nothing = sysid.TimeSeries.from_names(times, np.zeros((len(times), compiled.nsensordata)), compiled)
+        sequences.append(sysid.ModelSequences(f"m{number}", base, f"m{number}", start, sysid.TimeSeries(times, control), nothing))
+
+    rounds = {"next": 0}
+
+    def weigh(params, predicted, measured, engine, everything_wanted, state):
+        number = rounds["next"] % len(fit.trajectories)
+        sensed = predicted.data[settle::2][: len(fit.data[number])]
+        residual = fit.data[number] - channels(fit, base, engine, sensed)
+        return (residual[fit.used[number]] / fit.sigma).ravel(), measured, measured
+
+    def residual(x, params):
+        out = []
+        for number, sequence in enumerate(sequences):
+            rounds["next"] = number
+            out += sysid.build_residual_fn(models_sequences=[sequence], modify_residual=weigh, n_threads=2)(x, params)[0]
+        return out, [], []
+
+    with contextlib.redirect_stdout(None):
+        best, _ = sysid.optimize(everything, residual, optimizer="mujoco", verbose=False, max_iters=30)
+    found = base.copy()
+    for p in best.values():
+        p.apply_modifier(found)
+    return Peer(time.perf_counter() - begin, found)
+
+
+def channels(fit: ModelFit, spec: mujoco.MjSpec, engine: mujoco.MjModel, sensed: np.ndarray) -> np.ndarray:
+    from mbcacq.simulation.mujoco_arm import sensors_of
+
+    out = np.zeros((len(sensed), len(fit.channels)))
+    for k, c in enumerate(fit.channels):
+        for s in sensors_of(spec, c.signal, fit.arm.joints[c.axis]):
+            out[:, k] += sensed[:, engine.sensor_adr[engine.sensor(s.name).id]]
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="write the page beside this script")
+    parser.add_argument("--no-peer", action="store_true", help="leave mujoco.sysid out")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "arm.xml"
+        file.write_text(model(concealed=False))
+        arm = load_arm(file)
+        learnt, held = [record(arm, s) for s in (0, 1)], [record(arm, s) for s in (2,)]
+        begin = time.perf_counter()
+        found, match = diagnose_against_model(learnt, arm, lambda text: print(text, flush=True))
+        seconds = time.perf_counter() - begin
+        match = check_model(match, arm, held, "a third motion")
+        print(match.text)
+        fit = ModelFit(arm, learnt)
+        peer = None
+        if not args.no_peer:
+            peer = told(arm, mujoco.MjSpec.from_string(match.xml), fit)
+            others = ModelFit(arm, held).errors_of(peer.spec)
+        text = page(found, match, seconds, peer, others if peer else None)
+    print(text)
+    if args.write:
+        PAGE.write_text(text)
+
+
+def page(found, match, seconds, peer, others) -> str:
+    true = {("friction", j, "frictionloss_Nm"): f[0] for j, f in zip(JOINTS, FRICTION, strict=True)}
+    true |= {("friction", j, "damping_Nms_per_rad"): f[1] for j, f in zip(JOINTS, FRICTION, strict=True)}
+    true |= {("gear", "A2", "stiffness_Nm_per_rad"): STIFFNESS, ("gear", "A2", "damping_Nms_per_rad"): GEAR_DAMPING}
+    true |= {("inertia", "link6", "mass_kg"): TOOL["mass"], ("sensor_delay", "tau", "delay_s"): DELAY_S}
+    true |= {("inertia", "link6", f"centre_{a}_mm"): 1e3 * float(v) for a, v in zip("xyz", TOOL["pos"].split(), strict=True)}
+    true |= {("inertia", "link6", f"inertia_{a}{a}_kg_m2"): float(v) for a, v in zip("xyz", TOOL["diaginertia"].split(), strict=True)}
+    seen = {(p.name, p.where, p.parameter) for p in match.parameters}
+    named = sorted({f"{e.name} at {'+'.join(e.where)}" for e in found.named_effects})
+    asked = sorted({f"{p.name} of {p.where}" for p in match.parameters if not p.named})
+    lines = [
+        "# A MuJoCo model against a recording by another",
+        "",
+        "    pip install 'mbcacq[mjcf]' 'mujoco[sysid]'",
+        "    python benchmarks/mujoco_models.py --write",
+        "",
+        "A six-axis arm with position servos, as MJCF. It is recorded by a second model that conceals friction in all joints, a tool, an",
+        f"elastic A2 and torques that are {1e3 * DELAY_S:g} ms late. Two motions of {SECONDS:g} s are diagnosed (`--simulation`), a third",
+        "takes no part. The recorder is stepped by code of its own. Noise:",
+        f"{NOISE['q']:g} rad on the motors' angles, {NOISE['side']:g} rad behind the gears, {NOISE['tau']:g} N m on the torques.",
+        "",
+        f"Named by the diagnosis: {', '.join(named)}.",
+        f"Asked for by the residual that was left: {', '.join(asked) or 'nothing'}.",
+        "",
+        "## Written into the model",
+        "",
+        "| | given | found | concealed | sigmas |",
+        "|---|--:|--:|--:|--:|",
+    ]
+    for p in match.parameters:
+        key = (p.name, p.where, p.parameter)
+        goal = true.get(key)
+        off = "" if goal is None else f"{abs(p.after - goal) / p.std:.1f}"
+        row = f"| {p.name} {p.where} `{p.parameter}` | {p.before:.5g} | {p.after:.5g} ± {p.std:.2g} |"
+        lines.append(f"{row} {'nothing' if goal is None else f'{goal:g}'} | {off} |")
+    missed = [" ".join(k) for k in true if k not in seen]
+    lines += [
+        "",
+        f"Concealed and not found: {', '.join(missed) or 'nothing'}.",
+        "",
+        "## New runs by the recorded set points, on the motion that took no part",
+        "",
+    ]
+    head, rule = "| channel | noise | given model | model found |", "|---|--:|--:|--:|"
+    lines += [head + (" `mujoco.sysid` |" if peer else ""), rule + ("--:|" if peer else "")]
+    checks = match.checks[0].errors
+    for k, e in enumerate(checks):
+        row = f"| {e.channel}, {e.unit} | {e.noise:.3g} | {e.before:.3g} | {e.after:.4g} |"
+        lines.append(row + (f" {others[k].after:.4g} |" if peer else ""))
+    ours = float(np.mean([(e.after / NOISE[kind(e.channel)]) ** 2 for e in checks]))
+    lines += ["", f"Mean square over that of the noise that was added: {ours:.4f} by this program ({seconds:.0f} s)"]
+    if peer:
+        theirs = float(np.mean([(e.after / NOISE[kind(e.channel)]) ** 2 for e in others]))
+        lines[-1] += f", {theirs:.4f} by `mujoco.sysid` ({peer.seconds:.0f} s)"
+        lines += [
+            "",
+            "`mujoco.sysid` was told which parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the",
+            "sensors, the weights of the channels, the samples and the settled start of this program. Without that it cannot begin.",
+        ]
+    lines[-1] += "" if lines[-1].endswith(".") else "."
+    return "\n".join(lines) + "\n"
+
+
+def kind(channel: str) -> str:
+    return {"q": "q", "tau": "tau", "q_joint": "side"}[channel.split()[1]]
+
+
+if __name__ == "__main__":
+    main()
