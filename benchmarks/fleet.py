@@ -3,7 +3,7 @@
     python benchmarks/fleet.py [--arms 50] [--days 10] [--write]
 
 Fifty arms of one type, ten days each; the arms' errors are 0.3 of an arm's usual ones about a mean of the type. One arm drifts, one has
-a crash after day 6, one has a link of the wrong length, one recording is cut in the middle of a row. Prints a page; --write keeps it as
+a crash after 0.6 of the days, one has a link of the wrong length, one recording is cut in the middle of a row. Prints a page; --write keeps it as
 benchmarks/fleet.md.
 """
 
@@ -48,7 +48,7 @@ def arm_errors(arm: int, day: int, days: int, mean: np.ndarray) -> np.ndarray:
     errors = mean + cells.random_errors(cells.kr10(), np.random.default_rng(1000 + arm), SPREAD)
     if arm == DRIFTING:
         errors[THETA_2] += 6e-4 * day / (days - 1)
-    if arm == CRASHED and day >= 6:
+    if arm == CRASHED and day >= 0.6 * days:
         errors[THETA_3] += 5e-4
     if arm == ODD:
         errors[A_2] += 2.0
@@ -198,7 +198,7 @@ Of the {half[2]} results that were there after the kill, {repeated} were made ag
 
 Without a result: {len(broken)} recording, the one that was cut in the middle of a row: {reasons}.
 
-Concealed: arm-{DRIFTING + 1:02d} drifts by 0.6 mrad in theta_2, theta_3 of arm-{CRASHED + 1:02d} is 0.5 mrad off after day 6,
+Concealed: arm-{DRIFTING + 1:02d} drifts by 0.6 mrad in theta_2, theta_3 of arm-{CRASHED + 1:02d} is 0.5 mrad off after 0.6 of the days,
 link 2 of arm-{ODD + 1:02d} is 2 mm too long. Outside their control limits: {named}.
 Unlike the other arms: {unlike}.
 False alarms: {outside} of {total} recordings (about {total * 0.0027:.1f} are expected).
