@@ -3,8 +3,8 @@
     python benchmarks/fleet.py [--arms 50] [--days 10] [--write]
 
 Fifty arms of one type, ten days each; the arms' errors are 0.3 of an arm's usual ones about a mean of the type. One arm drifts, one has
-a crash after 0.6 of the days, one has a link of the wrong length, one recording is cut in the middle of a row. Prints a page; --write keeps it as
-benchmarks/fleet.md.
+a crash after 0.6 of the days, one has a link of the wrong length, one recording is cut in the middle of a row. Prints a page;
+--write keeps it as benchmarks/fleet.md.
 """
 
 from __future__ import annotations
