@@ -215,8 +215,10 @@ class LinearProblem:
 
 
 def _deviation(obs: Observations, state: CellState, layout: ParameterLayout) -> np.ndarray:
-    """(g,) of the free parameters: arm from nominal, balls from their certificates, hand-eye none."""
+    """(g,) of the free parameters: arm from nominal (from the centre of its prior), balls from their certificates, hand-eye none."""
     arm = (state.chain.rows - obs.cell.robot.chain.rows).reshape(-1)
+    if (centre := layout.blocks[0].centre) is not None:
+        arm = arm - centre
     full = [arm, np.zeros(len(layout.blocks[1].names)), (state.balls - obs.cell.ball_centres).reshape(-1)]
     return np.concatenate([values[b.free] for values, b in zip(full, layout.blocks[:3], strict=True)])
 

@@ -18,6 +18,9 @@ SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,  # a recording at which two workers end is given up
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
+    "distributed.comm.timeouts.connect": "600s",  # on a busy computer processes start slowly
+    "distributed.comm.timeouts.tcp": "600s",
+    "distributed.scheduler.worker-ttl": None,  # a long computation is no lost worker
 }
 
 
@@ -37,10 +40,9 @@ def evaluated(
     logging.getLogger("distributed").setLevel(QUIET)  # what goes wrong with a recording stands in its row
     with ExitStack() as closing:
         closing.enter_context(config.set(SETTINGS))
-        address: Any = scheduler
-        if scheduler is None:
-            address = closing.enter_context(
-                LocalCluster(
+        try:
+            if scheduler is None:
+                cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
@@ -49,12 +51,13 @@ def evaluated(
                     scheduler_kwargs={"dashboard": False},
                     silence_logs=QUIET,
                 )
-            )
-        try:
-            client = closing.enter_context(Client(address, timeout=CONNECT_S))
+                client = closing.enter_context(Client(closing.enter_context(cluster)))
+            else:
+                client = closing.enter_context(Client(scheduler, timeout=CONNECT_S))
         except (OSError, ValueError) as error:
+            where = "of this computer" if scheduler is None else f"at {scheduler}"
             raise ConnectError(
-                f"no scheduler answers at {scheduler} ({error}); start one (dask scheduler) or leave --scheduler out"
+                f"the cluster {where} does not answer ({error or type(error).__name__}); try again, or look whether its scheduler runs"
             ) from error
         futures = client.map(evaluate_recording, recordings, task=task, pure=False)
         by_key = {future.key: one for future, one in zip(futures, recordings, strict=True)}
