@@ -59,6 +59,11 @@
   const middle = low.map((v, k) => (v + high[k]) / 2);
   const size = Math.hypot(...high.map((v, k) => v - low[k])) || 1;
   let turn = -0.9, tilt = 0.45, zoom = 1;
+  const ratio = window.devicePixelRatio || 1;
+  const shape = () => {
+    canvas.width = Math.round(ratio * (canvas.clientWidth || 1000));
+    canvas.height = Math.round(canvas.width * (canvas.clientWidth < 600 ? 0.8 : 0.52));
+  };
   const draw = () => {
     const width = canvas.width, height = canvas.height, unit = (zoom * 1.15 * Math.min(width, height)) / size;
     const place = (p) => {
@@ -68,7 +73,7 @@
     };
     const line = (points, colour, thick) => {
       context.strokeStyle = colour;
-      context.lineWidth = thick;
+      context.lineWidth = thick * ratio;
       context.beginPath();
       points.map(place).forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
       context.stroke();
@@ -79,7 +84,7 @@
     for (let x = Math.floor(low[0] / step) * step; x <= high[0] + step; x += step) line([[x, low[1], floor], [x, high[1], floor]], "#e4e4e4", 1);
     for (let y = Math.floor(low[1] / step) * step; y <= high[1] + step; y += step) line([[low[0], y, floor], [high[0], y, floor]], "#e4e4e4", 1);
     if (data.arm.length) line(data.arm, "#b9bec4", 14), line(data.arm, "#6b7178", 3);
-    context.font = "15px Helvetica, Arial, sans-serif";
+    context.font = `${14 * ratio}px Helvetica, Arial, sans-serif`;
     [["X", [150, 0, 0], "#c0392b"], ["Y", [0, 150, 0], "#1e8449"], ["Z", [0, 0, 150], "#1f618d"]].forEach(([name, end, colour]) => {
       line([[0, 0, 0], end], colour, 3);
       const [x, y] = place(end);
@@ -89,14 +94,14 @@
     data.groups.flatMap((g) => g.points.map((p) => [...place(p), g.colour])).sort((a, b) => b[2] - a[2]).forEach(([x, y, , colour]) => {
       context.fillStyle = colour;
       context.beginPath();
-      context.arc(x, y, 3.6, 0, 7);
+      context.arc(x, y, 3.2 * ratio, 0, 7);
       context.fill();
     });
     data.groups.forEach((g, k) => {
       context.fillStyle = g.colour;
-      context.fillRect(12, 12 + 22 * k, 12, 12);
+      context.fillRect(12 * ratio, (12 + 22 * k) * ratio, 12 * ratio, 12 * ratio);
       context.fillStyle = "#222";
-      context.fillText(g.name, 30, 23 + 22 * k);
+      context.fillText(g.name, 30 * ratio, (23 + 22 * k) * ratio);
     });
   };
   const held = new Map();
@@ -118,5 +123,7 @@
     draw();
   });
   canvas.addEventListener("wheel", (e) => { e.preventDefault(); zoom = Math.min(8, Math.max(0.3, zoom * Math.exp(-0.001 * e.deltaY))); draw(); }, { passive: false });
+  shape();
   draw();
+  window.addEventListener("resize", () => { shape(); draw(); });
 })();

@@ -67,7 +67,7 @@ def uncertainty_budget(spacing: Spacing | None, certificate: float) -> list[tupl
         return []
     return [
         ("certified distance", f"{certificate:.4f} mm", "of two balls, from the certificate"),
-        ("temperature of the artefact", "0", "the certified length is taken as it stands; state its temperature in the plan"),
+        ("temperature of the artefact", "not included", "the certified length is taken as it stands"),
         ("expanded, k = 2", f"U = {2 * certificate:.4f} mm", "of the length error; it decides at the limit (ISO 14253-1)"),
     ]
 

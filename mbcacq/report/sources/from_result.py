@@ -177,7 +177,8 @@ def _identity(result: Mapping[str, Any], observations: Observations | None, run_
     devices = run_info.get("devices")
     for name, low, high, _ in devices.health if devices is not None else ():
         if name.endswith("_C"):
-            out.append((f"temperature, {name.removesuffix('_C').replace('_', ' ').removesuffix(' temperature')}", f"{low} to {high} °C"))
+            what = name.removesuffix("_C").removesuffix("temperature").strip("_: ").replace("_", " ")
+            out.append((f"temperature, {what}", f"{low} °C" if low == high else f"{low} to {high} °C"))
     if run_info.get("started"):
         out.append(("measured on", _when(str(run_info["started"]))))
     return [*out, ("software", f"mbcacq {__version__}")]
