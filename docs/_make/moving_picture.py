@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
-SIZE, FRAME_MS = (880, 460), 125
+SIZE, FRAME_MS = (880, 460), 200
 MEASURING_S, SHRINKING_S, NAMING_S = 11.0, 4.0, 5.0  # 20 s altogether
 NIGHT, INK, SOFT, ARM = (18, 21, 27), (236, 239, 243), (140, 148, 160), (240, 106, 22)
 BEFORE, AFTER, LIMIT, BALL = (230, 159, 0), (86, 180, 233), (235, 96, 60), (0, 190, 140)
@@ -80,6 +81,11 @@ def sentences_of(run: Path) -> list[str]:
         lines.append(effect.title)
         lines += [f"   {name} {value} ± {uncertainty} {unit}" for name, value, uncertainty, unit in effect.parameters[:3]]
     return lines
+
+
+@cache
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)
 
 
 class Frame:
@@ -166,7 +172,7 @@ class Frame:
             self._text((right - 90, y - 22), f"limit {self.film.limit:g} mm", 14, LIMIT)
 
     def _text(self, at: tuple[float, float], text: str, size: int, colour: tuple[int, int, int]) -> None:
-        self.draw.text(at, text, font=ImageFont.load_default(size), fill=colour)
+        self.draw.text(at, text, font=font(size), fill=colour)
 
 
 def main() -> None:
@@ -174,7 +180,7 @@ def main() -> None:
     film = film_of(run)
     seconds = np.arange(0.0, MEASURING_S + SHRINKING_S + NAMING_S, FRAME_MS / 1000)
     first, *others = [Frame(film, float(s)).drawn() for s in seconds]
-    first.save(picture, save_all=True, append_images=others, duration=FRAME_MS, loop=0, quality=55, method=4)
+    first.save(picture, save_all=True, append_images=others, duration=FRAME_MS, loop=0, quality=50, method=2)
     print(f"{picture}: {len(others) + 1} frames, {picture.stat().st_size / 1e6:.2f} MB")
 
 
