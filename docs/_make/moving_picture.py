@@ -113,7 +113,7 @@ class Frame:
         """Arm and measured balls, looked at from a point that moves slowly round the cell."""
         turn = -0.9 + 0.025 * self.seconds
         low, high = self.film.joints.reshape(-1, 3).min(axis=0), self.film.joints.reshape(-1, 3).max(axis=0)
-        middle, unit = (low + high) / 2, 330.0 / float(np.linalg.norm(high - low))
+        middle, unit = (low + high) / 2, 430.0 / float(np.linalg.norm(high - low))
 
         def place(points: np.ndarray) -> list[tuple[float, float]]:
             x, y, z = (points - middle).T
@@ -145,7 +145,7 @@ class Frame:
         for x, y, _ in self.film.found[pose]:
             u, v = centre[0] + unit * y, centre[1] + unit * x
             self.draw.ellipse((u - 10, v - 10, u + 10, v + 10), outline=BALL, width=2)
-        self._text((548, 206), f"{len(self.film.found[pose])} balls found", 16, BALL)
+        self._text((548, 206), f"{(count := len(self.film.found[pose]))} ball{'' if count == 1 else 's'} found", 16, BALL)
 
     def _bars(self) -> None:
         """Length errors, which shrink while the cell is calibrated; then what the diagnosis says."""
