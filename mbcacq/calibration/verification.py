@@ -24,7 +24,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 
-CLEAR = 1.645  # one-sided 95 %
+CLEAR = 2.0  # coverage factor of the guard band, the same as of every expanded uncertainty that is reported
 # (station, ball id) -> q (1, n), xyz (1, 3) and number of poses
 Ends = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray, int]]
 
@@ -272,7 +272,7 @@ def single_lengths(obs: Observations, calibration: Calibrated) -> np.ndarray:
 
 
 def verdict(value: float | None, sigma: float | None, limit: float | None) -> str:
-    """'pass', 'fail', 'undecided' or 'none', by one-sided 95 % on either side of the limit (after ISO 14253-1)."""
+    """'pass', 'fail', 'undecided' or 'none': the expanded uncertainty (k = 2) on either side of the limit decides (ISO 14253-1)."""
     if value is None or limit is None:
         return "none"
     margin = CLEAR * (sigma or 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,12 +49,18 @@ def write_report_page(content: Content, path: str | Path) -> Path:
     return write(render(content), path)
 
 
-def write_diagnosis_page(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any], path: str | Path, title: str = "Diagnosis") -> Path:
-    """Write a diagnosis (its JSON and what its pictures need) as a page of its own."""
+def write_diagnosis_page(
+    diagnosis: Mapping[str, Any],
+    pictures: Mapping[str, Any],
+    path: str | Path,
+    title: str = "Diagnosis",
+    about: Sequence[tuple[str, str]] = (),
+) -> Path:
+    """Write a diagnosis (its JSON and what its pictures need) as a page of its own. about: robot, data and date (label, text)."""
     from mbcacq.report.page import render_diagnosis, write
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
-    return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title), path)
+    return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title, about), path)
 
 
 def write_fleet_page(fleet: FleetContent, path: str | Path, title: str = "Fleet") -> Path:

@@ -33,13 +33,16 @@ def diagnosis_cards(diagnosis: DiagnosisContent) -> str:
 
 def _card(number: int, effect: EffectContent) -> list[str]:
     what, _, where = effect.title.rpartition(" at ")
-    values = [f"{name} {value} ± {std} {unit}".rstrip() for name, value, std, unit in effect.parameters]
+    values = [f"{name} {value} ± {uncertainty} {unit}".rstrip() for name, value, uncertainty, unit in effect.parameters]
+    if effect.harmonics is not None:
+        values.append(f"{len(effect.harmonics[1])} harmonics, a row each in the report")
     much = "; ".join(values[:6]) + (f"; {len(values) - 6} more in the report" if len(values) > 6 else "")
     rows = [
         ("what", f"{what}" + (f", depends on {effect.depends_on}" if effect.depends_on else "")),
         ("where", where),
-        ("how much", much or "see its response curve"),
+        ("how much (± is k = 2)", much or "see its response curve"),
         ("how sure", f"p-value {effect.p_value}; removes {effect.gain} of the excess over noise in held-out data"),
-        ("what else", "; ".join(effect.alternatives) or "no other candidate comes near"),
     ]
-    return [f"## {number}. {effect.title}", "", "| | |", "|---|---|", *(f"| {label} | {text} |" for label, text in rows), ""]
+    table = [f"| {label} | {text} |" for label, text in rows]
+    others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]
+    return [f"## {number}. {effect.title}", "", "| | |", "|---|---|", *table, "", "What else it could be:", "", *others, ""]

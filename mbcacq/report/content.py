@@ -1,7 +1,8 @@
 """Content of a report as plain values, between the result file and the page. Lengths mm, angles deg; None or empty is left out.
 
 ``Content``: figures are those of the verification (name, value, uncertainty, limit, verdict); headlines the numbers of the first screen
-(label, value with unit, what it is compared with); caveats the sentences that stand above everything (simulated, never verified).
+(label, value with unit, what it is compared with); budget the sources of uncertainty (source, standard uncertainty, remark); identity
+what was measured with (label, text); caveats the sentences that stand above everything (simulated, never verified).
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ class Spacing:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One identified parameter; nominal and value may be None where only the correction is known. held: reason, or None if free."""
+    """One identified parameter with its expanded uncertainty (k = 2). nominal and value may be None where only the correction is known.
+    held: reason, or None if free."""
 
     group: str
     name: str
@@ -58,7 +60,7 @@ class ParameterRow:
     nominal: float | None
     correction: float | None
     value: float | None
-    std: float | None
+    uncertainty: float | None
     held: str | None = None
 
     @property
@@ -102,10 +104,11 @@ class Spheres:
 
 @dataclass(frozen=True)
 class AccuracyGrid:
-    """Expected accuracy: centres (C, 3) mm of cells of edge cell_mm in the base, sigma_mm (C,) standard uncertainty of a point there."""
+    """Expected accuracy: centres (C, 3) mm of cells of edge cell_mm in the base, uncertainty_mm (C,) expanded uncertainty (k = 2) of a
+    point there."""
 
     centres: np.ndarray
-    sigma_mm: np.ndarray
+    uncertainty_mm: np.ndarray
     cell_mm: float
 
 
@@ -130,7 +133,7 @@ class Devices:
 @dataclass(frozen=True)
 class Coverage:
     """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
-    with ball_phase (M,) str, or None."""
+    with ball_phase (M,) str, or None. arm: (n + 1, 3) mm, the joints in the middle pose, or None."""
 
     q_deg: np.ndarray
     limits_deg: np.ndarray | None
@@ -138,11 +141,13 @@ class Coverage:
     flange: np.ndarray | None = None
     balls: np.ndarray | None = None
     ball_phase: np.ndarray | None = None
+    arm: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class EffectContent:
-    """One effect of a diagnosis. parameters: (name, value, standard deviation, unit) as texts; alternatives: sentences."""
+    """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
+    of a table and a row a harmonic; alternatives: sentences."""
 
     title: str
     depends_on: str
@@ -150,6 +155,7 @@ class EffectContent:
     gain: str
     parameters: list[tuple[str, str, str, str]]
     alternatives: list[str]
+    harmonics: tuple[list[str], list[list[str]]] | None = None
 
 
 @dataclass(frozen=True)
@@ -229,6 +235,9 @@ class Content:
     fit: list[tuple[str, str]] = field(default_factory=list)
     figures: list[tuple[str, str, str, str, str]] = field(default_factory=list)
     spacing: Spacing | None = None
+    budget: list[tuple[str, str, str]] = field(default_factory=list)
+    one_sign: str = ""
+    identity: list[tuple[str, str]] = field(default_factory=list)
     next: Action | None = None
     headlines: list[tuple[str, str, str]] = field(default_factory=list)
     parameters: list[ParameterRow] = field(default_factory=list)

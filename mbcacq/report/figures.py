@@ -9,11 +9,9 @@ from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, 
 
 def report_figures(content: Content) -> dict[str, Any]:
     """Plotly figures of a report without its diagnosis."""
-    from mbcacq.report.charts import parameter_charts, sphere_charts, verification_charts, workspace_charts
+    from mbcacq.report.charts import parameter_charts, sphere_charts, workspace_charts
 
     figures: dict[str, Any] = {}
-    if content.spacing is not None:
-        figures["spacing"] = verification_charts.spacing(content.spacing)
     if content.residuals is not None and len(content.residuals.xyz):
         figures |= _residual_figures(content.residuals)
     if (spheres := content.spheres) is not None:

@@ -46,3 +46,84 @@
   window.addEventListener("beforeprint", () => { document.querySelectorAll("details.print").forEach((d) => { d.open = true; }); paper(); });
   window.addEventListener("afterprint", screen);
 })();
+
+// The view that turns: points and the arm on a canvas, drawn from front to back by depth.
+(() => {
+  const canvas = document.getElementById("scene");
+  if (!canvas) return;
+  const data = JSON.parse(document.getElementById("scene-data").textContent);
+  const context = canvas.getContext("2d");
+  const all = data.groups.flatMap((g) => g.points).concat(data.arm);
+  const low = [0, 1, 2].map((k) => Math.min(0, ...all.map((p) => p[k])));
+  const high = [0, 1, 2].map((k) => Math.max(0, ...all.map((p) => p[k])));
+  const middle = low.map((v, k) => (v + high[k]) / 2);
+  const size = Math.hypot(...high.map((v, k) => v - low[k])) || 1;
+  let turn = -0.9, tilt = 0.45, zoom = 1;
+  const ratio = window.devicePixelRatio || 1;
+  const shape = () => {
+    canvas.width = Math.round(ratio * (canvas.clientWidth || 1000));
+    canvas.height = Math.round(canvas.width * (canvas.clientWidth < 600 ? 0.8 : 0.52));
+  };
+  const draw = () => {
+    const width = canvas.width, height = canvas.height, unit = (zoom * 1.15 * Math.min(width, height)) / size;
+    const place = (p) => {
+      const [x, y, z] = p.map((v, k) => v - middle[k]);
+      const right = x * Math.cos(turn) - y * Math.sin(turn), away = x * Math.sin(turn) + y * Math.cos(turn);
+      return [width / 2 + unit * right, height / 2 - unit * (z * Math.cos(tilt) + away * Math.sin(tilt)), away * Math.cos(tilt) - z * Math.sin(tilt)];
+    };
+    const line = (points, colour, thick) => {
+      context.strokeStyle = colour;
+      context.lineWidth = thick * ratio;
+      context.beginPath();
+      points.map(place).forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
+      context.stroke();
+    };
+    context.clearRect(0, 0, width, height);
+    context.lineJoin = context.lineCap = "round";
+    const step = 200, floor = low[2];
+    for (let x = Math.floor(low[0] / step) * step; x <= high[0] + step; x += step) line([[x, low[1], floor], [x, high[1], floor]], "#e4e4e4", 1);
+    for (let y = Math.floor(low[1] / step) * step; y <= high[1] + step; y += step) line([[low[0], y, floor], [high[0], y, floor]], "#e4e4e4", 1);
+    if (data.arm.length) line(data.arm, "#b9bec4", 14), line(data.arm, "#6b7178", 3);
+    context.font = `${14 * ratio}px Helvetica, Arial, sans-serif`;
+    [["X", [150, 0, 0], "#c0392b"], ["Y", [0, 150, 0], "#1e8449"], ["Z", [0, 0, 150], "#1f618d"]].forEach(([name, end, colour]) => {
+      line([[0, 0, 0], end], colour, 3);
+      const [x, y] = place(end);
+      context.fillStyle = colour;
+      context.fillText(name, x + 4, y - 4);
+    });
+    data.groups.flatMap((g) => g.points.map((p) => [...place(p), g.colour])).sort((a, b) => b[2] - a[2]).forEach(([x, y, , colour]) => {
+      context.fillStyle = colour;
+      context.beginPath();
+      context.arc(x, y, 3.2 * ratio, 0, 7);
+      context.fill();
+    });
+    data.groups.forEach((g, k) => {
+      context.fillStyle = g.colour;
+      context.fillRect(12 * ratio, (12 + 22 * k) * ratio, 12 * ratio, 12 * ratio);
+      context.fillStyle = "#222";
+      context.fillText(g.name, 30 * ratio, (23 + 22 * k) * ratio);
+    });
+  };
+  const held = new Map();
+  let apart = 0;
+  canvas.addEventListener("pointerdown", (e) => { held.set(e.pointerId, e); canvas.setPointerCapture(e.pointerId); apart = 0; });
+  ["pointerup", "pointercancel"].forEach((name) => canvas.addEventListener(name, (e) => { held.delete(e.pointerId); apart = 0; }));
+  canvas.addEventListener("pointermove", (e) => {
+    const before = held.get(e.pointerId);
+    if (!before) return;
+    held.set(e.pointerId, e);
+    if (held.size > 1) {
+      const [a, b] = Array.from(held.values()), now = Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+      if (apart) zoom = Math.min(8, Math.max(0.3, (zoom * now) / apart));
+      apart = now;
+    } else {
+      turn += 0.008 * (e.clientX - before.clientX);
+      tilt = Math.min(1.57, Math.max(-1.57, tilt + 0.008 * (e.clientY - before.clientY)));
+    }
+    draw();
+  });
+  canvas.addEventListener("wheel", (e) => { e.preventDefault(); zoom = Math.min(8, Math.max(0.3, zoom * Math.exp(-0.001 * e.deltaY))); draw(); }, { passive: false });
+  shape();
+  draw();
+  window.addEventListener("resize", () => { shape(); draw(); });
+})();

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,31 @@ def render(content: Content) -> str:
         matrices=matrices(content),
         held=held(content),
         d=content.diagnosis,
+        scene=_scene(content),
     )
 
 
-def render_diagnosis(diagnosis: DiagnosisContent, title: str) -> str:
-    """HTML of a diagnosis by itself."""
-    return _template("diagnosis_page.html.j2", d=diagnosis, title=title, figures=_embedded(diagnosis_figures(diagnosis)))
+def _scene(content: Content) -> Any:
+    """What the view that turns draws, as JSON: points by phase and the arm, mm in the base; None where no ball has a place."""
+    from markupsafe import Markup
+
+    from mbcacq.report.charts.style import PHASES, thinned
+
+    coverage = content.coverage
+    if coverage is None or coverage.balls is None or coverage.ball_phase is None:
+        return None
+    groups = []
+    for k, phase in enumerate(dict.fromkeys(coverage.ball_phase)):
+        points = coverage.balls[coverage.ball_phase == phase]
+        points = points[thinned(np.zeros(len(points)))]
+        groups.append({"name": str(phase) or "all poses", "colour": PHASES[k % len(PHASES)], "points": np.round(points, 1).tolist()})
+    arm = [] if coverage.arm is None else np.round(coverage.arm, 1).tolist()
+    return Markup(_script_safe(json.dumps({"groups": groups, "arm": arm})))
+
+
+def render_diagnosis(diagnosis: DiagnosisContent, title: str, about: Sequence[tuple[str, str]] = ()) -> str:
+    """HTML of a diagnosis by itself. about: robot, data and date (label, text)."""
+    return _template("diagnosis_page.html.j2", d=diagnosis, title=title, about=about, figures=_embedded(diagnosis_figures(diagnosis)))
 
 
 def render_fleet(fleet: FleetContent, title: str) -> str:
@@ -96,9 +116,14 @@ def _div(name: str, figure: Any) -> Any:
     """The figure as data next to its place: page.js draws it. What could end a script element is written as an escape."""
     from markupsafe import Markup
 
-    data = figure.to_json().replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+    data = _script_safe(figure.to_json())
     height = figure.layout.height or 300
     return Markup(
         f'<div class="plot" id="figure-{name}" data-figure="data-{name}" style="height:{height:g}px"></div>'
         f'<script type="application/json" id="data-{name}">{data}</script>'
     )
+
+
+def _script_safe(json_text: str) -> str:
+    """JSON in a script element: what could end it is written as an escape."""
+    return json_text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

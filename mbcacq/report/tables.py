@@ -38,7 +38,7 @@ def matrices(content: Content) -> list[Matrix]:
                 list(MDH.values()),
                 kinematic,
                 [4, 4, 4, 4, 4],
-                note="Calibrated minus nominal, with standard deviations (k = 1).",
+                note="Calibrated minus nominal, with expanded uncertainties U (k = 2).",
             )
         )
     if balls:

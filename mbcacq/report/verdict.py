@@ -9,6 +9,7 @@ import numpy as np
 
 from mbcacq.report.content import Action, ReportVerdict, Spacing
 
+FEWEST_OF_ONE_SIGN = 5
 SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
 VERIFY_INDEPENDENTLY = Action(
     "Verify on poses of their own",
@@ -48,12 +49,43 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: 
     if spacing.limit is None:
         return ReportVerdict("none", "Calibrated and verified", f"{errors}. The plan sets no limit.")
     U = 2 * certificate
-    against = f"{errors}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified distance {U:.4f} mm (k = 2)."
+    against = (
+        f"{errors}; limit {spacing.limit:.3f} mm, expanded uncertainty U = {U:.4f} mm (k = 2). "
+        "Decision rule of ISO 14253-1: passed up to the limit minus U, not passed beyond the limit plus U."
+    )
     if after.max() + U <= spacing.limit:
         return ReportVerdict("pass", "Passed: every place is within the limit", against)
     if after.max() - U > spacing.limit:
         return ReportVerdict("fail", "Not passed: the limit is exceeded", against)
     return ReportVerdict("undecided", "Neither proven nor disproven: within the uncertainty of the limit", against)
+
+
+def uncertainty_budget(spacing: Spacing | None, certificate: float) -> list[tuple[str, str, str]]:
+    """(source, standard uncertainty, what it is) of a verified length, the last row combined and expanded. certificate: mm, standard
+    uncertainty of a certified distance. What is judged, the error of the cell, is no part of the uncertainty of judging it."""
+    if spacing is None:
+        return []
+    return [
+        ("certified distance", f"{certificate:.4f} mm", "of two balls, from the certificate"),
+        ("temperature of the artefact", "not included", "the certified length is taken as it stands"),
+        ("expanded, k = 2", f"U = {2 * certificate:.4f} mm", "of the length error; it decides at the limit (ISO 14253-1)"),
+    ]
+
+
+def one_sign(spacing: Spacing | None) -> str:
+    """A sentence where all errors after calibration have one sign, or ''."""
+    if spacing is None or len(spacing.after) < FEWEST_OF_ONE_SIGN:
+        return ""
+    positive = bool(np.all(spacing.after > 0))
+    if not positive and not np.all(spacing.after < 0):
+        return ""
+    ppm = 1e6 * float(np.mean(spacing.after / spacing.certified))
+    count = len(spacing.after)
+    return (
+        f"All {count} errors are {'positive' if positive else 'negative'}: mean {1e3 * spacing.after.mean():+.1f} µm, {ppm:+.0f} ppm of "
+        f"the length. {count} independent errors of mean zero would be of one sign with probability {2.0 ** (1 - count):.1g}. "
+        "A common cause acts like this: the certified length, its temperature, or the scale of the scanner."
+    )
 
 
 def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -65,7 +97,7 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[
         sigma = "" if spacing.sigma is None else f" ± {2 * spacing.sigma[worst]:.3f}"
         out.append(("largest sphere spacing error", f"{after.max():.3f}{sigma} mm", f"before {before:.3f} mm; ± is k = 2"))
     if fit.get("expected_accuracy_mm") is not None:
-        out.append(("expected accuracy of a point", f"{1e3 * fit['expected_accuracy_mm']:.0f} µm", "in the workspace, 3D, k = 1"))
+        out.append(("expected accuracy of a point", f"{2e3 * fit['expected_accuracy_mm']:.0f} µm", "in the workspace, 3D, U (k = 2)"))
     out.append(("residual", f"{1e3 * fit['rms_mm']:.1f} µm", f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
     return out
 

@@ -82,7 +82,20 @@ class DiagnosisResult:
         """The diagnosis as one HTML page that opens offline."""
         from mbcacq.report import write_diagnosis_page
 
-        return write_diagnosis_page(self.main.to_json(), self.pictures(), path)
+        return write_diagnosis_page(self.main.to_json(), self.pictures(), path, about=self._about())
+
+    def _about(self) -> list[tuple[str, str]]:
+        """Robot, data and date, as the page names them."""
+        from datetime import datetime
+
+        from mbcacq.version import __version__
+
+        data = str((self.provenance or {}).get("recording") or "")
+        out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]
+        if self.observations is not None:
+            out.append(("poses", f"{self.observations.n_poses}, with {self.observations.n_centres} centres"))
+        out += [("data", data)] if data else []
+        return [*out, ("diagnosed", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"), ("software", f"mbcacq {__version__}")]
 
     def write_rrd(self, path: Path | str) -> Path:
         """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""

@@ -193,11 +193,11 @@ def test_verification_on_the_poses_of_the_fit_is_labelled_as_such(tmp_path):
     assert "took part in the calibration" in page(tmp_path, result).words
 
 
-def test_parameters_with_their_standard_deviations(tmp_path):
+def test_parameters_with_their_expanded_uncertainties(tmp_path):
     words = page(tmp_path, make_result()).words
-    assert "+0.1430 ± 0.0057" in words
-    assert "−0.0170 ± 0.0009" in words  # degrees
-    assert "+0.40 ± 0.70" in words  # micrometres of a ball
+    assert "+0.1430 ± 0.0114" in words
+    assert "−0.0170 ± 0.0018" in words  # degrees
+    assert "+0.40 ± 1.40" in words  # micrometres of a ball
     assert "theta_1 turns base and stations together" in words
     assert "264.7998" in words
     assert "a_1 and hand_eye.x −0.987" in words

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 SHEET = (900.0, 420.0)  # width and height of a chart with its labels
-LEFT, RIGHT, TOP, BOTTOM = 90.0, 20.0, 34.0, 62.0
+LEFT, RIGHT, TOP, BOTTOM = 70.0, 20.0, 62.0, 62.0
 INK, GRID, LIMIT = (190, 198, 210), (58, 64, 76), (235, 96, 60)
 Colour = tuple[int, ...]
 
@@ -61,9 +61,10 @@ class Chart:
         self._key(name, colour)
 
     def level(self, name: str, y: Sequence[float], colour: Colour = LIMIT) -> None:
-        """Horizontal lines over the whole width, e.g. a limit."""
-        self._strips(name, [self.at(np.array(self._x), v) for v in y], colour, 1.0)
-        self._key(name, colour)
+        """Horizontal lines over the whole width, e.g. a limit; without a name they are not in the legend."""
+        self._strips(name or "zero", [self.at(np.array(self._x), v) for v in y], colour, 1.0)
+        if name:
+            self._key(name, colour)
 
     def points(self, name: str, x: np.ndarray, y: np.ndarray, colour: Colour, radius: float = 2.2) -> None:
         self._rec.log(f"{self._entity}/{_part(name)}", rr.Points2D(self.at(x, y), colors=[colour], radii=radius), static=True)
@@ -84,7 +85,7 @@ class Chart:
         for v in np.arange(np.ceil(self._y[0] / y_step), np.floor(self._y[1] / y_step + 1e-9) + 1) * y_step:
             at = self.at(self._x[0], v)[0]
             places.append(at - [34.0, 9.0])
-            texts.append(f"{v:.6g}")
+            texts.append(f"{v + 0.0:.6g}")
             grid.append(np.array([at, [right, at[1]]]))
         if names is None:
             x_step = round_step(self._x[1] - self._x[0], 8)
@@ -95,13 +96,13 @@ class Chart:
         for v, text in marks:
             places.append(self.at(v, self._y[0])[0] + [0.0, 4.0])
             texts.append(text)
-        places += [np.array([(left + right) / 2, SHEET[1] - 32.0]), np.array([LEFT, 2.0])]
+        places += [np.array([(left + right) / 2, SHEET[1] - 32.0]), np.array([(left + right) / 2, 2.0])]
         self._rec.log(f"{self._entity}/grid", rr.LineStrips2D(grid, colors=[GRID], radii=0.4), static=True)
         self._labels("ticks", places, [*texts, *labels])
 
     def _key(self, name: str, colour: Colour) -> None:
         """The entry of the legend, above the chart."""
-        at = np.array([300.0 + 132.0 * self._keys, 12.0])
+        at = np.array([170.0 + 150.0 * self._keys, 40.0])
         self._keys += 1
         self._rec.log(f"{self._entity}/key/{_part(name)}", rr.Points2D([at - [62.0, 0.0]], colors=[colour], radii=5.0), static=True)
         self._labels(f"key/{_part(name)}/text", [at - [0.0, 10.0]], [name])

@@ -87,7 +87,7 @@ def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, A
     name = "unmodelled effect" if curve["effect"] == "unknown" else str(curve["effect"]).replace("_", " ")
     labels = f"{curve['x_label']}{unit}", f"{name} at {curve['at']}: {curve['what']}, {curve['unit']}"
     chart = Chart(stream, entity, (x.min() - 0.03 * span, x.max() + 0.03 * span), (low - pad, high + pad), labels)
-    chart.level("zero", (0.0,), GRID)
+    chart.level("", (0.0,), GRID)
     chart.points("before", x, before, BEFORE)
     chart.points("after", x, after, AFTER)
     chart.points("model", x, model, RECORDED, 1.4)

@@ -58,14 +58,14 @@ def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> go.Figur
 def accuracy(data: AccuracyGrid, axis: int) -> go.Figure:
     """Expected accuracy, from above (axis 1) or from the side (axis 2): each field shows the rms of the cells behind each other."""
     x, y, z = _projected(data, axis)
-    top = 1e3 * max(float(np.nanpercentile(_projected(data, a)[2], 97)) for a in (1, 2))
+    low, top = (1e3 * float(np.nanpercentile(z, share)) for share in (1, 97))  # a scale of its own: where it is better, and where worse
     figure = go.Figure(
         go.Heatmap(
             x=x,
             y=y,
             z=1e3 * z,
-            zmin=0,
-            zmax=top,
+            zmin=low,
+            zmax=max(top, low + 1e-9),
             colorscale="Cividis",
             reversescale=True,
             xgap=1,
@@ -88,7 +88,7 @@ def _projected(data: AccuracyGrid, axis: int) -> tuple[np.ndarray, np.ndarray, n
     x, i = np.unique(data.centres[:, 0], return_inverse=True)
     y, j = np.unique(data.centres[:, axis], return_inverse=True)
     square, count = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
-    np.add.at(square, (j, i), data.sigma_mm**2)
+    np.add.at(square, (j, i), data.uncertainty_mm**2)
     np.add.at(count, (j, i), 1)
     return x, y, np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), np.nan)
 

@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
+K = 2.0  # coverage factor of the uncertainties shown
 VERDICTS = {
     "none": ("pass", "No effect found", "The model explains the data down to the measured noise."),
     "explained": ("found", "Explained", "With the effects below the model explains the data down to the measured noise."),
@@ -102,9 +103,28 @@ def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
         axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
         "below 1e-12" if effect["p_value"] < 1e-12 else f"about {effect['p_value']:.1g}",
         _share(effect["held_out_gain"]),
-        [row for key, entry in effect["parameters"].items() for row in _parameter(key, entry)][:40],
+        [row for key, entry in effect["parameters"].items() if not _is_list(entry) for row in _parameter(key, entry)],
         alternatives,
+        _harmonics({key: entry for key, entry in effect["parameters"].items() if _is_list(entry)}),
     )
+
+
+def _is_list(entry: Mapping[str, Any]) -> bool:
+    return isinstance(entry["value"], list) and len(entry["value"]) > 1
+
+
+def _harmonics(parameters: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]] | None:
+    """A column for each parameter that has several values, a row for each of them (a harmonic); as many rows as the longest has."""
+    heads, columns = [], []
+    for key, entry in parameters.items():
+        rows = _parameter(key, entry)
+        unit = rows[0][3]
+        heads.append(split_unit(key)[0] + (f" / {unit}" if unit else ""))
+        columns.append([f"{value} ± {uncertainty}" for _, value, uncertainty, _ in rows])
+    if not columns:
+        return None
+    count = max(len(column) for column in columns)
+    return heads, [[column[k] if k < len(column) else "" for column in columns] for k in range(count)]
 
 
 def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -113,7 +133,7 @@ def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, 
     listed = [v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"])]
     values, stds = ([None if x is None else factor * x for x in v] for v in listed)
     return [
-        (f"{name} [{k + 1}]" if len(values) > 1 else name, _number(v, s), _number(s, s), unit)
+        (f"{name} [{k + 1}]" if len(values) > 1 else name, _number(v, s), _number(None if s is None else K * s, s), unit)
         for k, (v, s) in enumerate(zip(values, stds, strict=False))
     ]
 

@@ -14,10 +14,11 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
-from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, verdict_of
+from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, one_sign, uncertainty_budget, verdict_of
 from mbcacq.version import __version__
 
 FORMAT = "mbcacq-result/1"
+K = 2.0  # coverage factor of every expanded uncertainty of the page
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
 METHODS = {"ml": "maximum likelihood over all observations", "paper": "stage by stage, as published"}
 
@@ -61,6 +62,9 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         facts=_facts(result, run_info),
         fit=_fit(result),
         spacing=spacing,
+        budget=uncertainty_budget(spacing, _certificate(observations)),
+        one_sign=one_sign(spacing),
+        identity=_identity(result, observations, run_info),
         figures=_figures(result.get("verification")),
         parameters=_parameters(result),
         accuracy=_accuracy(result.get("accuracy_map")),
@@ -104,7 +108,7 @@ def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacin
 
 
 def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str, str, str]]:
-    """(name, value, standard uncertainty, limit, verdict) of the figures after the guideline, as texts."""
+    """(name, value, expanded uncertainty, limit, verdict) of the figures after the guideline, as texts."""
     words = {"pass": "passed", "fail": "not passed", "undecided": "undecided", "none": "not judged"}
 
     def mm(value: Any) -> str:
@@ -114,7 +118,13 @@ def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str
         return figure["name"] + (f", largest of {figure['count']}" if figure["count"] > 1 else "")
 
     return [
-        (name(f), mm(f["value_mm"]), mm(f["uncertainty_mm"]), mm(f["limit_mm"]), words[f["verdict"]])
+        (
+            name(f),
+            mm(f["value_mm"]),
+            mm(None if f["uncertainty_mm"] is None else 2 * f["uncertainty_mm"]),
+            mm(f["limit_mm"]),
+            words[f["verdict"]],
+        )
         for f in (verification or {}).get("figures", ())
         if f["value_mm"] is not None
     ]
@@ -124,7 +134,7 @@ def _accuracy(data: Mapping[str, Any] | None) -> AccuracyGrid | None:
     if not data or not data["centres_mm"]:
         return None
     centres = np.array(data["centres_mm"], dtype=float).reshape(-1, 3)
-    return AccuracyGrid(centres, np.array(data["sigma_mm"], dtype=float), float(data["cell_mm"]))
+    return AccuracyGrid(centres, K * np.array(data["sigma_mm"], dtype=float), float(data["cell_mm"]))
 
 
 def _when(text: str) -> str:
@@ -156,6 +166,24 @@ def _facts(result: Mapping[str, Any], run_info: Mapping[str, Any]) -> list[tuple
     return out
 
 
+def _identity(result: Mapping[str, Any], observations: Observations | None, run_info: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What measured and what was measured, as a certificate names it."""
+    out = [("robot", str(result["robot"]["name"]))]
+    out += [(str(name), str(text)) for name, text in (run_info.get("identity") or {}).items()]
+    if observations is not None:
+        for artefact in observations.cell.artefacts:
+            centre = f"U = {K * artefact.uncertainty_mm:.4f} mm (k = 2) of a coordinate, at {artefact.reference_temperature_C:g} °C"
+            out.append((f"artefact {artefact.id}", f"{artefact.name or artefact.id}; {len(artefact.ball_ids)} balls; {centre}"))
+    devices = run_info.get("devices")
+    for name, low, high, _ in devices.health if devices is not None else ():
+        if name.endswith("_C"):
+            what = name.removesuffix("_C").removesuffix("temperature").strip("_: ").replace("_", " ")
+            out.append((f"temperature, {what}", f"{low} °C" if low == high else f"{low} to {high} °C"))
+    if run_info.get("started"):
+        out.append(("measured on", _when(str(run_info["started"]))))
+    return [*out, ("software", f"mbcacq {__version__}")]
+
+
 def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     fit = result["fit"]
     out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", f"{1e3 * fit['rms_mm']:.1f} µm")]
@@ -165,7 +193,7 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if held_out:
         out.append(("poses held out, 3D rms", f"{1e3 * held_out['rms_mm']:.1f} µm ({held_out['poses']} poses, by {held_out['split']})"))
     if fit.get("expected_accuracy_mm") is not None:
-        out.append(("expected accuracy of a point", f"{1e3 * fit['expected_accuracy_mm']:.1f} µm"))
+        out.append(("expected accuracy of a point, U (k = 2)", f"{2e3 * fit['expected_accuracy_mm']:.1f} µm"))
     return out
 
 
@@ -181,11 +209,11 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
         group = next((title for prefix, title in GROUPS if name.startswith(prefix)), None)
         if group is None:
             group = "Kinematics, MD-H" if re.fullmatch(r"(theta|d|a|alpha|beta)_\d+", name) else "Effects"
-        std = None if p.get("std") is None else factor * float(p["std"])
+        uncertainty = None if p.get("std") is None else K * factor * float(p["std"])
         correction_only = rotation or group == "Effects"
         held = str(p.get("reason") or "held") if p["status"] == "held" else None
         nominal, value = (None, None) if correction_only else (value - error, value)
-        out.append(ParameterRow(group, name.removeprefix("hand_eye."), unit, nominal, error, value, std, held))
+        out.append(ParameterRow(group, name.removeprefix("hand_eye."), unit, nominal, error, value, uncertainty, held))
     return out
 
 

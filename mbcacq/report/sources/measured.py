@@ -49,7 +49,15 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     balls, phase = None, None
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
-    return Coverage(np.degrees(obs.q), np.degrees(obs.cell.robot.limits), _phase(obs), T[:, :3, 3], balls, phase)
+    return Coverage(np.degrees(obs.q), np.degrees(obs.cell.robot.limits), _phase(obs), T[:, :3, 3], balls, phase, _arm(obs, state))
+
+
+def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
+    """(n + 1, 3) mm: base and joints in the pose in the middle of the run, to draw the arm by."""
+    if not obs.n_poses:
+        return None
+    frames = state.chain.frames(obs.q[[obs.n_poses // 2]])[0]
+    return np.concatenate([np.zeros((1, 3)), frames[:, :3, 3]])
 
 
 def spheres(observations: Observations) -> Spheres | None:

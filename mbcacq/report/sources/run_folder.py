@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.run_folder.journal import read_log
 
+IDENTITY = re.compile(r"(robot|scanner|positioner|sensor \d+): (.+)")  # a device's description; later messages add to it
 MAX_LINES = 5
 MAX_BYTES = 1 << 20
 KEPT = ("plan.yaml", "result.json", "diagnosis.json")
@@ -40,12 +43,23 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
 
     folder = Path(folder)
     info = read_run_identity(folder) | {"folder": str(folder), "hashes": hashes(folder)}
+    info["identity"] = identities(folder)
     if (devices := devices_of(folder)) is not None:
         info["devices"] = devices
     diagnosis, pictures = _json(folder / "diagnosis.json"), _json(folder / "diagnosis-pictures.json")
     if diagnosis is not None:
         info |= {"diagnosis": diagnosis, "pictures": pictures}
     return info
+
+
+def identities(folder: Path) -> dict[str, str]:
+    """Model, serial number and firmware that each device gave at the start, from the log."""
+    found: dict[str, str] = {}
+    for entry in read_log(folder):
+        match = IDENTITY.fullmatch(str(entry.get("text", "")))
+        if match and entry.get("level") == "info":
+            found.setdefault(match[1], match[2])
+    return {f"{role}, as it says of itself": text for role, text in found.items()}
 
 
 def hashes(folder: Path) -> list[tuple[str, str, str]]:
