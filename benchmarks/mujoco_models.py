@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation.motion import check_model, diagnose_against_model
 from mbcacq.simulation.mujoco_arm import MujocoArm, load_arm
-from mbcacq.simulation.refinement import ModelFit
+from mbcacq.simulation.refinement import RollOutFit
 
 PAGE = Path(__file__).with_suffix(".md")
 TIMESTEP_S, SAMPLE_S, SECONDS = 0.002, 0.004, 6.0
@@ -110,7 +110,7 @@ class Peer:
     spec: mujoco.MjSpec
 
 
-def told(arm: MujocoArm, spec: mujoco.MjSpec, fit: ModelFit) -> Peer:
+def sysid_told(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
     """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is told that it is these, and
     gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors."""
     begin = time.perf_counter()
@@ -167,7 +167,7 @@ def told(arm: MujocoArm, spec: mujoco.MjSpec, fit: ModelFit) -> Peer:
     return Peer(time.perf_counter() - begin, found)
 
 
-def channels(fit: ModelFit, spec: mujoco.MjSpec, engine: mujoco.MjModel, sensed: np.ndarray) -> np.ndarray:
+def channels(fit: RollOutFit, spec: mujoco.MjSpec, engine: mujoco.MjModel, sensed: np.ndarray) -> np.ndarray:
     from mbcacq.simulation.mujoco_arm import sensors_of
 
     out = np.zeros((len(sensed), len(fit.channels)))
@@ -192,11 +192,11 @@ def main() -> None:
         seconds = time.perf_counter() - begin
         match = check_model(match, arm, held, "a third motion")
         print(match.text)
-        fit = ModelFit(arm, learnt)
+        fit = RollOutFit(arm, learnt)
         peer = None
         if not args.no_peer:
-            peer = told(arm, mujoco.MjSpec.from_string(match.xml), fit)
-            others = ModelFit(arm, held).errors_of(peer.spec)
+            peer = sysid_told(arm, mujoco.MjSpec.from_string(match.xml), fit)
+            others = RollOutFit(arm, held).errors_of(peer.spec)
         text = page(found, match, seconds, peer, others if peer else None)
     print(text)
     if args.write:

@@ -93,7 +93,7 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """One row a method of :data:`mbcacq.calibration.methods.COMPARED_METHODS`, in that order; a method that these data do not determine has
+    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order; a method that these data do not determine has
     the reason in place of figures. progress: gets a sentence a method. Raises CalibrationError where no method is determined: no station
     was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())

@@ -128,7 +128,7 @@ def command(
     if others and (split or with_map or l_curve):
         raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
     with StepProgress() as progress:
-        progress("reading the recording and calibrating")
+        progress.begin("reading the recording and calibrating")
         if others:
             result = joint_content(data, options, **known)
         else:

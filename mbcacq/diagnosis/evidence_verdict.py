@@ -17,6 +17,7 @@ from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
 
 MOST_RIVALS = 3  # reported of each effect
+SAME = 0.9999  # correlation of the displacements by two descriptions of one effect
 
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
@@ -26,7 +27,7 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     if not fit.significant:
         return "none"
     reported = reported_hypothesis(fit)
-    if undecided(fit, reported):
+    if alternatives_to(fit, reported):
         return "cannot_tell"
     if full.smooth is None:
         return "explained"
@@ -70,7 +71,7 @@ def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tup
     """What the reported set cannot be told from, effect by effect, and the same pairs with their coefficients."""
     reported = reported_hypothesis(fit)
     entries, pairs = [], []
-    for other in undecided(fit, reported):
+    for other in alternatives_to(fit, reported):
         ours, theirs = reported.labels - other.labels, other.labels - reported.labels
         a, b = sized(reported, ours), sized(other, theirs)
         odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
@@ -79,6 +80,23 @@ def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tup
         if a is not None and b is not None:
             pairs.append((a, b))
     return tuple(entries), tuple(pairs)
+
+
+def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
+    """Sets that the evidence does not exclude in favour of the reported one.
+
+    One that has an unmodelled effect in place of a catalogued one at the same location, with the same displacement, is no other set: it
+    describes the same effect in a more general form.
+    """
+    return [other for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
+
+
+def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
+    ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+    places = [{label.partition(":")[2] for label in labels} for labels in (ours, theirs)]
+    if places[0] != places[1] or any(label.partition(":")[0] != UNMODELLED for label in theirs):
+        return False
+    return correlation(displaced(reported, reported, ours), displaced(reported, other, theirs)) > SAME
 
 
 def displaced(reported: Hypothesis, hypothesis: Hypothesis, labels: frozenset[str]) -> np.ndarray:

@@ -41,7 +41,7 @@ class ChannelError:
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """Errors in a recording that took no part."""
+    """Errors in a held-out recording."""
 
     recording: str
     errors: tuple[ChannelError, ...]
@@ -53,7 +53,7 @@ class ModelMatch:
 
     model: the file that was given; xml: the model found, as MJCF. parameters: what changed. compared: 'runs' of the model by its servos,
     'torques' along the recorded motion, or 'poses'. errors: by channel, each part of the recordings predicted by what was fitted to the
-    others. checks: on recordings that took no part. remarks: what a model cannot hold, in sentences.
+    others. checks: on held-out recordings. remarks: what a model cannot hold, in sentences.
     """
 
     model: str
@@ -73,7 +73,7 @@ class ModelMatch:
         return Path(path)
 
     def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
-        """The same with the errors in a recording that took no part."""
+        """The same with the errors in a held-out recording."""
         return replace(self, checks=(*self.checks, ModelCheck(recording, errors)))
 
     def to_dict(self) -> dict[str, Any]:
@@ -111,7 +111,7 @@ class ModelMatch:
         else:
             lines += ["", *(f"  {e.channel}: {e.after:.2g} {e.unit}" for e in self.errors)]
         for check in self.checks:
-            lines += ["", f"In {check.recording}, which took no part:", *_rows(check.errors)]
+            lines += ["", f"In {check.recording}, held out:", *_rows(check.errors)]
         return "\n".join(lines)
 
 

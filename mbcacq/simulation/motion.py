@@ -17,8 +17,8 @@ from mbcacq.simulation.model_match import ModelMatch
 from mbcacq.simulation.mujoco_arm import (
     JOINT_SIDE,
     TORQUE,
-    Channel,
     MujocoArm,
+    RecordedSignal,
     carried_inertia,
     check_recordings,
     check_sampling,
@@ -26,7 +26,7 @@ from mbcacq.simulation.mujoco_arm import (
     mujoco_engine,
 )
 from mbcacq.simulation.parameters import Block, pseudo_inertia
-from mbcacq.simulation.refinement import ROUNDS, ModelFit, along, runs_by_servos
+from mbcacq.simulation.refinement import ROUNDS, RollOutFit, along, runs_by_servos
 from mbcacq.simulation.write_model import T_body_link, as_xml
 
 RUNS, TORQUES = "runs", "torques"
@@ -47,7 +47,7 @@ def diagnose_against_model(
             check_sampling(arm, t)
     progress("MuJoCo follows the recorded motion")
     found = diagnose_trajectories([against_model(t, arm, arm.spec) for t in trajectories])
-    fit = ModelFit(arm, trajectories, workers)
+    fit = RollOutFit(arm, trajectories, workers)
     for block in named_blocks(found, arm, fit):
         fit.add(block, named=True)
     progress("fitting what was found in MuJoCo's own runs" if fit.runs else "fitting what was found to MuJoCo's torques")
@@ -71,9 +71,9 @@ def diagnose_against_model(
 
 
 def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajectory], name: str) -> ModelMatch:
-    """The match with the errors in recordings that took no part: of the model as it was given, and of the model found."""
+    """The match with the errors in held-out recordings: of the model as it was given, and of the model found."""
     check_recordings(arm, trajectories)
-    fit = ModelFit(arm, trajectories)
+    fit = RollOutFit(arm, trajectories)
     if fit.runs != (match.compared == RUNS):
         raise ConfigError(f"{name}: has no set points as the recordings diagnosed have; check a recording of the same channels")
     return match.with_check(name, tuple(fit.errors_of(mujoco_engine().MjSpec.from_string(match.xml))))
@@ -82,14 +82,14 @@ def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajec
 def against_model(t: Trajectory, arm: MujocoArm, spec: Any) -> Trajectory:
     """The recording with what the drives and gears of a model do along the same motion, each as late as its sensor. The set points are left
     to MuJoCo's own servos."""
-    every = [Channel(signal, k) for signal in (TORQUE, JOINT_SIDE) for k in range(arm.n)]
+    every = [RecordedSignal(signal, k) for signal in (TORQUE, JOINT_SIDE) for k in range(arm.n)]
     sensed = along(arm, spec, t, every)
     torque, q_joint = sensed[:, : arm.n], sensed[:, arm.n :]
     robot = replace(arm.robot, gear_ratio=t.robot.gear_ratio)
     return replace(t, robot=robot, q_set=None, q_joint=None if t.q_joint is None else t.q_joint - (q_joint - t.q), simulated_torque=torque)
 
 
-def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: ModelFit) -> list[Block]:
+def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: RollOutFit) -> list[Block]:
     """What the diagnosis named, as far as a model can have it, as blocks of the model."""
     return [_block_of(effect, arm, fit, found) for effect in found.named_effects if effect.name in WRITABLE]
 
@@ -103,7 +103,7 @@ def what_remains(found: MotionDiagnosis) -> tuple[str, ...]:
     )
 
 
-def _block_of(effect: MotionEffect, arm: MujocoArm, fit: ModelFit, found: MotionDiagnosis) -> Block:
+def _block_of(effect: MotionEffect, arm: MujocoArm, fit: RollOutFit, found: MotionDiagnosis) -> Block:
     if effect.name == "payload":
         return parameters.inertia(arm, _last_body(arm), _with_tool(arm, found), PAYLOAD_SIGMA)
     if effect.name == "channel_latency":
@@ -121,7 +121,7 @@ def _block_of(effect: MotionEffect, arm: MujocoArm, fit: ModelFit, found: Motion
     return replace(block, first=np.clip(block.start + added, block.lower, block.upper))
 
 
-def candidates(arm: MujocoArm, fit: ModelFit) -> list[Block]:
+def candidates(arm: MujocoArm, fit: RollOutFit) -> list[Block]:
     """All blocks that a model of this arm can have and the recordings can show, except elastic gears, which a joint-side angle names."""
     torque, speed = _reached(fit)
     carried = carried_inertia(arm)
@@ -137,7 +137,7 @@ def candidates(arm: MujocoArm, fit: ModelFit) -> list[Block]:
     return out
 
 
-def _reached(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
+def _reached(fit: RollOutFit) -> tuple[np.ndarray, np.ndarray]:
     """Largest torque and speed (n,) of each axis in the recordings."""
     torque, speed = np.ones(fit.arm.n), np.zeros(fit.arm.n)
     for t, data in zip(fit.trajectories, fit.data, strict=True):

@@ -40,7 +40,7 @@ def mujoco_engine() -> Any:
 
 
 @dataclass(frozen=True)
-class Channel:
+class RecordedSignal:
     """One recorded signal of one axis. signal: 'q' (motor-side angle), 'tau' (torque of the drive) or 'q_joint' (joint-side angle)."""
 
     signal: str
@@ -84,7 +84,7 @@ def load_arm(path: Path | str) -> MujocoArm:
         raise ConfigError(f"{path}: MuJoCo cannot read it: {str(error).splitlines()[0]}; correct the file") from None
     missing = [f"A{k + 1}" for k, name in enumerate(imported.joints) if not name or spec.joint(name) is None]
     if missing:
-        raise ConfigError(f"{path}: the joint of {missing[0]} has no name; name all joints of the arm")
+        raise ConfigError(f"{path}: the joint of {missing[0]} is without a name; name all joints of the arm")
     return MujocoArm(path, spec, imported.joints, robot, imported, _servos(engine, spec, model, imported.joints))
 
 
@@ -230,18 +230,18 @@ def sensors_of(spec: Any, channel: str, joint: str) -> list[Any]:
     return [s for s in spec.sensors if s.type == kinds.mjSENS_JOINTPOS and s.objname in siblings and _of_joint_side(s)]
 
 
-def channels_of(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> list[Channel]:
+def channels_of(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> list[RecordedSignal]:
     """What all of the recordings have."""
     names = {ENCODER: "q", TORQUE: "torque", JOINT_SIDE: "q_joint"}
     return [
-        Channel(signal, k)
+        RecordedSignal(signal, k)
         for signal, name in names.items()
         for k in range(arm.n)
         if all((values := getattr(t, name)) is not None and np.isfinite(values[:, k]).all() for t in trajectories)
     ]
 
 
-def recorded(t: Trajectory, channels: Sequence[Channel]) -> np.ndarray:
+def recorded(t: Trajectory, channels: Sequence[RecordedSignal]) -> np.ndarray:
     """(T, C) what was recorded."""
     signals = {ENCODER: t.q, TORQUE: t.torque, JOINT_SIDE: t.q_joint}
     return np.stack([np.asarray(signals[c.signal])[:, c.axis] for c in channels], axis=1)
@@ -261,7 +261,7 @@ def check_sampling(arm: MujocoArm, t: Trajectory) -> int:
     return round(ratio)
 
 
-def roll_out(arm: MujocoArm, specs: Sequence[Any], t: Trajectory, channels: Sequence[Channel], workers: int = 2) -> np.ndarray:
+def roll_out(arm: MujocoArm, specs: Sequence[Any], t: Trajectory, channels: Sequence[RecordedSignal], workers: int = 2) -> np.ndarray:
     """(B, T, C) what the sensors of each model give when its servos get the recorded set points. A run from rest is settled first.
 
     Raises ConfigError for a recording without set points, or of another sampling.
@@ -286,7 +286,7 @@ def roll_out(arm: MujocoArm, specs: Sequence[Any], t: Trajectory, channels: Sequ
         return np.stack(list(pool.map(one, specs)))
 
 
-def _run(arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, command: np.ndarray, channels: Sequence[Channel]) -> np.ndarray:
+def _run(arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, command: np.ndarray, channels: Sequence[RecordedSignal]) -> np.ndarray:
     """(S, C) the channels at every step."""
     rollout: Any = import_module("mujoco.rollout")
     engine = mujoco_engine()

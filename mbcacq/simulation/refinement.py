@@ -26,8 +26,8 @@ from mbcacq.simulation.mujoco_arm import (
     JOINT_SIDE,
     TORQUE,
     UNITS,
-    Channel,
     MujocoArm,
+    RecordedSignal,
     channels_of,
     recorded,
     roll_out,
@@ -76,7 +76,7 @@ class FittedBlock:
         ]
 
 
-class ModelFit:
+class RollOutFit:
     """Recordings and the blocks of a model fitted to them. runs: whether the model runs by its servos; else the torque along the recorded
     motion is compared."""
 
@@ -298,7 +298,7 @@ def runs_by_servos(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> bool:
     return arm.servos is not None and all(t.q_set is not None and np.isfinite(t.q_set).all() for t in trajectories)
 
 
-def along(arm: MujocoArm, spec: Any, t: Trajectory, channels: Sequence[Channel]) -> np.ndarray:
+def along(arm: MujocoArm, spec: Any, t: Trajectory, channels: Sequence[RecordedSignal]) -> np.ndarray:
     """(T, C) torques and joint-side angles of a model along the recorded motion, each as late as its sensor."""
     step = float(np.median(np.diff(t.time_s)))
     q, qd, qdd = (rates(t.q, step, d, DEFAULTS.rate_window_s) for d in (0, 1, 2))

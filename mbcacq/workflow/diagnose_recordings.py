@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration.transfer import Transfer, check_transfer
+from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
