@@ -173,6 +173,8 @@ def main() -> None:
         f"Removed: {100 * min(shares):.0f} % at least, {100 * float(np.median(shares)):.0f} % in the median (published for an arm of this",
         "class: 54.9 %).",
         "",
+        "Concealed in each: " + "; ".join(f"{h['name']} {h.get('where', '')}".strip() for h in CONCEALED) + ". The payload is as declared.",
+        "",
         head,
         "|---|---|--:|--:|--:|--:|--:|---|---|",
         *rows,

@@ -180,7 +180,7 @@ def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -
 
 
 def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
-    """Sentences on periodic errors of which the recording covers less than a period."""
+    """Sentences on periodic errors of which the recording covers less than half a period."""
     out = []
     for candidate, hyper in full.model.effects:
         for name in partly_covered(setup.context, candidate, hyper):
@@ -189,7 +189,7 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
             low, high = np.degrees([values.min(), values.max()])
             out.append(
                 f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period, so that it is a "
-                f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat; beyond, it is held constant"
+                f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat beyond"
             )
     return out
 

@@ -53,18 +53,17 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
         candidate.variant,
         values,
         learnt_ranges(here, parts),
-        clamped=partly_covered(here, candidate, hyper),
     )
 
 
 def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) -> tuple[str, ...]:
-    """The angle of a periodic error of which the recording shows less than a period: within its range it is a smooth function as good as
-    any, beyond it nothing says that the error repeats, and the angle is held at the end of the range.
+    """The angle of a periodic error of which the recording shows less than half a period: within its range it is a smooth function as
+    good as any, beyond it nothing says that the error repeats.
     """
     if candidate.name != gear_transmission_error.NAME or hyper is None:
         return ()
     covered = gear_transmission_error.periods_covered(here.value(candidate.depends_on), hyper)
-    return (candidate.depends_on,) if covered < gear_transmission_error.WHOLE_PERIOD else ()
+    return (candidate.depends_on,) if covered < gear_transmission_error.LEAST_PERIODS else ()
 
 
 def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:

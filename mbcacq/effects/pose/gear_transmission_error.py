@@ -10,7 +10,7 @@ from mbcacq.effects.functions import DescribedPart, cosine, sine
 
 NAME = "gear_transmission_error"
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
-WHOLE_PERIOD = 1.0  # of an order, which the travel must cover for the claim that the error is periodic
+LEAST_PERIODS = 0.5  # of an order, which the travel must cover for the claim that the error is periodic
 
 
 def candidates(context: Context) -> list[Candidate]:
