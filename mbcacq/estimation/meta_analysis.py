@@ -14,8 +14,11 @@ GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between rec
 
 @dataclass(frozen=True)
 class CommonValue:
-    """The random effect behind values of several recordings. common, common_std: the common value; between_std: standard deviation between recordings, 0 where the values agree; p_value: of the
-    values (R,) under no difference between recordings."""
+    """The random effect behind values of several recordings.
+
+    common, common_std: the common value; between_std: standard deviation between recordings, 0 where the values agree; p_value: of the
+    values (R,) under no difference between recordings.
+    """
 
     common: float
     common_std: float
