@@ -59,7 +59,7 @@ class OwnErrors:
 
 
 @dataclass(frozen=True)
-class AngleOffset:
+class JointAlignment:
     """Where a joint lies under the pattern. log_bayes_factor: averaged over all offsets and directions; certain: probability of this."""
 
     offset: float
@@ -82,9 +82,9 @@ def find_common_pattern(errors: OwnErrors) -> CommonPattern | None:
     return None
 
 
-def _grown(errors: OwnErrors, anchor: int) -> dict[int, AngleOffset]:
+def _grown(errors: OwnErrors, anchor: int) -> dict[int, JointAlignment]:
     """Joints that follow the pattern of ``anchor``: the most probable one at a time, offsets refined when all are together."""
-    found = {anchor: AngleOffset(0.0, 1, 0.0, 1.0)}
+    found = {anchor: JointAlignment(0.0, 1, 0.0, 1.0)}
     while left := [j for j in errors.index if j not in found]:
         tried = {j: best_alignment(errors, found, j) for j in left}
         # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
@@ -97,27 +97,27 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, AngleOffset]:
     for j in [j for j in found if j != anchor]:
         others = {i: a for i, a in found.items() if i != j}
         fine = found[j].offset + FINE
-        gain = OffsetComparison.of(errors, others, j).log_bayes_factors(fine, found[j].direction)
-        found[j] = AngleOffset(float(fine[int(np.argmax(gain))]), found[j].direction, found[j].log_bayes_factor, found[j].certain)
+        gain = PatternComparison.of(errors, others, j).log_bayes_factors(fine, found[j].direction)
+        found[j] = JointAlignment(float(fine[int(np.argmax(gain))]), found[j].direction, found[j].log_bayes_factor, found[j].certain)
     return found
 
 
-def best_alignment(errors: OwnErrors, found: Mapping[int, AngleOffset], joint: int) -> AngleOffset:
+def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> JointAlignment:
     """The most probable offset and direction of a joint under the pattern of others."""
     offsets = 2 * np.pi * np.arange(STEPS) / STEPS
-    compared = OffsetComparison.of(errors, found, joint)
+    compared = PatternComparison.of(errors, found, joint)
     gain = np.stack([compared.log_bayes_factors(offsets, direction) for direction in (1, -1)])
     top = float(gain.max())
     weight = np.exp(gain - top)
     which, at = (int(i) for i in np.unravel_index(int(np.argmax(gain)), gain.shape))
     near = np.abs(np.angle(np.exp(1j * (offsets - offsets[at])))) < NEAR
-    return AngleOffset(
+    return JointAlignment(
         float(offsets[at]), (1, -1)[which], top + float(np.log(weight.mean())), float(weight[which][near].sum() / weight.sum())
     )
 
 
 @dataclass(frozen=True)
-class OffsetComparison:
+class PatternComparison:
     """A joint's own error beside the pattern of others, everything else and the joint's deviation from a pattern integrated out.
 
     Of the pattern A (2 K, 2 K) and hp (2 K,), of the joint C and hv, mixed B; sigma: prior of the pattern; constant: what the logarithm of
@@ -133,7 +133,7 @@ class OffsetComparison:
     constant: float
 
     @classmethod
-    def of(cls, errors: OwnErrors, found: Mapping[int, AngleOffset], joint: int) -> OffsetComparison:
+    def of(cls, errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> PatternComparison:
         S, b, keep = _with_pattern(errors, found, joint)
         k2 = len(errors.pattern)
         rest = np.setdiff1d(np.arange(len(b)), keep)
@@ -175,7 +175,7 @@ def turning(order: np.ndarray, offset: float, direction: int) -> np.ndarray:
     return np.block([[c, s], [-direction * s, direction * c]])
 
 
-def _with_pattern(errors: OwnErrors, found: Mapping[int, AngleOffset], joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _with_pattern(errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations with a pattern as further columns, priors included but that of ``joint``; and the columns of pattern and joint."""
     g, k2 = len(errors.right), len(errors.pattern)
     order = np.arange(1, k2 // 2 + 1)

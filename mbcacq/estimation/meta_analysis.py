@@ -13,9 +13,12 @@ GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between rec
 
 
 @dataclass(frozen=True)
-class MetaAnalysis:
-    """common, common_std: the common value; between_std: standard deviation between recordings, 0 where the values agree; p_value: of the
-    values (R,) under no difference between recordings."""
+class CommonValue:
+    """The random effect behind values of several recordings.
+
+    common, common_std: the common value; between_std: standard deviation between recordings, 0 where the values agree; p_value: of the
+    values (R,) under no difference between recordings.
+    """
 
     common: float
     common_std: float
@@ -23,13 +26,13 @@ class MetaAnalysis:
     p_value: float
 
 
-def random_effect(values: np.ndarray, std: np.ndarray) -> MetaAnalysis:
+def random_effect(values: np.ndarray, std: np.ndarray) -> CommonValue:
     """The random effect behind values (R,) with standard deviations (R,)."""
     between = between_std(values, std)
     common, own = weighted_mean(values, std**2 + between**2)
     fixed, _ = weighted_mean(values, std**2)
     p_value = float(chi2.sf(np.sum((values - fixed) ** 2 / std**2), len(values) - 1))
-    return MetaAnalysis(common, own, between, p_value)
+    return CommonValue(common, own, between, p_value)
 
 
 def weighted_mean(values: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
