@@ -20,6 +20,7 @@ from mujoco import sysid
 from scipy.interpolate import CubicSpline
 
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.simulation import parameters
 from mbcacq.simulation.motion import check_model, diagnose_against_model
 from mbcacq.simulation.mujoco_arm import MujocoArm, load_arm
 from mbcacq.simulation.refinement import RollOutFit
@@ -32,6 +33,7 @@ NOISE = {"q": 2e-6, "tau": 0.4, "side": 4e-6}  # rad, N m, rad
 FRICTION = ((30, 12), (45, 20), (25, 10), (8, 3), (6, 3), (4, 1.5))  # concealed: N m, N m s/rad
 STIFFNESS, GEAR_DAMPING = 2.5e5, 500.0  # concealed, A2
 TOOL = {"mass": 11.0, "pos": "0.11 0.02 0.03", "diaginertia": "0.05 0.07 0.06"}  # concealed: link 6 with what it carries
+ITERATIONS = 15  # of the peer
 DELAY_S = 0.006  # concealed: of the torques
 LINKS = (
     ("0 0 0.2", "0 0 1", "-170 170", 4, "0.05 0 0.1", 40, "1.2 1.1 0.9"),
@@ -110,7 +112,7 @@ class Peer:
     spec: mujoco.MjSpec
 
 
-def sysid_told(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
+def told(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
     """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is told that it is these, and
     gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors."""
     begin = time.perf_counter()
@@ -127,16 +129,15 @@ def sysid_told(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
     free("stiffness", 3.0, 0.5, 10.0, lambda s, v: s.joint("A2_gear").stiffness.__setitem__(0, 1e5 * float(v[0])))
     free("gear damping", 3.0, 0.0, 50.0, lambda s, v: s.joint("A2_gear").damping.__setitem__(0, 1e2 * float(v[0])))
     free("delay", 4.0, 2.0, 20.0, lambda s, v: [setattr(s.sensor(n), "delay", 1e-3 * float(v[0])) for n in late])
-    everything.add(
-        sysid.body_inertia_param(base, mujoco.MjModel.from_xml_string(model(False)), "link6", inertia_type=sysid.InertiaType.Pseudo)
-    )
+    body = parameters.inertia(arm, "link6")  # sysid's own pseudo-inertia is refused by MuJoCo 4.0's compiler
+    free("link 6", np.zeros(10), np.full(10, -5.0), np.full(10, 5.0), body.apply)
 
     sequences = []
     compiled = base.compile()
     settle = round(0.4 / TIMESTEP_S)
     for number, t in enumerate(fit.trajectories):
         fine = CubicSpline(np.arange(len(t.q)), t.q_set)(np.arange((len(t.q) - 1) * 2 + 1) / 2)
-        control = np.concatenate([np.repeat(fine[:1], settle, axis=0), fine])
+        control = np.concatenate([np.repeat(fine[:1], settle, axis=0), fine, fine[-1:]])  # it leaves the last one out
         data = mujoco.MjData(compiled)
         data.qpos[[compiled.joint(j).qposadr[0] for j in JOINTS]] = t.q[:10].mean(axis=0)
         start = sysid.create_initial_state(compiled, data.qpos, data.qvel, data.act)
@@ -160,11 +161,16 @@ def sysid_told(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
         return out, [], []
 
     with contextlib.redirect_stdout(None):
-        best, _ = sysid.optimize(everything, residual, optimizer="mujoco", verbose=False, max_iters=30)
+        best, _ = sysid.optimize(everything, residual, optimizer="mujoco", verbose=False, max_iters=ITERATIONS)
     found = base.copy()
     for p in best.values():
         p.apply_modifier(found)
     return Peer(time.perf_counter() - begin, found)
+
+
+def structure(arm: MujocoArm, fit: RollOutFit) -> mujoco.MjSpec:
+    """The given model with the gear's hinge and the sensors."""
+    return fit.template([parameters.gear(arm, "A2", 1 / 3e5, 500.0), parameters.sensor_delay(arm, "tau")])
 
 
 def channels(fit: RollOutFit, spec: mujoco.MjSpec, engine: mujoco.MjModel, sensed: np.ndarray) -> np.ndarray:
@@ -195,7 +201,7 @@ def main() -> None:
         fit = RollOutFit(arm, learnt)
         peer = None
         if not args.no_peer:
-            peer = sysid_told(arm, mujoco.MjSpec.from_string(match.xml), fit)
+            peer = told(arm, structure(arm, fit), fit)
             others = RollOutFit(arm, held).errors_of(peer.spec)
         text = page(found, match, seconds, peer, others if peer else None)
     print(text)
