@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, cast
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import CalibrationError
@@ -72,7 +72,8 @@ class WorkerPool:
             for connection in self.connections:
                 connection.send((method, args))
             for _ in range(self.count):
-                yield next(iter(wait(self.connections))).recv()
+                (ready, *_) = wait(self.connections)
+                yield cast(Connection, ready).recv()
         except (EOFError, OSError):
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
 
