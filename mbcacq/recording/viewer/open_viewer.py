@@ -183,7 +183,8 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
                 found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths", "responses") if name in row}
-    return Enlarged(**found | {"lengths": bool(found.get("lengths")), "responses": int(found.get("responses", 0))})
+    lengths, responses = bool(found.pop("lengths", 0.0)), int(found.pop("responses", 0.0))
+    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), lengths, responses)
 
 
 @contextmanager
