@@ -106,7 +106,7 @@ def record(arm: MujocoArm, seed: int) -> Trajectory:
 
 @dataclass(frozen=True)
 class Peer:
-    """mujoco.sysid with the structure and the names of the right parameters. chi2: of a recording that took no part, per sample."""
+    """mujoco.sysid with the structure and the names of the right parameters. chi2: of a held-out recording, per sample."""
 
     seconds: float
     spec: mujoco.MjSpec
@@ -249,7 +249,7 @@ def page(found, match, seconds, peer, others) -> str:
         "",
         f"Concealed and not found: {', '.join(missed) or 'nothing'}.",
         "",
-        "## New runs by the recorded set points, on the motion that took no part",
+        "## New runs by the recorded set points, on the held-out motion",
         "",
     ]
     head, rule = "| channel | noise | given model | model found |", "|---|--:|--:|--:|"
