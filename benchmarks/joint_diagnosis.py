@@ -20,11 +20,10 @@ import mbcacq
 from mbcacq.challenge.run import with_observable_locations
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import Score, score
+from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import Gauge
-from mbcacq.devices import load_driver
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
-from mbcacq.workflow.acquire import solver_cell
 
 KINDS = ("joint_compliance", "none", "gear_transmission_error", "joint_scale", "none", "wrist_coupling")
 CLIMATES = ({"air_C": 19.0, "warmup_K": 6.0}, {"air_C": 26.0, "warmup_K": 11.0})
@@ -34,20 +33,8 @@ WAYS = ("first day", "second day", "both")
 
 def day(loaded: LoadedPlan, poses: list[PlannedPose], injected: list, seed: int, climate: dict) -> tuple[Observations, list]:
     """One day's recording, and the true effects."""
-    run = load_driver("fakes", "recorded")(loaded.cell, poses, injected, seed, fake={"climate": climate})
-    observations = Observations(
-        cell=solver_cell(loaded),
-        pose_id=np.array([p.number for p in poses]),
-        station=run.station,
-        q=run.q,
-        pose=run.pose,
-        ball=run.ball,
-        xyz=run.xyz,
-        time_s=run.time_s,
-        direction=run.direction.astype(int),
-        temperatures={"air_C": run.air_C, "robot_C": run.robot_C},
-    )
-    return observations, [with_observable_locations(dict(effect)) for effect in run.truth["effects"]]
+    observations, truth = observe(loaded, poses, Scenario(0, "day", seed, (), 0, 0.0), injected, climate)
+    return observations, [with_observable_locations(dict(effect)) for effect in truth["effects"]]
 
 
 def pair(loaded: LoadedPlan, poses: list[PlannedPose], gauge: Gauge, number: int) -> tuple[str, list[Score]]:

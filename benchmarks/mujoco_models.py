@@ -112,8 +112,8 @@ class Peer:
     spec: mujoco.MjSpec
 
 
-def told(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
-    """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is told that it is these, and
+def fitted_by_peer(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
+    """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is given that it is these, and
     gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors."""
     begin = time.perf_counter()
     base = spec.copy()
@@ -201,7 +201,7 @@ def main() -> None:
         fit = RollOutFit(arm, learnt)
         peer = None
         if not args.no_peer:
-            peer = told(arm, structure(arm, fit), fit)
+            peer = fitted_by_peer(arm, structure(arm, fit), fit)
             others = RollOutFit(arm, held).errors_of(peer.spec)
         text = page(found, match, seconds, peer, others if peer else None)
     print(text)
@@ -265,7 +265,7 @@ def page(found, match, seconds, peer, others) -> str:
         lines[-1] += f", {theirs:.4f} by `mujoco.sysid` ({peer.seconds:.0f} s)"
         lines += [
             "",
-            "`mujoco.sysid` was told which parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the",
+            "`mujoco.sysid` was given the parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the",
             "sensors, the weights of the channels, the samples and the settled start of this program. Without that it cannot begin.",
         ]
     lines[-1] += "" if lines[-1].endswith(".") else "."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ Injected = list[dict[str, Any]]
 
 
 def observe(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, climate: Mapping[str, float] | None = None
 ) -> tuple[Observations, dict[str, Any]]:
-    """What the run would record, as observations, and the truth. injected: as in a plan's ``fake: hidden``."""
+    """What the run would record, as observations, and the truth. injected, climate: as ``hidden`` and ``climate`` of a plan's ``fake``."""
     from mbcacq.workflow.acquire import solver_cell
 
-    recorded = load_driver("fakes", "recorded")(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers)
+    fake = {"climate": dict(climate)} if climate else {}
+    recorded = load_driver("fakes", "recorded")(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers, fake=fake)
     observations = Observations(
         cell=solver_cell(loaded),
         pose_id=np.array([p.number for p in poses]),

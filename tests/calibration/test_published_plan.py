@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mbcacq_fakes.cell import computed_run
 
 from mbcacq.calibration import CalibrationOptions, calibrate, verify
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
 from mbcacq.cli.tables import common_error
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
-from mbcacq.workflow.acquire import solver_cell
 
 PLAN = Path(__file__).parents[2] / "plans" / "paper.yaml"
 PUBLISHED = ("translation", "orientation", "position")
@@ -19,18 +19,7 @@ PUBLISHED = ("translation", "orientation", "position")
 @pytest.fixture(scope="module")
 def recording() -> Observations:
     loaded = load(PLAN)
-    poses = expand(loaded)
-    got = computed_run.observe(loaded.cell, poses, [], 0)
-    return Observations(
-        cell=solver_cell(loaded),
-        pose_id=np.array([p.number for p in poses]),
-        station=got.station,
-        q=got.q,
-        pose=got.pose,
-        ball=got.ball,
-        xyz=got.xyz,
-        phase=np.array([p.phase for p in poses]),
-    )
+    return observe(loaded, expand(loaded), Scenario(0, "none", 0, (), 0, 0.0), [])[0]
 
 
 def test_the_published_method_leaves_the_published_error_of_one_sign_and_the_reason_is_said(recording):
