@@ -9,10 +9,11 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, conditioned, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload
@@ -35,7 +36,7 @@ class EvidenceSearch:
     def run(self, start: NoisePoint, begin: Hypothesis | None = None) -> list[Hypothesis]:
         """All hypotheses that were compared, the most probable first; the empty set is one of them.
 
-        begin: a set, of another linearisation, from which the search goes on.
+        begin: a set, of another linearisation, from which the search goes on. What else an effect could be is asked by ``exchange``.
         """
         none = estimated((), start, 0.0, MOST_ROUNDS)
         self.known = {none.key: none}
@@ -48,43 +49,49 @@ class EvidenceSearch:
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
             best = beam[0]
-        if self.beam > 1:
-            self.exchange(best)
         return self.ranked()
 
     def ranked(self) -> list[Hypothesis]:
         return sorted(self.known.values(), key=lambda h: -h.log_posterior)
 
     def grown(self, beam: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The most probable sets with one effect more."""
-        return self.compared([child for node in beam for child in self.extensions(node)])
+        """The most probable sets with one effect more. What extends each is proposed under the noise of the most probable one."""
+        proposing = [conditioned(beam[0].point, node.members) for node in beam]
+        return self.compared([child for node, here in zip(beam, proposing, strict=True) for child in self.extensions(node, here)])
 
     def compared(self, children: Iterable[Hypothesis]) -> list[Hypothesis]:
-        """The most probable of hypotheses, each with its own noise, best first."""
+        """The most probable of hypotheses, best first, each with its own noise where that can make it matter."""
         new: dict[tuple, Hypothesis] = {}
         for child in sorted(children, key=lambda h: -h.log_posterior):
             new.setdefault(child.key, child)
+        least = max(h.log_posterior for h in self.known.values()) - OPTIONS.reach
         out = []
         for child in list(new.values())[: self.estimated]:
             if child.key not in self.known:
-                self.known[child.key] = estimated(child.members, child.point, child.log_prior)
+                near = child.log_posterior > least
+                self.known[child.key] = estimated(child.members, child.point, child.log_prior) if near else child
             out.append(self.known[child.key])
         return sorted(out, key=lambda h: -h.log_posterior)[: self.beam]
 
-    def extensions(self, node: Hypothesis, catalogued: int = OPTIONS.compared, unmodelled: int = OPTIONS.compared) -> list[Hypothesis]:
-        """A set with each of the candidates that are most probable beyond it: at most so many of the catalogue, and unmodelled ones."""
+    def extensions(
+        self, node: Hypothesis, projected: CandidateScoring, catalogued: int = OPTIONS.compared, unmodelled: int = OPTIONS.compared
+    ) -> list[Hypothesis]:
+        """A set with each of the candidates that are most probable beyond it: at most so many of the catalogue, and unmodelled ones.
+
+        projected: the problem with the set in place, under the noise by which candidates are proposed.
+        """
         present = [m.candidate for m in node.members]
         possible = [
             self.weighted(scored, present)
-            for scored in evidence_of_candidates(node.conditioned, self.candidates)
+            for scored in evidence_of_candidates(projected, self.candidates)
             if self.allowed(scored.candidate, present)
         ]
         for candidate in self.dependent(node):
             if not any(c.name == candidate.name for c in present):
-                possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
+                possible.append(self.weighted(evidence_of_one(projected, candidate), present))
         others: list[tuple[float, Member]] = []
         if self.unmodelled is not None:
-            found = self.unmodelled.evidence(node.conditioned)
+            found = self.unmodelled.evidence(projected)
             others = [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
         chosen = sorted(possible, key=lambda one: -one[0])[:catalogued] + others[:unmodelled]
         out = []
@@ -112,17 +119,19 @@ class EvidenceSearch:
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
-    def exchange(self, best: Hypothesis) -> None:
-        """Sets with another effect in the place of one of the best set's: what else it could be."""
+    def exchange(self) -> list[Hypothesis]:
+        """All hypotheses, with sets that have another effect in the place of one of the best set's: what else it could be."""
+        best = next((h for h in self.ranked() if h.members), self.known[()])
         for j in range(len(best.members)):
             rest = best.members[:j] + best.members[j + 1 :]
             log_prior = self.prior.log_probability_of_set([m.candidate for m in rest])
             node = first_order(rest, best.point, log_prior)
             self.known.setdefault(node.key, node)
-            for other in self.extensions(node, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
+            for other in self.extensions(node, node.conditioned, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
                 if other.key not in self.known:
                     near = other.log_posterior > best.log_posterior - OPTIONS.reach
                     self.known[other.key] = estimated(other.members, other.point, other.log_prior) if near else other
+        return self.ranked()
 
 
 def log_e_value(ranked: Sequence[Hypothesis]) -> float:

@@ -46,9 +46,8 @@ class UnmodelledEffects:
     def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
         """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""
         group = self.design_blocks.groups[cell.group]
-        f, rows = group.functions.shape[1], np.array(cell.rows)
-        raw = evidence_map.normal[cell.group][2][(rows[:, None] * f + cell.shape.index).reshape(-1)]
-        typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(raw, 1e-300))
+        rows = np.array(cell.rows)
+        typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(evidence_map.raw_of(cell), 1e-300))
         parts = parts_of(group, rows, cell.shape.index)
         label = f"{cell.group} {cell.rows} {tuple(cell.shape.index)}"
         candidate = Candidate(

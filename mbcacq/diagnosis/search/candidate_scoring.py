@@ -16,6 +16,7 @@ from mbcacq.diagnosis.search.projection import inverse_of_lower, ridge_projectio
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
 
 UnitKey = tuple[str, int, int]  # location, index, component
@@ -50,6 +51,7 @@ class ProductStore:
     pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
     beyond_geometry: list[np.ndarray] = field(default_factory=list)
+    moved: list[np.ndarray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,21 +157,55 @@ class CandidateScoring:
             self.store.units[key] = self.whiten(self.linear.unit(*key)[:, :, None])[:, 0]
         return self.store.units[key]
 
+    def twists(self, components: tuple[UnitKey, ...]) -> np.ndarray | None:
+        """(P, c, 6) by which components of the arm or of the stations move each pose; None where one moves single centres."""
+        if any(place not in PER_POSE for place, _, _ in components):
+            return None
+        return self.linear.computed_once(("twists", components), lambda: np.stack([self.linear.twist(*key) for key in components], axis=1))
+
+    def _sums(self, E: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums over each pose of products of whitened columns E (rows, c): with the residual, with each other, with Q."""
+        products = self.whiten.pose_products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
+        z = self.Q.shape[1]
+        return products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
+
+    def _moved(self) -> np.ndarray:
+        """(rows, 6) whitened columns of a spatial twist of each pose by itself."""
+        if not self.store.moved:
+            self.store.moved.append(self.whiten(self.linear.prediction.gradient))
+        return self.store.moved[0]
+
+    def _units(self, components: tuple[UnitKey, ...]) -> np.ndarray:
+        return np.stack([self.unit(key) for key in components], axis=1)
+
     def pose_products(self, components: tuple[UnitKey, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components, with geometry alone."""
+        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components, with geometry alone.
+
+        What moves a pose as a whole is a combination of the sums of a twist.
+        """
         kept = self.store.pose_products
         if components not in kept:
-            E = np.stack([self.unit(key) for key in components], axis=1)
-            products = self.whiten.pose_products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
-            z = self.Q.shape[1]
-            kept[components] = products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
+            twists = self.twists(components)
+            if twists is None:
+                kept[components] = self._sums(self._units(components))
+            else:
+                if () not in kept:
+                    kept[()] = self._sums(self._moved())
+                b, A, C = kept[()]
+                kept[components] = (twists @ b[:, :, None])[:, :, 0], twists @ A @ np.swapaxes(twists, 1, 2), twists @ C
         return kept[components]
 
     def conditioned_pose_products(self, components: tuple[UnitKey, ...]) -> np.ndarray:
         """(P, c, a): the same with the basis of what the problem is conditioned on."""
         kept = self.conditioned_products
         if components not in kept:
-            kept[components] = self.whiten.pose_products(np.stack([self.unit(key) for key in components], axis=1), self.conditioned)
+            twists = self.twists(components)
+            if twists is None:
+                kept[components] = self.whiten.pose_products(self._units(components), self.conditioned)
+            else:
+                if () not in kept:
+                    kept[()] = self.whiten.pose_products(self._moved(), self.conditioned)
+                kept[components] = twists @ kept[()]
         return kept[components]
 
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
