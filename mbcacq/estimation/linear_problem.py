@@ -181,9 +181,9 @@ class LinearProblem:
         return out, sigma.reshape(-1)
 
     def nuisance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (M, R, z) of the free geometry and of the stations in use, and their prior sigma (z,)."""
+        """Columns (M, R, z) of the stations in use, six each, and of the free geometry, and their prior sigma (z,)."""
         stations, sigma = self.station_columns(self.rows.stations)
-        return np.concatenate([self.geometry, stations], axis=2), np.concatenate([self.sigma, sigma])
+        return np.concatenate([stations, self.geometry], axis=2), np.concatenate([sigma, self.sigma])
 
     def whitener(self, noise: Noise) -> CentreWhitening:
         return CentreWhitening(self.rows, self.joint, noise, self.keep)

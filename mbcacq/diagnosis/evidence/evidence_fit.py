@@ -54,9 +54,10 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
 
     effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
 
-    def searched(linear: LinearProblem, start: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceSearch:
+    def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceSearch:
+        """none: a noise, to begin with, of the empty set."""
         search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort)
-        search.run(NoisePoint(linear, prior, start), from_set)
+        search.run(NoisePoint(linear, prior, none), from_set)
         return search
 
     search = searched(linear, pack(problem.noise))
@@ -71,7 +72,7 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
         displaced = displacements(fit.best)
         linear = relinearized(linear, fit.best).restricted(kept) if fit.best.members else linear.restricted(kept)
         wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
-        search = searched(wide, fit.best.point.theta, fit.best)
+        search = searched(wide, fit.none.point.theta, fit.best)
         fit = EvidenceFit.of(search, linear)
         if fit.best.key == before:
             break

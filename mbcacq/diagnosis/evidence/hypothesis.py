@@ -68,7 +68,7 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[tuple[str, float], ...]:
-        return tuple(sorted(m.key for m in self.members))
+        return key_of(self.members)
 
     @property
     def unmodelled(self) -> tuple[Member, ...]:
@@ -82,6 +82,11 @@ class Hypothesis:
     def conditioned(self) -> CandidateScoring:
         """The projected problem with the effects of the set in place."""
         return conditioned(self.point, self.members)
+
+
+def key_of(members: Sequence[Member]) -> tuple[tuple[str, float], ...]:
+    """Identifies a set of effects."""
+    return tuple(sorted(m.key for m in members))
 
 
 def conditioned(point: NoisePoint, members: Sequence[Member]) -> CandidateScoring:
@@ -136,6 +141,12 @@ def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:
 def first_order(members: Sequence[Member], start: NoisePoint, log_prior: float) -> Hypothesis:
     """The same under the noise of the start, with the evidence that the next step of the noise is expected to reach."""
     return estimated(members, start, log_prior, 0)
+
+
+def under(point: NoisePoint, members: Sequence[Member], log_prior: float) -> Hypothesis:
+    """The same with the evidence under that noise, as it is."""
+    sized, log_density, _, information = at_noise(point, members)
+    return Hypothesis(sized, point, log_density - 0.5 * float(np.linalg.slogdet(information)[1]), log_prior)
 
 
 def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray) -> float:

@@ -33,12 +33,15 @@ class UnmodelledEffects:
             self._map = EvidenceMap(projected, self.design_blocks)
         return self._map
 
-    def evidence(self, projected: CandidateScoring) -> list[tuple[float, Member]]:
-        """Log Bayes factor at each of the best locations, averaged over shapes, and the best block there."""
+    def evidence(self, projected: CandidateScoring, least: float = -np.inf) -> list[tuple[float, Member]]:
+        """Log Bayes factor at each of the best locations, averaged over shapes, and the best block there.
+
+        least: below which an effect does not matter.
+        """
         evidence_map = self.map(projected)
-        found = evidence_map.evaluate(projected)
+        found = evidence_map.evaluate(projected, least)
         out = []
-        for location, log in list(found.locations.items())[:MOST_LOCATIONS]:
+        for location, log in [(at, log) for at, log in found.locations.items() if log > least][:MOST_LOCATIONS]:
             cell = found.best_at(location)
             out.append((log, self.member(evidence_map, cell, log - cell.log_bayes_factor)))
         return out

@@ -90,7 +90,7 @@ def block_layout(groups: list[BlockGroup]) -> BlockLayout:
     for g, group in enumerate(groups):
         for e, (_, rows, shape) in enumerate(group.entries):
             by_size.setdefault(len(rows) * len(shape.index), []).append((g, e))
-    sizes = tuple(sized_blocks(groups, start, number, members) for members in by_size.values())
+    sizes = tuple(sized_blocks(groups, start, number, count, members) for count, members in by_size.items())
     named = [groups[g].entries[e] for members in by_size.values() for g, e in members]
     locations = tuple(dict.fromkeys(location for location, _, _ in named))
     cells = tuple(dict.fromkeys((location, shape.depends_on) for location, _, shape in named))
@@ -107,8 +107,8 @@ def pairs_of(group: BlockGroup) -> tuple[np.ndarray, np.ndarray]:
     """
     f = group.functions.shape[1]
     number = np.full((f, f), -1)
-    for _, _, shape in group.entries:
-        number[np.ix_(shape.index, shape.index)] = 0
+    for index in {shape.index.tobytes(): shape.index for _, _, shape in group.entries}.values():
+        number[index[:, None], index] = 0
     first, second = np.nonzero(np.triu(number == 0))
     number[first, second] = number[second, first] = np.arange(len(first))
     if not group.per_pose:
@@ -116,22 +116,31 @@ def pairs_of(group: BlockGroup) -> tuple[np.ndarray, np.ndarray]:
     return group.functions[:, first] * group.functions[:, second], number
 
 
-def sized_blocks(groups: list[BlockGroup], start: np.ndarray, number: tuple[np.ndarray, ...], members: list[tuple[int, int]]) -> SizedBlocks:
-    """The blocks of one size. number: of each group, of the pairs of its functions; members: (group, entry), group after group."""
+def sized_blocks(
+    groups: list[BlockGroup], start: np.ndarray, number: tuple[np.ndarray, ...], count: int, members: list[tuple[int, int]]
+) -> SizedBlocks:
+    """The blocks of ``count`` coefficients. number: of each group, of the pairs of its functions; members: (group, entry), by group."""
     index, weight, products = [], [], []
-    for g in dict.fromkeys(g for g, _ in members):
-        chosen = [groups[g].entries[e] for other, e in members if other == g]
-        row = np.array([np.repeat(rows, len(shape.index)) for _, rows, shape in chosen])
-        function = np.array([np.tile(shape.index, len(rows)) for _, rows, shape in chosen])
-        column = row * groups[g].functions.shape[1] + function
-        index.append(start[g] + column)
-        weight.append(np.array([np.tile(shape.weight, len(rows)) for _, rows, shape in chosen]))
-        if groups[g].per_pose:
-            pair = row[:, :, None] * groups[g].components + row[:, None]
-            products.append((g, pair, number[g][function[:, :, None], function[:, None]]))
-        else:
-            products.append((g, *np.broadcast_arrays(column[:, :, None], column[:, None])))
     group, entry = np.array(members).T
+    for g in np.unique(group):
+        of_group, chosen = groups[g], [groups[g].entries[e] for e in entry[group == g]]
+        row, function = np.empty((2, len(chosen), count), dtype=int)
+        prior = np.empty((len(chosen), count))
+        for r in {len(rows) for _, rows, _ in chosen}:
+            here = np.array([len(rows) == r for _, rows, _ in chosen])
+            rows = np.array([rows for _, rows, _ in chosen if len(rows) == r])
+            shapes = [shape for _, rows, shape in chosen if len(rows) == r]
+            row[here] = np.repeat(rows, count // r, axis=1)
+            function[here] = np.tile(np.array([shape.index for shape in shapes]), (1, r))
+            prior[here] = np.tile(np.array([shape.weight for shape in shapes]), (1, r))
+        column = row * of_group.functions.shape[1] + function
+        index.append(start[g] + column)
+        weight.append(prior)
+        if of_group.per_pose:
+            pair = row[:, :, None] * of_group.components + row[:, None]
+            products.append((int(g), pair, number[g][function[:, :, None], function[:, None]]))
+        else:
+            products.append((int(g), *np.broadcast_arrays(column[:, :, None], column[:, None])))
     return SizedBlocks(np.concatenate(index), np.concatenate(weight), group, entry, tuple(products))
 
 

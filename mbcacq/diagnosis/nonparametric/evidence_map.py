@@ -6,6 +6,7 @@ size, of all locations, stand in one array. Conditioning on an effect or a group
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +19,6 @@ from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_me
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,6 @@ class EvidenceMap:
 
     def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks):
         self.projected, self.design_blocks = projected, design_blocks
-        self.whitened: dict[int, np.ndarray] = {}  # of groups that are functions of the centre
         each = [self._products(g) for g in range(len(design_blocks.groups))]
         self.b, self.raw, absorbed = (np.concatenate([one[j] for one in each]) for j in range(3))
         self.S = []
@@ -111,25 +110,28 @@ class EvidenceMap:
         """b, raw (k,) and absorbed (k, z) of a group, and the table of its products (see SizedBlocks)."""
         projected, group = self.projected, self.design_blocks.groups[g]
         if not group.per_pose:
-            X = self._whitened(g)
-            full = X.T @ X
-            return X.T @ projected.beyond_geometry(), np.diag(full).copy(), X.T @ projected.Q, full
+            full = projected.whiten.gram(self._unit(g), group.functions)
+            sums = self._by_centre(g, np.c_[projected.Q, projected.beyond_geometry()])
+            return sums[:, -1], np.diag(full).copy(), sums[:, :-1], full
         b, A, C = projected.pose_products(group.keys)
         U, mix = group.functions, group.mix
         b, A = b @ mix.T, mix @ A @ mix.T
         own = np.diagonal(A, axis1=1, axis2=2)
         products = A.reshape(len(A), -1).T @ self.design_blocks.layout.pairs[g]
-        return (U.T @ b).T.reshape(-1), (own.T @ (U * U)).reshape(-1), by_functions(group, C), products
+        return (U.T @ b).T.reshape(-1), (own.T @ (U * U)).reshape(-1), by_functions(group, C, projected.stations), products
 
-    def _whitened(self, g: int) -> np.ndarray:
-        """(rows, k) columns of a group of functions of the centre."""
-        if g not in self.whitened:
-            group = self.design_blocks.groups[g]
-            rows, functions = np.arange(group.components), np.arange(group.functions.shape[1])
-            # With the group itself, so that no other one gets its identity.
-            _, columns = self.projected.linear.computed_once(("group", id(group)), lambda: (group, self._columns(group, rows, functions)))
-            self.whitened[g] = self.projected.whiten(columns)
-        return self.whitened[g]
+    def _unit(self, g: int) -> np.ndarray:
+        """(M, R, c) change of the prediction by each component of a group."""
+        linear, group = self.projected.linear, self.design_blocks.groups[g]
+        return linear.computed_once(
+            (group.keys, group.mix.tobytes()), lambda: np.stack([linear.unit(*key) for key in group.keys], axis=2) @ group.mix.T
+        )
+
+    def _by_centre(self, g: int, whitened: np.ndarray) -> np.ndarray:
+        """(k, z): products of the columns of a group of functions of the centre with whitened ones (rows, z)."""
+        group = self.design_blocks.groups[g]
+        back = np.swapaxes(self._unit(g), 1, 2) @ self.projected.whiten.transpose(whitened)
+        return np.tensordot(group.functions, back, axes=(0, 0)).transpose(1, 0, 2).reshape(-1, whitened.shape[1])
 
     def _columns(self, group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(M, R, rows x index), component-major."""
@@ -139,8 +141,10 @@ class EvidenceMap:
         F = F[linear.obs.pose] if group.per_pose else F
         return (unit[:, :, :, None] * F[:, None, None, :]).reshape(*unit.shape[:2], -1)
 
-    def evaluate(self, projected: CandidateScoring) -> MapEvidence:
-        """projected: this map's problem, possibly conditioned on effects and groups."""
+    def evaluate(self, projected: CandidateScoring, least: float = -np.inf) -> MapEvidence:
+        """projected: this map's problem, possibly conditioned on effects and groups. least: log Bayes factor below which that of a block
+        need not be known; blocks that cannot reach it have none (-inf).
+        """
         layout, b, absorbed = self.design_blocks.layout, self.b, None
         if projected.conditioned.shape[1]:
             absorbed = np.concatenate([self._conditioned(g, projected) for g in range(len(self.design_blocks.groups))])
@@ -148,7 +152,7 @@ class EvidenceMap:
         found = []
         for sized, S in zip(layout.sizes, self.S, strict=True):
             beyond = S if absorbed is None else projected_out(S, absorbed[sized.index])
-            found.append(log_bayes_factor(beyond, b[sized.index], self.raw[sized.index], sized.weight))
+            found.append(log_bayes_factor(beyond, b[sized.index], self.raw[sized.index], sized.weight, least))
         log, gain, used = (np.concatenate([one[j] for one in found]) for j in range(3))
         means = [log_mean(log[layout.location == j]) for j in range(len(layout.locations))]
         ranked = {layout.locations[j]: means[j] for j in np.argsort(-np.array(means), kind="stable")}
@@ -159,7 +163,7 @@ class EvidenceMap:
         """(k, a) products of a group's columns with the basis of what the problem is conditioned on."""
         group = self.design_blocks.groups[g]
         if not group.per_pose:
-            return self._whitened(g).T @ projected.conditioned
+            return self._by_centre(g, projected.conditioned)
         return by_functions(group, projected.conditioned_pose_products(group.keys))
 
     def raw_of(self, cell: MapCell) -> np.ndarray:
@@ -186,12 +190,20 @@ def projected_out(S: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
     return S - absorbed @ np.swapaxes(absorbed, 1, 2)
 
 
-def by_functions(group: BlockGroup, C: np.ndarray) -> np.ndarray:
-    """(columns of the group, z): sums over the poses of its functions times C (P, c, z)."""
+def by_functions(group: BlockGroup, C: np.ndarray, stations: Sequence[np.ndarray] = ()) -> np.ndarray:
+    """(columns of the group, z): sums over the poses of its functions times C (P, c, z).
+
+    stations: the poses of each, where the first columns of C, six of each station, vanish at the poses of all others.
+    """
     C = group.mix @ C
-    P, c, z = C.shape
-    f = group.functions.shape[1]
-    return (group.functions.T @ C.reshape(P, -1)).reshape(f, c, z).transpose(1, 0, 2).reshape(c * f, z)
+    c, z = C.shape[1:]
+    functions, f, first = group.functions, group.functions.shape[1], 6 * len(stations)
+    out = np.empty((c, f, z))
+    out[:, :, first:] = np.tensordot(functions, C[:, :, first:], axes=(0, 0)).transpose(1, 0, 2)
+    for j, poses in enumerate(stations):
+        own = slice(6 * j, 6 * j + 6)
+        out[:, :, own] = np.tensordot(functions[poses], C[poses, :, own], axes=(0, 0)).transpose(1, 0, 2)
+    return out.reshape(c * f, z)
 
 
 def map_entries(projected: CandidateScoring, design_blocks: DesignBlocks) -> list[MapEntry]:

@@ -23,6 +23,7 @@ UnitKey = tuple[str, int, int]  # location, index, component
 PER_CHUNK = 2e6  # numbers of functions of one product of a scan: bounds its memory
 MOST_KEPT = 3000  # candidates whose products are kept
 LARGEST_KEPT = 1e6  # functions of a scan that are kept
+ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class ProductStore:
 class CandidateScoring:
     """The projected problem under one noise model, and what it is conditioned on.
 
-    whiten: to rows of unit variance. Q (rows, z): basis of what geometry absorbs, log_det its log determinant. r0, r (rows,): whitened
+    whiten: to rows of unit variance. Q (rows, z): basis of what geometry absorbs, log_det its log determinant; its first columns are of
+    the stations, six of each, and vanish at all others. r0, r (rows,): whitened
     residual before and after all projections. dof: degrees of freedom with geometry alone. conditioned (rows, a): basis of what is
     projected out besides geometry; along (a,): the residual along it.
     """
@@ -103,6 +105,30 @@ class CandidateScoring:
         r = self.beyond_geometry() - basis @ along
         return replace(self, conditioned=basis, along=along, r=r, conditioned_products={})
 
+    def absorbed(self, X: np.ndarray) -> np.ndarray:
+        """Q'X (z, k) of whitened columns (rows, k), each station's columns of Q by its own rows."""
+        first = 6 * len(self.linear.rows.stations)
+        out = np.empty((self.Q.shape[1], X.shape[1]))
+        out[first:] = self.Q[:, first:].T @ X
+        for j, rows in enumerate(self.rows_of_stations):
+            out[6 * j : 6 * j + 6] = self.Q[rows, 6 * j : 6 * j + 6].T @ X[rows]
+        return out
+
+    @property
+    def rows_of_stations(self) -> list[slice | np.ndarray]:
+        """The rows of each station, in the order of the columns of Q; slices where they follow each other."""
+        return self.linear.computed_once("rows of stations", self._rows_of_stations)
+
+    def _rows_of_stations(self) -> list[slice | np.ndarray]:
+        station = np.repeat(self.linear.obs.station[self.linear.obs.pose], self.linear.width)
+        return [as_slice(np.flatnonzero(station == s)) for s in self.linear.rows.stations]
+
+    @property
+    def stations(self) -> list[np.ndarray]:
+        """The poses of each station, in the order of the columns of Q."""
+        station = self.linear.obs.station
+        return [np.flatnonzero(station == s) for s in self.linear.rows.stations]
+
     def beyond_geometry(self) -> np.ndarray:
         """(rows,) whitened residual with geometry alone projected out."""
         if not self.store.beyond_geometry:
@@ -127,7 +153,7 @@ class CandidateScoring:
         key, kept = (candidate.key, hyper), self.store.candidates
         if key not in kept:
             X = self.whiten(self.linear.columns(candidate.build(hyper)))
-            absorbed = self.Q.T @ X
+            absorbed = self.absorbed(X)
             kept[key] = X, X.T @ X - absorbed.T @ absorbed, X.T @ self.beyond_geometry()
             if len(kept) > MOST_KEPT:
                 kept.pop(next(iter(kept)))
@@ -146,7 +172,7 @@ class CandidateScoring:
         """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
         key, kept = candidate_keys(candidates), self.store.batches
         if key not in kept:
-            kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.Q, self.beyond_geometry())
+            kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.absorbed, self.beyond_geometry())
         return kept[key].best(self.conditioned, self.along)
 
     # Scans --------------------------------------------------------------------------------------------------------
@@ -161,7 +187,17 @@ class CandidateScoring:
         """(P, c, 6) by which components of the arm or of the stations move each pose; None where one moves single centres."""
         if any(place not in PER_POSE for place, _, _ in components):
             return None
-        return self.linear.computed_once(("twists", components), lambda: np.stack([self.linear.twist(*key) for key in components], axis=1))
+        return self.linear.computed_once(("twists", components), lambda: self._twists(components))
+
+    def _twists(self, components: tuple[UnitKey, ...]) -> np.ndarray:
+        out = np.stack([self.linear.twist(*key) for key in components], axis=1)
+        # A turn about the line of two balls moves neither of them: what remains of it is rounding.
+        rows = self.linear.rows
+        gradient = rows.pad(self.linear.prediction.gradient)
+        square = rows.per_pose(np.swapaxes(gradient, 1, 2) @ gradient)
+        moved = np.einsum("pci,pij,pcj->pc", out, square, out)
+        cancelled = moved < ROUNDING * np.einsum("pci,pii->pc", out**2, square)
+        return np.where(cancelled[:, :, None], 0.0, out)
 
     def _sums(self, E: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sums over each pose of products of whitened columns E (rows, c): with the residual, with each other, with Q."""
@@ -276,3 +312,8 @@ class CandidateScoring:
         if key is not None and flat.size < LARGEST_KEPT:
             self.store.scans[key] = result
         return result
+
+
+def as_slice(index: np.ndarray) -> slice | np.ndarray:
+    """Indices that follow each other as a slice, others as they are."""
+    return slice(index[0], index[-1] + 1) if index[-1] - index[0] == len(index) - 1 else index
