@@ -14,6 +14,8 @@ from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors, log_set_ba
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import rivals
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 
@@ -94,6 +96,38 @@ def test_stations_may_be_eliminated_or_projected_out(small):
         _, S, b = point.projected.candidate_products(effect, None)
         assert eliminated.A == pytest.approx(S * np.outer(effect.typical, effect.typical), rel=1e-6)
         assert eliminated.a == pytest.approx(b * effect.typical, rel=1e-5, abs=1e-6)
+
+
+def test_blocks_made_of_sums_equal_those_made_of_whitened_columns(small):
+    setup = problem.prepare(simulated.observe(small, 11, [("joint_compliance", ("A2",), [2e-6], None)]))
+    effect = next(c for c in setup.candidates if c.name == "joint_compliance" and c.where == ("A2",))
+    plain = CandidateScoring.of(setup.linear, setup.noise)
+    projected = plain.conditioned_on([(plain.block(effect, None), effect.typical**-2.0)])
+    evidence = EvidenceMap(projected, setup.design_blocks).evaluate(projected)
+    basis = np.concatenate([projected.Q, projected.conditioned], axis=1)
+    for cell in evidence.cells[::6]:
+        group = setup.design_blocks.groups[cell.group]
+        unit = np.stack([setup.linear.unit(*key) for key in group.keys], axis=2) @ group.mix[list(cell.rows)].T
+        F = group.functions[:, cell.shape.index]
+        F = F[setup.linear.obs.pose] if group.per_pose else F
+        X = projected.whiten((unit[:, :, :, None] * F[:, None, None, :]).reshape(*unit.shape[:2], -1))
+        S, b = X.T @ X - (basis.T @ X).T @ (basis.T @ X), X.T @ projected.r
+        log, gain, _ = log_bayes_factor(S[None], b[None], np.sum(X * X, axis=0)[None], np.tile(cell.shape.weight, len(cell.rows))[None])
+        assert cell.log_bayes_factor == pytest.approx(log[0], rel=1e-5, abs=1e-4)
+        assert cell.gain == pytest.approx(gain[0], rel=1e-4, abs=1e-3)
+
+
+def test_a_block_that_cannot_matter_is_left_out_and_no_other():
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(300, 60, 3))
+    S = np.swapaxes(columns, 1, 2) @ columns
+    b = (np.swapaxes(columns, 1, 2) @ (rng.normal(size=(300, 60)) + 0.3 * columns[:, :, 0])[:, :, None])[:, :, 0]
+    raw = np.einsum("hii->hi", S)
+    whole, _, _ = log_bayes_factor(S, b, raw, np.ones((300, 3)))
+    some, _, _ = log_bayes_factor(S, b, raw, np.ones((300, 3)), least=1.0)
+    assert np.all(np.isfinite(some[whole > 1.0]))
+    assert np.array_equal(some[np.isfinite(some)], whole[np.isfinite(some)])
+    assert 0 < np.sum(some == -np.inf) < 300
 
 
 @pytest.mark.parametrize("stated", [0.2, 1.0, 5.0])

@@ -34,15 +34,13 @@ class BlockGroup:
 class SizedBlocks:
     """All design blocks with k coefficients, group after group. index (H, k): their columns, among those of all groups; weight (H, k).
 
-    group (H,), entry (H,): where they stand. products: of each group in turn, where in the table of the group's products those of every two
+    products: of each group in turn, where in the table of the group's products those of every two
     columns of a block stand, two indices (h, k, k). The table is, for functions of the pose, pairs of components by pairs of functions; for
     functions of the centre, columns by columns.
     """
 
     index: np.ndarray
     weight: np.ndarray
-    group: np.ndarray
-    entry: np.ndarray
     products: tuple[tuple[int, np.ndarray, np.ndarray], ...]
 
 
@@ -51,7 +49,8 @@ class BlockLayout:
     """Where the design blocks of all groups stand, those of one size together; B blocks in all, in the order of ``sizes``.
 
     start: (G + 1,) first column of each group. pairs: of each group, the products (P, pairs) of every two functions that are together in a
-    shape. location (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with a covariate.
+    shape. members: (group, entry) of each block. location (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with
+    a covariate.
     """
 
     sizes: tuple[SizedBlocks, ...]
@@ -59,6 +58,7 @@ class BlockLayout:
     pairs: tuple[np.ndarray, ...]
     locations: tuple[str, ...]
     cells: tuple[tuple[str, str], ...]
+    members: tuple[tuple[int, int], ...]
     location: np.ndarray
     cell: np.ndarray
 
@@ -90,14 +90,15 @@ def block_layout(groups: list[BlockGroup]) -> BlockLayout:
     for g, group in enumerate(groups):
         for e, (_, rows, shape) in enumerate(group.entries):
             by_size.setdefault(len(rows) * len(shape.index), []).append((g, e))
-    sizes = tuple(sized_blocks(groups, start, number, count, members) for count, members in by_size.items())
-    named = [groups[g].entries[e] for members in by_size.values() for g, e in members]
+    sizes = tuple(sized_blocks(groups, start, number, count, of_size) for count, of_size in by_size.items())
+    members = tuple(member for of_size in by_size.values() for member in of_size)
+    named = [groups[g].entries[e] for g, e in members]
     locations = tuple(dict.fromkeys(location for location, _, _ in named))
     cells = tuple(dict.fromkeys((location, shape.depends_on) for location, _, shape in named))
     location = np.array([locations.index(location) for location, _, _ in named], dtype=int)
     cell_number = {cell: j for j, cell in enumerate(cells)}
     cell = np.array([cell_number[location, shape.depends_on] for location, _, shape in named], dtype=int)
-    return BlockLayout(sizes, start, tuple(pairs), locations, cells, location, cell)
+    return BlockLayout(sizes, start, tuple(pairs), locations, cells, members, location, cell)
 
 
 def pairs_of(group: BlockGroup) -> tuple[np.ndarray, np.ndarray]:
@@ -141,7 +142,7 @@ def sized_blocks(
             products.append((int(g), pair, number[g][function[:, :, None], function[:, None]]))
         else:
             products.append((int(g), *np.broadcast_arrays(column[:, :, None], column[:, None])))
-    return SizedBlocks(np.concatenate(index), np.concatenate(weight), group, entry, tuple(products))
+    return SizedBlocks(np.concatenate(index), np.concatenate(weight), tuple(products))
 
 
 def log_prior_shares(groups: list[BlockGroup]) -> dict[str, float]:

@@ -77,13 +77,8 @@ class MapEvidence:
         return self._cell(int(here[self.log_bayes_factor[here].argmax()]))
 
     def _cell(self, block: int) -> MapCell:
-        first = 0
-        for sized in self.design_blocks.layout.sizes:
-            if block < first + len(sized.index):
-                break
-            first += len(sized.index)
-        g = int(sized.group[block - first])
-        location, rows, shape = self.design_blocks.groups[g].entries[sized.entry[block - first]]
+        g, e = self.design_blocks.layout.members[block]
+        location, rows, shape = self.design_blocks.groups[g].entries[e]
         log = float(self.log_bayes_factor[block])
         posterior = log - self.design_blocks.log_prior_shares[location]
         gain, used = float(self.gain[block]), float(self.used[block])
