@@ -259,7 +259,7 @@ def main() -> None:
 
 {SHAPE[0]} x {SHAPE[1]} pixels; median processor time in ms of {given.repetitions} turns, numpy {np.__version__}, {platform.machine()}.
 Made by `python benchmarks/gocator_decode.py --write`. C: one pass of a loop, `gcc -O3 -march=native`, in the same run
-([gocator_decode.c](gocator_decode.c)), which makes the same arrays; with NaN it makes less, every pixel and no index.
+(`gocator_decode.c`), which makes the same arrays; with NaN it makes less, every pixel and no index.
 Ours is compiled for any processor of its kind, reads heights once more to count them, and gives back what it did not fill.
 'numpy only': without a compiler at the installation.
 
