@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from mbcacq.plan.planned import LoadedPlan
 class Body:
     """A convex solid fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame.
 
-    radius: of a sphere around the origin of ``pose`` that holds it. Two bodies are equal only if they are the same object.
+    radius: of a sphere around the origin of ``pose`` that holds it. carried: the scanner, or what carries it, no link.
+    Two bodies are equal only if they are the same object.
     """
 
     name: str
@@ -25,6 +26,31 @@ class Body:
     pose: np.ndarray
     shape: Any
     radius: float
+    carried: bool = False
+
+    @property
+    def length(self) -> float:
+        """mm, of its longest side; of a capsule, of the line in it."""
+        return 2.0 * float(self.shape.halfLength if _is_capsule(self) else self.shape.halfSide.max())
+
+
+def halves(body: Body) -> tuple[Body, Body]:
+    """The two halves of a capsule along its line, or of a box across its longest side, as bodies of the same name."""
+    half, axis = body.length / 2, 2
+    if _is_capsule(body):
+        shape, radius = lazy.coal().Capsule(body.shape.radius, half), half / 2 + body.shape.radius
+    else:
+        sides = 2.0 * body.shape.halfSide
+        axis = int(np.argmax(sides))
+        sides[axis] = half
+        shape, radius = lazy.coal().Box(*sides), float(np.linalg.norm(sides) / 2)
+    shift = np.eye(3)[axis] * half / 2
+    low, high = (replace(body, pose=body.pose @ se3.transform(np.eye(3), s), shape=shape, radius=radius) for s in (-shift, shift))
+    return low, high
+
+
+def _is_capsule(body: Body) -> bool:
+    return isinstance(body.shape, lazy.coal().Capsule)
 
 
 def arm_bodies(loaded: LoadedPlan) -> list[Body]:
@@ -42,7 +68,7 @@ def arm_bodies(loaded: LoadedPlan) -> list[Body]:
                 bodies.append(_capsule(name, link, se3.inverse(frames[link]), start, end, radius))
     if field.body_mm is not None:
         low, high = np.array(field.body_mm)
-        bodies.append(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high))
+        bodies.append(replace(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high), carried=True))
         bodies += _bracket(loaded, low, high)
     return bodies
 
@@ -61,7 +87,7 @@ def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[
     end = se3.apply(T, np.clip(flange, low, high))
     if np.linalg.norm(end) > loaded.planning.shortest_body_mm:
         radius = reach(loaded) * loaded.planning.link_radius_shares[-1]
-        yield _capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius)
+        yield replace(_capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius), carried=True)
 
 
 def surrounding_bodies(loaded: LoadedPlan) -> list[Body]:
