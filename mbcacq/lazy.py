@@ -20,8 +20,8 @@ def open3d() -> ModuleType:
     return open3d
 
 
-def coal() -> Any:
+def fcl() -> Any:
     """The collision library. Its compiled names have no type stubs, hence Any."""
-    import coal
+    import fcl
 
-    return coal
+    return fcl

@@ -20,7 +20,6 @@ class Pair:
 
     a: Body
     b: Body
-    distance: Any
     lever: np.ndarray
 
 
@@ -99,7 +98,7 @@ class Clearance:
         return [self._pair(body, part) for part in self._arm if part.link >= 2]
 
     def _pair(self, a: Body, b: Body) -> Pair:
-        return Pair(a, b, lazy.coal().ComputeDistance(a.shape, b.shape), self._lever(a.link, b))
+        return Pair(a, b, self._lever(a.link, b))
 
     def _lever(self, behind: int, body: Body) -> np.ndarray:
         frames = self._chain.frames(np.zeros((1, self._chain.n)))[0]
@@ -114,17 +113,19 @@ class Posture:
     """Bodies placed for one posture, each only once. frames: (n + 1, 4, 4)."""
 
     def __init__(self, frames: np.ndarray) -> None:
-        self._frames, self._coal = frames, lazy.coal()
+        self._frames, self._fcl = frames, lazy.fcl()
         self._placed: dict[Body, Any] = {}
 
     def distance(self, pair: Pair) -> float:
         """mm, negative: overlap."""
-        coal = self._coal
-        return pair.distance(self._place(pair.a), self._place(pair.b), coal.DistanceRequest(), coal.DistanceResult())
+        fcl = self._fcl
+        request = fcl.DistanceRequest(enable_signed_distance=True)
+        between = fcl.distance(self._place(pair.a), self._place(pair.b), request, fcl.DistanceResult())
+        return between - pair.a.rounding - pair.b.rounding
 
     def _place(self, body: Body) -> Any:
         placed = self._placed.get(body)
         if placed is None:
             T = self._frames[body.link] @ body.pose
-            placed = self._placed[body] = self._coal.Transform3s(T[:3, :3], T[:3, 3])
+            placed = self._placed[body] = self._fcl.CollisionObject(body.shape, self._fcl.Transform(T[:3, :3], T[:3, 3]))
         return placed

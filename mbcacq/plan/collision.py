@@ -17,7 +17,9 @@ from mbcacq.plan.planned import LoadedPlan
 class Body:
     """A convex solid fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame.
 
-    radius: of a sphere around the origin of ``pose`` that holds it. Two bodies are equal only if they are the same object.
+    radius: of a sphere around the origin of ``pose`` that holds it. rounding: radius of the sphere that is swept over ``shape``, so that
+    a capsule is a line: distances to a curved solid converge slowly, to a line and its rounding they are exact. Two bodies are equal only
+    if they are the same object.
     """
 
     name: str
@@ -25,6 +27,7 @@ class Body:
     pose: np.ndarray
     shape: Any
     radius: float
+    rounding: float = 0.0
 
 
 def arm_bodies(loaded: LoadedPlan) -> list[Body]:
@@ -110,7 +113,7 @@ def reach(loaded: LoadedPlan) -> float:
 
 def _box(name: str, link: int, T: np.ndarray, low: np.ndarray, high: np.ndarray) -> Body:
     middle = se3.transform(np.eye(3), (low + high) / 2)
-    return Body(name, link, T @ middle, lazy.coal().Box(*(high - low)), float(np.linalg.norm(high - low) / 2))
+    return Body(name, link, T @ middle, lazy.fcl().Box(*(high - low)), float(np.linalg.norm(high - low) / 2))
 
 
 def _capsule(name: str, link: int, T: np.ndarray, start: np.ndarray, end: np.ndarray, radius: float) -> Body:
@@ -120,4 +123,4 @@ def _capsule(name: str, link: int, T: np.ndarray, start: np.ndarray, end: np.nda
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
     pose = T @ se3.transform(np.stack([x, np.cross(z, x), z], axis=1), (start + end) / 2)
-    return Body(name, link, pose, lazy.coal().Capsule(radius, length), length / 2 + radius)
+    return Body(name, link, pose, lazy.fcl().Box(0.0, 0.0, length), length / 2 + radius, rounding=radius)
