@@ -103,7 +103,7 @@ def symmetric(artefact: Artefact) -> str:
         return ""
     ball, other = next((artefact.ball_ids[k], artefact.ball_ids[image]) for k, image in enumerate(order) if image != k)
     return (
-        f"artefact '{artefact.id}' looks the same turned (ball {ball} could be ball {other}); only its planned place tells the balls apart: "
+        f"artefact '{artefact.id}' looks the same turned (ball {ball} could be ball {other}), and only its planned place tells them apart: "
         f"make all distances between its balls differ by {LEAST_DIFFERENCE_MM:g} mm, or set it up close to where it is planned"
     )
 
