@@ -138,7 +138,7 @@ def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterato
 
 
 def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[PlanFinding]:
-    """Poses to which no free path was found; those that collide by themselves are found by ``check_clearance``."""
+    """Poses to or from which no free path was found; those that collide by themselves are found by ``check_clearance``."""
     _, obstructed = find_paths(loaded, poses) if routes is None else routes
     if not obstructed:
         return
@@ -147,7 +147,7 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
     by_number = {p.number: (before, p) for before, p in zip([None, *poses], poses, strict=False)}
     for each in obstructed:
         before, pose = by_number[each.number]
-        if pose.number in spoiled or (before is not None and before.number in spoiled):
+        if pose.number in spoiled or (before is not None and before.number in spoiled and not each.homewards):
             continue
         sentence = obstructed_sentence(loaded, poses, each).split(": ", 1)[1]
         yield PlanFinding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))

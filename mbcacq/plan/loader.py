@@ -24,6 +24,8 @@ def load(path: str | Path, text: str | None = None) -> LoadedPlan:
     text: the plan's YAML, where it is not written to ``path`` yet.
     """
     file = read(Path(path), "plan") if text is None else parse(text, Path(path))
+    if "format" not in file.data:
+        raise file.error((), "this is no plan, which begins with 'format: mbcacq-plan/1'; give a plan, or add that line")
     plan = file.validate(Plan)
     robot = _robot(file, plan)
     artefacts = _artefacts(file, plan)

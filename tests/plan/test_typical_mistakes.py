@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from plan_folder import Folder
 
+import mbcacq
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.certificate import read_certificate
 from mbcacq.model.robot_import import import_robot
@@ -58,6 +59,18 @@ def square(path: Path) -> Sentences:
     folder.write("mbc.yaml", "id: mbc\nname: square\nballs:\n" + rows)
     loaded = load(folder.plan())
     return [str(f) for f in check(loaded, expand_reachable(loaded)[0]) if f.code == "symmetric"]
+
+
+def new_plan(arm: str, artefact: str):
+    """``plan new`` with what it cannot take."""
+
+    def act(path: Path) -> Sentences:
+        for name in {arm, artefact} & {"arm.urdf", "balls.csv"}:
+            (path / name).write_text("")
+        arm_file, artefact_file = (path / n if "." in n else n for n in (arm, artefact))
+        return refused(mbcacq.new_plan, arm_file, "gocator-3210", artefact_file, path / "new.yaml")
+
+    return act
 
 
 def certificate(text: str, name: str = "certificate.csv"):
@@ -135,6 +148,10 @@ POST = "obstacles:\n  - {name: post, min_mm: [450, -50, 500], max_mm: [650, 50, 
 
 MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "a key misspelt": (plan(("  driver: kuka_rsi", "  driver: kuka_rsi\n  sped: 0.3")), "unknown key 'sped'", "correct or remove it"),
+    "a robot file for a plan": (lambda path: refused(load, Folder(path).path / "robot.yaml"), "this is no plan", "give a plan, or add that line"),
+    "a URDF for a robot file": (new_plan("arm.urdf", "mbc-8"), "not such a description", "make one: mbcacq robot import"),
+    "a certificate for an artefact file": (new_plan("panda", "balls.csv"), "not a certificate", "make one: mbcacq export"),
+    "a robot's name misspelt": (new_plan("kr6-r900", "mbc-8"), "among the tool's robots none of that name", "correct it"),
     "a key forgotten": (plan(("  driver: kuka_rsi\n", "")), "robot lacks 'driver'", "add it"),
     "a word for a number": (plan(("tilt_deg: 20", "tilt_deg: steep")), "should be a valid number, not 'steep'", "correct it"),
     "a number in quotes": (plan(("tilt_deg: 20", "tilt_deg: '20'")), "should be a valid number, not '20'", "correct it"),
