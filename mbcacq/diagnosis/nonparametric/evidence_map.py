@@ -7,6 +7,7 @@ size stand in one array. Conditioning on an effect or a group is a correction of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.special import gammaln
@@ -66,10 +67,23 @@ class MapEvidence:
         return next(c for c in self.cells if c.location == location)
 
 
+class LaidOutBlocks(Protocol):
+    """Groups of blocks with their plans: ``DesignBlocks``, or a dictionary of other functions at one location."""
+
+    @property
+    def groups(self) -> list[BlockGroup]: ...
+
+    @property
+    def plans(self) -> list[BlockPlan]: ...
+
+    @property
+    def log_prior_shares(self) -> dict[str, float]: ...
+
+
 class EvidenceMap:
     """Of one recording under one noise model, prepared with geometry alone projected out."""
 
-    def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks):
+    def __init__(self, projected: CandidateScoring, design_blocks: LaidOutBlocks):
         self.projected, self.design_blocks = projected, design_blocks
         self.whitened: dict[int, np.ndarray] = {}  # of groups that are functions of the centre
         self.normal = [self._normal(group, plan) for group, plan in zip(design_blocks.groups, design_blocks.plans, strict=True)]
@@ -122,6 +136,19 @@ class EvidenceMap:
         ranked = dict(sorted(mean.items(), key=lambda item: -item[1]))
         total = float(np.logaddexp.reduce(list(mean.values())) - count)
         return MapEvidence(sorted(cells.values(), key=lambda c: -c.log_bayes_factor), ranked, total)
+
+    def entry_evidence(self, projected: CandidateScoring) -> list[np.ndarray]:
+        """Of each group, the log Bayes factor of every entry beyond what a problem is conditioned on."""
+        out = []
+        for group, plan, (S, b, raw) in zip(self.design_blocks.groups, self.design_blocks.plans, self.normal, strict=True):
+            if projected.conditioned.shape[1]:
+                absorbed = self._conditioned(group, projected)
+                S, b = projected_out(S, plan, absorbed), b - absorbed @ projected.along
+            logs = np.zeros(len(group.entries))
+            for block, own in zip(plan.blocks, S, strict=True):
+                logs[block.entries] = log_bayes_factor(own, b[block.index], raw[block.index], block.weight)[0]
+            out.append(logs)
+        return out
 
     def _conditioned(self, group: BlockGroup, projected: CandidateScoring) -> np.ndarray:
         """(k, a) products of the group's columns with the basis of what the problem is conditioned on."""
