@@ -24,6 +24,7 @@ class FormulaOptions:
 
     # Search
     most_terms: int = 3  # of a formula
+    most_coefficients: int = 12  # of a term: more are no short formula
     beam: int = 4  # formulas that are extended
     compared: int = 8  # extensions of a formula that are compared to first order
     estimated: int = 8  # formulas whose noise is estimated anew

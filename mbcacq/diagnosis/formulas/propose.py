@@ -34,10 +34,10 @@ from mbcacq.estimation.variance_components import pack
 
 @dataclass(frozen=True)
 class Setting:
-    """What formulas are sought in.
+    """What formulas are sought in, every unmodelled effect taken out.
 
-    point: the noise with everything found in place. others: the effects that stay. linear, noise: by which data left out are scored.
-    model: the parametric effects; rest, smooth: the unmodelled ones at other locations, and all of them.
+    point: the noise with everything found in place. others: the parametric effects. linear, noise: by which data left out are scored.
+    model, smooth: the parametric effects, and the unmodelled ones (None where these stand at all locations).
     """
 
     context: Context
@@ -46,70 +46,81 @@ class Setting:
     linear: LinearProblem
     noise: Noise
     model: EffectSet
-    rest: RandomEffectsModel | None
     smooth: RandomEffectsModel | None
 
 
 def propose(
     problem: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound], progress: Callable[[str], None] = lambda text: None
 ) -> tuple[Proposal, ...]:
-    """At most a few formulas for each unmodelled effect, the most probable first; none where none predicts data left out."""
-    out: list[Proposal] = []
-    for effect in effects:
-        if effect.name == UNMODELLED:
-            progress(f"searching for a formula of the effect at {', '.join(effect.where)}")
-            out += of_effect(setting(problem, full, effect), effect)
+    """At most a few formulas for what the unmodelled effects do together, the most probable first; none where none predicts data left out.
+
+    One effect that no smooth function describes often takes several smooth ones at several locations: a formula replaces all of them.
+    """
+    unmodelled = [e for e in effects if e.name == UNMODELLED]
+    found = located(problem.context, unmodelled)
+    if not found:
+        return ()
+    progress("searching for formulas of the unmodelled effects")
+    here = setting(problem, full)
+    spaces = [FormulaSpace.of(here.context, location, on) for location, on in found]
+    formulas = [f for f in FormulaSearch(here.point, here.others, spaces).run() if f.log_posterior > OPTIONS.least_log_odds]
+    if not formulas:
+        return ()
+    progress("searching for formulas without each part of the data")
+    validation = Validation(here, spaces)
+    best = formulas[0].log_posterior
+    out = []
+    for formula in different(formulas)[: OPTIONS.proposed]:
+        score = validation.score(formula)
+        if score.chi2 < validation.before.chi2:
+            out.append(proposal(here, formula, float(np.exp(formula.log_posterior - best)), validation, score))
     return tuple(out)
 
 
-def setting(problem: DiagnosisProblem, full: ModelFit, effect: EffectFound) -> Setting:
-    """The other effects in place, and this one taken out. Of a long recording, some of its poses."""
-    at = set(effect.where)
+def joint_behind(context: Context, name: str) -> str:
+    """The joint behind a link or the base, or before the mount; of another location, that location."""
+    if name.startswith("link"):
+        return f"A{int(name.removeprefix('link')) + 1}"
+    return {"base": "A1", "mount": f"A{context.n}"}.get(name, name)
+
+
+def different(formulas: Sequence[Formula]) -> list[Formula]:
+    """The most probable of those of the same functions at the same locations, without those that only add terms to a more probable one."""
+    out: dict[frozenset[tuple[str, str]], Formula] = {}
+    for formula in formulas:
+        functions = frozenset((p.location.name, p.term.shape) for p in formula.placed)
+        if not any(other <= functions for other in out):
+            out[functions] = formula
+    return list(out.values())
+
+
+def setting(problem: DiagnosisProblem, full: ModelFit) -> Setting:
+    """The parametric effects in place, and no unmodelled one. Of a long recording, some of its poses."""
     if full.evidence is None:
         small = thinned(problem, full.geometry_only.linear.keep, DIAGNOSIS.many_poses)
         model = transferred(problem, small, full.model)
         others = tuple(Member(c, h) for c, h in model.effects)
         point = NoisePoint(small.linear, problem.prior_noise, pack(full.noise))
-        return Setting(small.context, point, others, small.linear, full.noise, model, None, None)
+        return Setting(small.context, point, others, small.linear, full.noise, model, None)
     best = reported_hypothesis(full.evidence)
-    others = tuple(m for m in best.members if m.candidate.name != UNMODELLED or not at & set(m.candidate.where))
-    rest = full.smooth
-    for location in at:
-        rest = None if rest is None else rest.without(location)
     linear = full.geometry_only.linear
-    return Setting(problem.context, best.point, others, linear, full.noise, full.model, rest, full.smooth)
+    return Setting(problem.context, best.point, best.catalogued, linear, full.noise, full.model, full.smooth)
 
 
-def of_effect(here: Setting, effect: EffectFound) -> list[Proposal]:
-    """Formulas for one unmodelled effect."""
-    found = [location for name in names_of(effect) if (location := location_of(here.context, name)) is not None]
-    if not found:
-        return []
-    spaces = [FormulaSpace.of(here.context, location, effect.depends_on) for location in found]
-    formulas = [f for f in FormulaSearch(here.point, here.others, spaces).run() if f.log_posterior > OPTIONS.least_log_odds]
-    if not formulas:
-        return []
-    validation = Validation(here, spaces)
-    best = formulas[0].log_posterior
-    out = []
-    for formula in formulas[: OPTIONS.proposed]:
-        score = validation.score(formula)
-        if score.chi2 < validation.before.chi2:
-            out.append(proposal(here, formula, float(np.exp(formula.log_posterior - best)), validation, score))
-    return out
-
-
-def names_of(effect: EffectFound) -> list[str]:
-    """The location of an effect, those that act alike, and those that the evidence does not exclude."""
-    other = [w for a in effect.alternatives if a.name == UNMODELLED and (a.odds or 0.0) > OPTIONS.odds for w in a.where]
-    return list(dict.fromkeys((*effect.where, *effect.equivalent, *other)))
-
-
-def location_of(context: Context, name: str) -> Location | None:
-    """The location of this name; None for one that has no covariates of its own (a ball, a station)."""
-    if name == "scanner":
-        return Location(name, POINT, np.eye(3), ((0,), (1,), (2,), (0, 1), (0, 1, 2)))
-    return next((location for location in locations.of_arm(context) if location.name == name), None)
+def located(context: Context, effects: Sequence[EffectFound]) -> list[tuple[Location, str]]:
+    """Where the unmodelled effects are, where something acts alike (the joint behind a link too, which it can turn as well), and where else
+    the evidence does not exclude them; with the covariate that was found there. A ball or a station has no covariates of its own.
+    """
+    on: dict[str, str] = {}
+    for effect in effects:
+        other = [w for a in effect.alternatives if a.name == UNMODELLED and (a.odds or 0.0) > OPTIONS.odds for w in a.where]
+        for name in (*effect.where, *effect.equivalent, *other):
+            on.setdefault(name, effect.depends_on)
+            on.setdefault(joint_behind(context, name), effect.depends_on)
+    arm = {location.name: location for location in locations.of_arm(context)}
+    if context.scanner_on_flange:
+        arm["scanner"] = Location("scanner", POINT, np.eye(3), ((0,), (1,), (2,), (0, 1), (0, 1, 2)))
+    return [(arm[name], covariate) for name, covariate in on.items() if name in arm]
 
 
 class Validation:
@@ -120,7 +131,7 @@ class Validation:
         linear, pose = here.linear, here.linear.obs.pose
         fold = split(linear, OPTIONS.folds)[0]
         self.parts = [(linear.keep & (fold != k)[pose], linear.keep & (fold == k)[pose]) for k in range(int(fold.max()) + 1)]
-        self.before = self.total(here.model, here.rest)
+        self.before = self.total(here.model, None)
         self.smooth = self.total(here.model, here.smooth) if here.smooth is not None else self.before
         self.found = [
             FormulaSearch(here.point.restricted(train), here.others, spaces).run(final=False)[: OPTIONS.proposed] for train, _ in self.parts
@@ -136,7 +147,7 @@ class Validation:
         here = self.here
         sigma = sigma_of(formula)
         one = candidate(here.context, formula.placed, sigma / DIAGNOSIS.typical_multiple)
-        return self.total(EffectSet((*here.model.effects, (one, None))), here.rest)
+        return self.total(EffectSet((*here.model.effects, (one, None))), None)
 
     def found_in(self, formula: Formula) -> int:
         """In how many repetitions a formula of the same terms is among the best."""

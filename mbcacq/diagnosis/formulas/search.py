@@ -14,14 +14,16 @@ from mbcacq.diagnosis.formulas.dictionary import Term
 from mbcacq.diagnosis.formulas.formula import PlacedTerm, candidate
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
-from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES
+from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES, log_bayes_factor
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, BlockPlan, planned
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.locations import Location
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.context import Context
 from mbcacq.effects.functions import Column, evaluate
 
 FINE, ROUNDS = 9, 3  # values of a finer grid for the order of a wave, and how often it is made finer
+WORTH_A_LOOK = 6  # entries for each extension: many of the best are neighbouring orders of one wave
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class FormulaSpace:
         placed, entries, logs = [], [], []
         for term, own in zip(kept, index, strict=True):
             for rows in location.variants:
+                if len(rows) * len(own) > OPTIONS.most_coefficients:
+                    continue
                 placed.append(PlacedTerm(location, rows, term))
                 entries.append((location.name, rows, BasisFunction(term.shape, own, np.ones(len(own)))))
                 logs.append(term.log_prior - np.log(len(location.variants)))
@@ -58,7 +62,7 @@ class FormulaSpace:
 
 
 def table(context: Context, terms: Sequence[Term], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[Term]]:
-    """(rows, f) all columns, each of unit size; which of them are each term's; and the terms, of which those that do not vary are left out."""
+    """(rows, f) all columns, each of unit size; which of them are each term's; the terms of which none is constant."""
     rows = context.obs.n_poses if per_pose else context.obs.n_centres
     known: dict[str, np.ndarray] = {}
 
@@ -69,12 +73,17 @@ def table(context: Context, terms: Sequence[Term], per_pose: bool) -> tuple[np.n
         return known[name]
 
     number: dict[Column, int] = {}
-    columns, index, kept = [], [], []
+    columns, index, kept, seen = [], [], [], dict[bytes, Column]()
     for term in terms:
         new = [c for c in term.columns if c not in number]
         for column, values in zip(new, evaluate(tuple(new), value, rows).T, strict=True):
-            size = float(np.sqrt(np.mean(values**2)))
-            if np.isfinite(size) and float(values.std()) > 1e-9 * size > 0:
+            size, spread = float(np.sqrt(np.mean(values**2))), float(values.std())
+            if not (np.isfinite(size) and spread > 1e-9 * size > 0):
+                continue
+            # What varies as another column does is the same function: constants are the geometry's.
+            varying = np.round((values - values.mean()) / spread, 6)
+            alike = (varying * np.sign(varying[np.argmax(np.abs(varying))]) + 0.0).tobytes()
+            if seen.setdefault(alike, column) == column:
                 number[column] = len(columns)
                 columns.append(values / size)
         if all(c in number for c in term.columns):
@@ -142,13 +151,15 @@ class FormulaSearch:
         found: list[tuple[float, PlacedTerm, float]] = []
         for space, evidence_map in zip(self.spaces, self.maps, strict=True):
             logs = evidence_map.entry_evidence(conditioned)[0] + space.log_priors
-            present = {p.term.label for p in node.placed if p.location.name == space.location.name}
-            order = np.argsort(-logs)[: 4 * OPTIONS.compared]
-            chosen = [e for e in order if space.placed[e].term.label not in present][: OPTIONS.compared]
-            found += [(float(logs[e]), space.placed[e], float(space.log_priors[e])) for e in chosen]
+            present = {distinct(p)[0] for p in node.placed if p.location.name == space.location.name}
+            chosen: dict[tuple[str, tuple[int, ...]], int] = {}
+            for e in np.argsort(-logs)[: WORTH_A_LOOK * OPTIONS.compared]:
+                if distinct(space.placed[e])[0] not in present:
+                    chosen.setdefault(distinct(space.placed[e]), int(e))
+            found += [(float(logs[e]), space.placed[e], float(space.log_priors[e])) for e in chosen.values()]
         out = []
         for _, placed, log_prior in sorted(found, key=lambda one: -one[0])[: OPTIONS.compared]:
-            here = placed if not placed.term.wave else self.refined(node, placed)
+            here = self.refined(conditioned, placed) if placed.term.wave else placed
             members = (*node.hypothesis.members, self.member(here))
             hypothesis = first_order(members, self.point, 0.0)
             further = float(np.log(OPTIONS.further)) if node.placed else -float(np.log(len(self.spaces)))
@@ -167,18 +178,27 @@ class FormulaSearch:
     def context(self, placed: PlacedTerm) -> Context:
         return next(s.context for s in self.spaces if s.location.name == placed.location.name)
 
-    def refined(self, node: Formula, placed: PlacedTerm) -> PlacedTerm:
+    def refined(self, conditioned: CandidateScoring, placed: PlacedTerm) -> PlacedTerm:
         """A wave at its most probable order between the neighbours of one of the grid."""
         orders = sorted({dictionary.order_of(s.term) for space in self.spaces for s in space.placed if s.term.wave})
-        middle = dictionary.order_of(placed.term)
-        step = orders[1] - orders[0] if len(orders) > 1 else 0.0
+        middle, step = dictionary.order_of(placed.term), orders[1] - orders[0]
+        best = placed
         for _ in range(ROUNDS):
-            tried = [
-                PlacedTerm(placed.location, placed.rows, dictionary.with_order(placed.term, float(f"{v:.5g}")))
-                for v in np.linspace(middle - step, middle + step, FINE)
-                if v > 0
-            ]
-            logs = [first_order((*node.hypothesis.members, self.member(t)), self.point, 0.0).log_evidence for t in tried]
-            best = tried[int(np.argmax(logs))]
+            values = [float(f"{v:.4g}") for v in np.linspace(middle - step, middle + step, FINE) if v > 0]
+            tried = [PlacedTerm(placed.location, placed.rows, dictionary.with_order(placed.term, v)) for v in values]
+            best = tried[int(np.argmax([self.evidence(conditioned, one) for one in tried]))]
             middle, step = dictionary.order_of(best.term), 2 * step / (FINE - 1)
         return best
+
+    def evidence(self, conditioned: CandidateScoring, placed: PlacedTerm) -> float:
+        """Log Bayes factor of one term beyond what a problem is conditioned on."""
+        unit = candidate(self.context(placed), (placed,), np.ones(len(placed.coefficients)))
+        X, S, b = conditioned.candidate_products(unit, None)
+        absorbed = conditioned.conditioned.T @ X
+        S, b, raw = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along, np.sum(X * X, axis=0)
+        return float(log_bayes_factor(S[None], b[None], raw[None], np.ones((1, len(b))))[0][0])
+
+
+def distinct(placed: PlacedTerm) -> tuple[str, tuple[int, ...]]:
+    """What tells terms of one location apart: waves of one covariate are one, whatever their order."""
+    return placed.term.shape if placed.term.wave else placed.term.label, placed.rows
