@@ -1,12 +1,16 @@
 """Exclusion limits: the largest size of every effect at every location that a recording does not exclude, with 95 % confidence.
 
 A coefficient c is estimated as c^ with standard deviation s, the found effects and the geometry fitted with it. |c| is below |c^| + 1.645 s
-in 95 % of recordings, whatever it is; an effect of known sign is at least zero. Where an effect has a hyper-parameter, its
-limit is the median over the preferred values, or over those of the search: a change just where the station changes can always hide.
+in 95 % of recordings, whatever it is. An effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise
+never excludes what the recording could not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166).
+Of several coefficients the limit is that of the least determined one, and of the values of a hyper-parameter at the one where the effect
+is determined as at the median: both are chosen by s alone. A choice by c^ would favour what noise made large, or hide an effect at one
+value among all others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +23,7 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
+LOWEST = -1.0  # estimate of an effect of known sign, in standard deviations, below which it counts as that
 MOST_VALUES = 12  # of a hyper-parameter that are tried
 ABSORBED = 1e-10  # share of an effect's information below which the geometry absorbs it: it has no limit
 HARMLESS_MM = 1e-6  # error of a length by an effect of typical size
@@ -38,12 +43,9 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
     """Of every candidate that was not found, those with the largest error in the workspace first."""
     found = {(c.name, c.where) for c, _ in full.model.effects}
     there = elsewhere(setup.context)
-    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
-    for c in setup.candidates:  # of several variants, those of fewest coefficients
-        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
     out = []
-    for candidate in setup.candidates:
-        if (candidate.name, candidate.where) in found or candidate.k > fewest[candidate.name, candidate.where]:
+    for candidate in of_fewest_coefficients(setup.candidates):
+        if (candidate.name, candidate.where) in found:
             continue
         limit = coefficient_limit(full.conditioned, candidate)
         if not np.all(np.isfinite(limit.coefficients)) and harmless(there, candidate, limit.hyper):
@@ -54,28 +56,54 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
     return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
 
 
+def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Of several variants of an effect at a location, those of fewest coefficients."""
+    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
+    for c in candidates:
+        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
+    return [c for c in candidates if c.k == fewest[c.name, c.where]]
+
+
+@dataclass(frozen=True)
+class DeterminedCoefficient:
+    """Of an effect at one value of its hyper-parameter, the coefficient that is least determined: which, its estimate and its standard
+    deviation, inf where the geometry absorbs it.
+    """
+
+    hyper: float | None
+    number: int
+    estimate: float
+    std: float
+
+
 def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate) -> CoefficientLimit:
-    """The largest coefficient, relative to its typical size, that is not excluded, at the median over the hyper-parameter."""
-    limits = [limit_at(conditioned, candidate, hyper) for hyper in tried_values(candidate)]
-    limits.sort(key=lambda one: float((one.coefficients / candidate.typical).max()))
-    return limits[len(limits) // 2]
+    """The largest coefficient that is not excluded, at the value of the hyper-parameter at which it is determined as at the median."""
+    tried = [least_determined(conditioned, candidate, hyper) for hyper in tried_values(candidate)]
+    tried.sort(key=lambda one: one.std / float(candidate.typical[one.number]))
+    middle = tried[len(tried) // 2]
+    coefficients = np.zeros(candidate.k)
+    coefficients[middle.number] = upper_limit(middle.estimate, middle.std, candidate.positive)
+    return CoefficientLimit(middle.hyper, coefficients if np.isfinite(middle.std) else np.full(candidate.k, np.inf))
 
 
-def limit_at(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> CoefficientLimit:
-    """The same at one value of the hyper-parameter."""
+def upper_limit(estimate: float, std: float, positive: bool) -> float:
+    """What the size of a coefficient does not exceed in 95 % of recordings."""
+    return (max(estimate, LOWEST * std) if positive else abs(estimate)) + QUANTILE * std
+
+
+def least_determined(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> DeterminedCoefficient:
+    """The coefficient of the largest standard deviation in typical sizes, with everything else in place."""
     X, S, b = conditioned.candidate_products(candidate, hyper)
     absorbed = conditioned.conditioned.T @ X
     S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
     size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
     scaled = S / np.outer(size, size)
     if np.linalg.eigvalsh(scaled)[0] < ABSORBED:
-        return CoefficientLimit(hyper, np.full(candidate.k, np.inf))
+        return DeterminedCoefficient(hyper, 0, 0.0, np.inf)
     covariance = np.linalg.inv(scaled) / np.outer(size, size)
-    estimate = covariance @ b
-    middle = np.maximum(estimate, 0.0) if candidate.positive else np.abs(estimate)
-    limits = middle + QUANTILE * np.sqrt(np.diag(covariance))
-    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
-    return CoefficientLimit(hyper, np.where(worst, limits, 0.0))
+    std = np.sqrt(np.diag(covariance))
+    number = int(np.argmax(std / candidate.typical))
+    return DeterminedCoefficient(hyper, number, float(covariance[number] @ b), float(std[number]))
 
 
 def tried_values(candidate: Candidate) -> list[float | None]:
