@@ -22,7 +22,7 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.simulated_observations import planned_noise, planned_state
 from mbcacq.diagnosis.nonparametric.joint_model import noise_with
-from mbcacq.diagnosis.output.exclusion_limits import CoefficientLimit, coefficient_limit, of_fewest_coefficients, tried_values
+from mbcacq.diagnosis.output.exclusion_limits import CoefficientLimit, coefficient_limit, of_fewest_coefficients
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.effects import catalogue
@@ -46,6 +46,7 @@ class PlannedRecording:
     candidates: list[Candidate]
     noise: Noise
     prior: NoisePrior
+    stated: CandidateScoring
 
     @classmethod
     def of(cls, name: str) -> PlannedRecording:
@@ -55,7 +56,8 @@ class PlannedRecording:
         linear = LinearProblem.of(observations, planned_state(loaded))
         context = Context(observations, linear.state, linear.prediction)
         candidates = of_fewest_coefficients(catalogue.candidates(context)[0])
-        return cls(linear, candidates, planned_noise(loaded, poses), noise_prior(observations.cell))
+        stated = CandidateScoring.of(linear, first_noise(observations.cell))
+        return cls(linear, candidates, planned_noise(loaded, poses), noise_prior(observations.cell), stated)
 
     def drawn(self, seed: int) -> CandidateScoring:
         """A recording without any effect, under the noise that is estimated from it."""
@@ -73,9 +75,8 @@ def with_effect(drawn: CandidateScoring, candidate: Candidate, limit: Coefficien
     """The recording had it that effect, as large as a limit."""
     r0 = drawn.r0 + drawn.block(candidate, limit.hyper) @ limit.coefficients
     beyond, products = r0 - drawn.Q @ (drawn.Q.T @ r0), {}
-    for hyper in tried_values(candidate):
-        X, S, _ = drawn.candidate_products(candidate, hyper)
-        products[candidate.key, hyper] = X, S, X.T @ beyond
+    X, S, _ = drawn.candidate_products(candidate, limit.hyper)
+    products[candidate.key, limit.hyper] = X, S, X.T @ beyond
     return replace(drawn, r0=r0, r=beyond, store=ProductStore(candidates=products))
 
 
@@ -90,10 +91,10 @@ def measured(
     """The limits of a draw, and whether those of the draw before cover effects as large as they are."""
     drawn, limits, covered = planned.drawn(seed), {}, {}
     for candidate in planned.candidates:
-        limits[candidate.key] = coefficient_limit(drawn, candidate)
+        limits[candidate.key] = coefficient_limit(drawn, candidate, planned.stated)
         before = stated.get(candidate.key)
         if before is not None and np.all(np.isfinite(before.coefficients)):
-            again = coefficient_limit(with_effect(drawn, candidate, before), candidate)
+            again = coefficient_limit(with_effect(drawn, candidate, before), candidate, planned.stated)
             covered[candidate.key] = size(again, candidate) >= size(before, candidate)
     return limits, covered
 

@@ -148,7 +148,7 @@ def report(rows: list[dict[str, Any]]) -> str:
 The true formula (its covariates and functions, at its location or one that acts alike) is first in {first} of {len(rows)} cells, and
 among the first three in **{right} of {len(rows)}**.
 
-| effect | cell | true | rank | verdict | best formula | held-out chi2/dof: before, with it, smooth model | again in | s |
+| effect | cell | true | rank | verdict | best formula | held-out chi2/dof: before, with it, smooth model | again in | with the draft in the catalogue | s |
 |---|---|---|---|---|---|---|---|---|""",
     ]
     for r in rows:
@@ -157,7 +157,8 @@ among the first three in **{right} of {len(rows)}**.
         scores = f"{best['before']:.2f}, {best['after']:.2f}, {best['smooth']:.2f} | {best['found_in']}/{best['parts']}" if best else "|"
         true = f"{r['terms']} at {'+'.join(r['where'])}"
         lines.append(
-            f"| {r['kind']} | {r['seed']} | {true} | {r['rank'] or '-'} | {r['verdict']} | {shown} | {scores} | {r['seconds']:.0f} |"
+            f"| {r['kind']} | {r['seed']} | {true} | {r['rank'] or '-'} | {r['verdict']} | {shown} | {scores} | {r['with_draft']} "
+            f"| {r['seconds']:.0f} |"
         )
     return "\n".join([*lines, ""])
 

@@ -3,9 +3,9 @@
 A coefficient c is estimated as c^ with standard deviation s, the found effects and the geometry fitted with it. |c| is below |c^| + 1.645 s
 in 95 % of recordings, whatever it is. An effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise
 never excludes what the recording could not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166).
-Of several coefficients the limit is that of the least determined one, and of the values of a hyper-parameter at the one where the effect
-is determined as at the median: both are chosen by s alone. A choice by c^ would favour what noise made large, or hide an effect at one
-value among all others.
+Of several coefficients the largest limit, in typical sizes, is that of the effect. Of the values of a hyper-parameter it is the one where
+the effect is determined as at the median under the noise as stated: a change just where the station changes can always hide, and a choice
+by the recording would hide an effect at one value among all others.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.variance_components import first_noise
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
 LOWEST = -1.0  # estimate of an effect of known sign, in standard deviations, below which it counts as that
@@ -43,11 +44,12 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
     """Of every candidate that was not found, those with the largest error in the workspace first."""
     found = {(c.name, c.where) for c, _ in full.model.effects}
     there = elsewhere(setup.context)
+    stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
     out = []
     for candidate in of_fewest_coefficients(setup.candidates):
         if (candidate.name, candidate.where) in found:
             continue
-        limit = coefficient_limit(full.conditioned, candidate)
+        limit = coefficient_limit(full.conditioned, candidate, stated)
         if not np.all(np.isfinite(limit.coefficients)) and harmless(there, candidate, limit.hyper):
             continue
         name, value = parameter_of(candidate, limit)
@@ -64,46 +66,42 @@ def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in candidates if c.k == fewest[c.name, c.where]]
 
 
-@dataclass(frozen=True)
-class DeterminedCoefficient:
-    """Of an effect at one value of its hyper-parameter, the coefficient that is least determined: which, its estimate and its standard
-    deviation, inf where the geometry absorbs it.
+def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, stated: CandidateScoring | None = None) -> CoefficientLimit:
+    """The largest coefficient that is not excluded, in typical sizes. stated: the problem under the noise as stated, by which the value of
+    the hyper-parameter is chosen.
     """
-
-    hyper: float | None
-    number: int
-    estimate: float
-    std: float
-
-
-def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate) -> CoefficientLimit:
-    """The largest coefficient that is not excluded, at the value of the hyper-parameter at which it is determined as at the median."""
-    tried = [least_determined(conditioned, candidate, hyper) for hyper in tried_values(candidate)]
-    tried.sort(key=lambda one: one.std / float(candidate.typical[one.number]))
-    middle = tried[len(tried) // 2]
-    coefficients = np.zeros(candidate.k)
-    coefficients[middle.number] = upper_limit(middle.estimate, middle.std, candidate.positive)
-    return CoefficientLimit(middle.hyper, coefficients if np.isfinite(middle.std) else np.full(candidate.k, np.inf))
+    hyper = representative_value(stated or conditioned, candidate)
+    estimate, std = estimated(conditioned, candidate, hyper)
+    limits = upper_limits(estimate, std, candidate.positive)
+    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
+    return CoefficientLimit(hyper, np.where(worst, limits, 0.0) if np.all(np.isfinite(std)) else limits)
 
 
-def upper_limit(estimate: float, std: float, positive: bool) -> float:
-    """What the size of a coefficient does not exceed in 95 % of recordings."""
-    return (max(estimate, LOWEST * std) if positive else abs(estimate)) + QUANTILE * std
+def upper_limits(estimate: np.ndarray, std: np.ndarray, positive: bool) -> np.ndarray:
+    """(k,) what the size of each coefficient does not exceed in 95 % of recordings."""
+    return (np.maximum(estimate, LOWEST * std) if positive else np.abs(estimate)) + QUANTILE * std
 
 
-def least_determined(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> DeterminedCoefficient:
-    """The coefficient of the largest standard deviation in typical sizes, with everything else in place."""
+def representative_value(projected: CandidateScoring, candidate: Candidate) -> float | None:
+    """The value of the hyper-parameter at which the effect is determined as at the median of those that are tried."""
+    if candidate.hyper is None:
+        return None
+    values = tried_values(candidate)
+    values.sort(key=lambda hyper: float((estimated(projected, candidate, hyper)[1] / candidate.typical).max()))
+    return values[len(values) // 2]
+
+
+def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (k,) and their standard deviations, with everything else in place; inf where the geometry absorbs one of them."""
     X, S, b = conditioned.candidate_products(candidate, hyper)
     absorbed = conditioned.conditioned.T @ X
     S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
     size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
     scaled = S / np.outer(size, size)
     if np.linalg.eigvalsh(scaled)[0] < ABSORBED:
-        return DeterminedCoefficient(hyper, 0, 0.0, np.inf)
+        return np.zeros(candidate.k), np.full(candidate.k, np.inf)
     covariance = np.linalg.inv(scaled) / np.outer(size, size)
-    std = np.sqrt(np.diag(covariance))
-    number = int(np.argmax(std / candidate.typical))
-    return DeterminedCoefficient(hyper, number, float(covariance[number] @ b), float(std[number]))
+    return covariance @ b, np.sqrt(np.diag(covariance))
 
 
 def tried_values(candidate: Candidate) -> list[float | None]:
