@@ -147,10 +147,11 @@ def report(rows: list[dict[str, Any]]) -> str:
         f"""
 The true formula (its covariates and functions, at its location or one that acts alike) is first in {first} of {len(rows)} cells, and
 among the first three in **{right} of {len(rows)}**.
-
-| effect | cell | true | rank | verdict | best formula | held-out chi2/dof: before, with it, smooth model | again in | with the draft in the catalogue | s |
-|---|---|---|---|---|---|---|---|---|""",
+""",
     ]
+    heads = ("effect", "cell", "true", "rank", "verdict", "best formula", "held-out chi2/dof: before, with it, smooth model")
+    heads = (*heads, "again in", "with the draft in the catalogue", "s")
+    lines += [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
     for r in rows:
         best = r["proposals"][0] if r["proposals"] else None
         shown = best["formula"].replace("|", "&#124;") if best else "none"

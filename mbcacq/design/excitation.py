@@ -98,7 +98,7 @@ class Excitation:
 
 
 def design_excitation(
-    loaded: LoadedPlan, recordings: Sequence[Trajectory], seconds: float = 20.0, seed: int = 0, options: ExcitationOptions = OPTIONS
+    loaded: LoadedPlan, recordings: Sequence[Trajectory], seconds: float = 20.0, seed: int = 0, options: ExcitationOptions | None = None
 ) -> Excitation:
     """The motion to be recorded after these recordings of the plan's robot.
 
@@ -108,7 +108,7 @@ def design_excitation(
     if any(r.robot.n != robot.n for r in recordings):
         raise ConfigError(f"the plan's robot '{robot.name}' has {robot.n} axes, a recording another number; give the plan of that arm")
     information = TorqueInformation.of(recordings)
-    search = _Search(loaded, information, seconds, np.random.default_rng([seed, 83]), options)
+    search = _Search(loaded, information, seconds, np.random.default_rng([seed, 83]), options or OPTIONS)
     motion = search.best()
     before, after = information.covariance(), information.covariance(search.information(motion))
     std = [np.sqrt(np.maximum(np.diag(c), 0.0))[information.named] for c in (before, after)]
