@@ -20,8 +20,8 @@ from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
 
 PLAN = "plans/seeing.yaml"
-SECONDS = 10.0
-SMALL = ExcitationOptions(drawn=12, begun=3, improved=12)
+SECONDS = 20.0
+SMALL = ExcitationOptions(drawn=20, begun=4, improved=60)
 
 
 @pytest.fixture(scope="module")
