@@ -111,9 +111,12 @@ def design_excitation(
     search = _Search(loaded, information, seconds, np.random.default_rng([seed, 83]), options or OPTIONS)
     motion = search.best()
     before, after = information.covariance(), information.covariance(search.information(motion))
-    std = [np.sqrt(np.maximum(np.diag(c), 0.0))[information.named] for c in (before, after)]
-    correlation = [information.correlations(c) for c in (before, after)]
-    return Excitation(motion, information.names, *std, *correlation, search.tried)
+
+    def std(covariance: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(np.diag(covariance), 0.0))[information.named]
+
+    correlations = information.correlations(before), information.correlations(after)
+    return Excitation(motion, information.names, std(before), std(after), *correlations, search.tried)
 
 
 class _Search:

@@ -17,10 +17,10 @@ class UnevenRing(InjectedEffect):
         self.lobes, self.phase = int(self.rng.integers(2, 4)), float(self.rng.uniform(-np.pi, np.pi))
         self.tilt = abs(self.size(2e-4))
         side = float(self.rng.uniform(-np.pi, np.pi))
-        self._axis = np.array([np.cos(side), np.sin(side), 0.0])
+        self._about = np.array([np.cos(side), np.sin(side), 0.0])
 
     def displace(self, at: Moments, moved: Moved) -> None:
-        moved.frame[:, 0, 3:] += self.tilt * np.cos(self.lobes * at.q[:, :1] + self.phase) * self._axis
+        moved.frame[:, 0, 3:] += self.tilt * np.cos(self.lobes * at.q[:, :1] + self.phase) * self._about
 
     def truth(self) -> dict[str, Any]:
         return {"where": ["base"], "depends_on": ["q1"], "lobes": self.lobes, "tilt_rad": self.tilt}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from mbcacq.diagnosis.formulas.formula import PlacedTerm, candidate
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES, log_bayes_factor
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, BlockPlan, planned
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, GivenBlocks, planned
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -28,7 +28,7 @@ WORTH_A_LOOK = 6  # entries for each extension: many of the best are neighbourin
 
 @dataclass(frozen=True)
 class FormulaSpace:
-    """The terms of one location, laid out as design blocks. group: entries in the order of ``placed``."""
+    """The terms of one location, laid out as design blocks, whose entries stand in the order of ``placed``."""
 
     context: Context
     location: Location
@@ -36,9 +36,7 @@ class FormulaSpace:
     terms: list[Term]
     placed: list[PlacedTerm]
     log_priors: np.ndarray
-    groups: list[BlockGroup]
-    plans: list[BlockPlan]
-    log_prior_shares: dict[str, float] = field(default_factory=dict)
+    blocks: GivenBlocks
 
     @classmethod
     def of(cls, context: Context, location: Location, located: str) -> FormulaSpace:
@@ -58,7 +56,7 @@ class FormulaSpace:
                 entries.append((location.name, rows, BasisFunction(term.shape, own, np.ones(len(own)))))
                 logs.append(term.log_prior - np.log(len(location.variants)))
         group = BlockGroup(len(location.mix), values, entries, location.keys, location.mix, per_pose)
-        return cls(context, location, per_pose, kept, placed, np.array(logs), [group], [planned(group)])
+        return cls(context, location, per_pose, kept, placed, np.array(logs), GivenBlocks([group], [planned(group)], {}))
 
 
 def table(context: Context, terms: Sequence[Term], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[Term]]:
@@ -116,7 +114,7 @@ class FormulaSearch:
 
     def __init__(self, point: NoisePoint, others: Sequence[Member], spaces: Sequence[FormulaSpace]):
         self.point, self.others, self.spaces = point, tuple(others), spaces
-        self.maps = [EvidenceMap(point.projected, space) for space in spaces]
+        self.maps = [EvidenceMap(point.projected, space.blocks) for space in spaces]
 
     def run(self, most_terms: int = OPTIONS.most_terms, final: bool = True) -> list[Formula]:
         """The most probable formulas, best first; final: with the noise of each estimated anew."""

@@ -70,6 +70,15 @@ class DesignBlocks:
         return [planned(group) for group in self.groups]
 
 
+@dataclass(frozen=True)
+class GivenBlocks:
+    """Blocks that somebody else laid out, with the same fields as ``DesignBlocks``."""
+
+    groups: list[BlockGroup]
+    plans: list[BlockPlan]
+    log_prior_shares: dict[str, float]
+
+
 def planned(group: BlockGroup) -> BlockPlan:
     """The entries of a group by their number of coefficients."""
     f, c = group.functions.shape[1], group.components

@@ -7,7 +7,6 @@ size stand in one array. Conditioning on an effect or a group is a correction of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.special import gammaln
@@ -15,7 +14,7 @@ from scipy.stats import chi2
 
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, BlockPlan, DesignBlocks
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, BlockPlan, DesignBlocks, GivenBlocks
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 
@@ -67,23 +66,10 @@ class MapEvidence:
         return next(c for c in self.cells if c.location == location)
 
 
-class LaidOutBlocks(Protocol):
-    """Groups of blocks with their plans: ``DesignBlocks``, or a dictionary of other functions at one location."""
-
-    @property
-    def groups(self) -> list[BlockGroup]: ...
-
-    @property
-    def plans(self) -> list[BlockPlan]: ...
-
-    @property
-    def log_prior_shares(self) -> dict[str, float]: ...
-
-
 class EvidenceMap:
     """Of one recording under one noise model, prepared with geometry alone projected out."""
 
-    def __init__(self, projected: CandidateScoring, design_blocks: LaidOutBlocks):
+    def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks | GivenBlocks):
         self.projected, self.design_blocks = projected, design_blocks
         self.whitened: dict[int, np.ndarray] = {}  # of groups that are functions of the centre
         self.normal = [self._normal(group, plan) for group, plan in zip(design_blocks.groups, design_blocks.plans, strict=True)]
