@@ -82,6 +82,21 @@ class DesignBlocks:
         return block_layout(self.groups)
 
 
+@dataclass(frozen=True)
+class GivenBlocks:
+    """Blocks that somebody else laid out, with the same fields as ``DesignBlocks``."""
+
+    groups: list[BlockGroup]
+
+    @cached_property
+    def log_prior_shares(self) -> dict[str, float]:
+        return log_prior_shares(self.groups)
+
+    @cached_property
+    def layout(self) -> BlockLayout:
+        return block_layout(self.groups)
+
+
 def block_layout(groups: list[BlockGroup]) -> BlockLayout:
     """The entries of all groups by their number of coefficients."""
     start = np.cumsum([0] + [group.components * group.functions.shape[1] for group in groups])

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, GivenBlocks
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 
@@ -54,7 +54,7 @@ class MapEvidence:
     mean Bayes factor, best first. total: log of the mean over all locations.
     """
 
-    design_blocks: DesignBlocks
+    design_blocks: DesignBlocks | GivenBlocks
     log_bayes_factor: np.ndarray
     gain: np.ndarray
     used: np.ndarray
@@ -92,7 +92,7 @@ class EvidenceMap:
     (H, k, k) of the blocks of each size.
     """
 
-    def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks):
+    def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks | GivenBlocks):
         self.projected, self.design_blocks = projected, design_blocks
         each = [self._products(g) for g in range(len(design_blocks.groups))]
         self.b, self.raw, absorbed = (np.concatenate([one[j] for one in each]) for j in range(3))
@@ -153,6 +153,13 @@ class EvidenceMap:
         ranked = {layout.locations[j]: means[j] for j in np.argsort(-np.array(means), kind="stable")}
         total = float(np.logaddexp.reduce(means) - np.log(len(means)))
         return MapEvidence(self.design_blocks, log, gain, used, ranked, total)
+
+    def entry_evidence(self, projected: CandidateScoring) -> list[np.ndarray]:
+        """Of each group, the log Bayes factor of every entry beyond what a problem is conditioned on."""
+        out = [np.zeros(len(group.entries)) for group in self.design_blocks.groups]
+        for (g, e), log in zip(self.design_blocks.layout.members, self.evaluate(projected).log_bayes_factor, strict=True):
+            out[g][e] = log
+        return out
 
     def _conditioned(self, g: int, projected: CandidateScoring) -> np.ndarray:
         """(k, a) products of a group's columns with the basis of what the problem is conditioned on."""
