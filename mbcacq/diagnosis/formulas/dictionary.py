@@ -25,7 +25,7 @@ FIELD = "xyz"
 
 
 @dataclass(frozen=True)
-class Term:
+class DictionaryEntry:
     """A group of columns that belong together, such as the sine and cosine of one order.
 
     shape: what it is a function of, whatever the phase, e.g. ``q4*q6`` or ``2q5``. columns: one for each coefficient; texts: the same
@@ -59,7 +59,7 @@ class Factor:
     text: str
 
 
-def of_pose(context: Context, joint: int, frame: int, located: str) -> list[Term]:
+def of_pose(context: Context, joint: int, frame: int, located: str) -> list[DictionaryEntry]:
     """Terms that are one number a pose, for a location of the arm. joint, frame: index of the joint there, or before it, and of the frame
     whose gravity moment acts there. located: the covariate that the diagnosis found.
     """
@@ -74,7 +74,7 @@ def of_pose(context: Context, joint: int, frame: int, located: str) -> list[Term
     return _with_priors([*plain, *_products([*periodic, *slow, *weights])], located)
 
 
-def of_centre(context: Context, located: str) -> list[Term]:
+def of_centre(context: Context, located: str) -> list[DictionaryEntry]:
     """Terms that are one number a centre, for the scanner: polynomials over the field of view, waves, and products with what is one
     number a pose.
     """
@@ -94,12 +94,12 @@ def of_centre(context: Context, located: str) -> list[Term]:
     return _with_priors([*plain, *products, *_products(leaning)], located)
 
 
-def with_order(term: Term, order: float) -> Term:
+def with_order(term: DictionaryEntry, order: float) -> DictionaryEntry:
     """A wave with another order (rad/mm)."""
     return replace(_wave(term.covariates[0], order), log_prior=term.log_prior)
 
 
-def order_of(term: Term) -> float:
+def order_of(term: DictionaryEntry) -> float:
     """Order of a wave, rad/mm."""
     return term.columns[0][0].functions[0].numbers[0]
 
@@ -166,16 +166,16 @@ def _varies(context: Context, factor: Factor) -> bool:
 # Terms ----------------------------------------------------------------------------------------------------------------
 
 
-def _single(factor: Factor) -> Term:
-    return Term(factor.shape, (factor.column,), (factor.text,))
+def _single(factor: Factor) -> DictionaryEntry:
+    return DictionaryEntry(factor.shape, (factor.column,), (factor.text,))
 
 
-def _orders(name: str, highest: int) -> list[Term]:
+def _orders(name: str, highest: int) -> list[DictionaryEntry]:
     """Sine and cosine of each order together, and each by itself."""
     out = []
     for order in range(1, highest + 1):
         sine, cosine = _phases(name, order)
-        out += [Term(sine.shape, (sine.column, cosine.column), (sine.text, cosine.text)), _single(sine), _single(cosine)]
+        out += [DictionaryEntry(sine.shape, (sine.column, cosine.column), (sine.text, cosine.text)), _single(sine), _single(cosine)]
     return out
 
 
@@ -194,7 +194,7 @@ def _powers(factor: Factor) -> list[Factor]:
     return out
 
 
-def _fading(context: Context) -> list[Term]:
+def _fading(context: Context) -> list[DictionaryEntry]:
     try:
         duration = float(context.time.max())
     except Missing:
@@ -203,14 +203,14 @@ def _fading(context: Context) -> list[Term]:
     for share in OPTIONS.fading:
         constant = float(f"{share * duration:.2g}")
         column = (Product(1.0, (Function("time", "decay", (constant,)),)),)
-        out.append(Term("fading time", (column,), (f"exp(-time/{constant:g} s)",)))
+        out.append(DictionaryEntry("fading time", (column,), (f"exp(-time/{constant:g} s)",)))
     return out
 
 
-def _wave(name: str, order: float) -> Term:
+def _wave(name: str, order: float) -> DictionaryEntry:
     columns = tuple((Product(1.0, (Function(name, kind, (float(order),)),)),) for kind in ("sin", "cos"))
     period = 2 * np.pi / order
-    return Term(f"wave {name}", columns, tuple(f"{kind}(2 pi {name}/{period:.4g})" for kind in ("sin", "cos")), wave=True)
+    return DictionaryEntry(f"wave {name}", columns, tuple(f"{kind}(2 pi {name}/{period:.4g})" for kind in ("sin", "cos")), wave=True)
 
 
 def _times(a: Factor, b: Factor) -> Factor:
@@ -218,28 +218,28 @@ def _times(a: Factor, b: Factor) -> Factor:
     return Factor(f"{a.shape}*{b.shape}", a.covariate, column, f"{a.text} {b.text}")
 
 
-def _multiplied(a: Factor, b: Factor) -> Term:
+def _multiplied(a: Factor, b: Factor) -> DictionaryEntry:
     first, second = sorted((a, b), key=lambda f: f.shape)
     return _single(_times(first, second))
 
 
-def _products(factors: Sequence[Factor]) -> list[Term]:
+def _products(factors: Sequence[Factor]) -> list[DictionaryEntry]:
     """Products of two factors of different covariates; of two angles also with free phases."""
     out = [_multiplied(a, b) for a, b in combinations(factors, 2) if a.covariate != b.covariate]
-    free: dict[str, list[Term]] = {}
+    free: dict[str, list[DictionaryEntry]] = {}
     for term in out:
         free.setdefault(term.shape, []).append(term)
     return out + [_joined(terms) for terms in free.values() if len(terms) > 1]
 
 
-def _joined(terms: Sequence[Term]) -> Term:
-    return Term(terms[0].shape, tuple(c for t in terms for c in t.columns), tuple(x for t in terms for x in t.texts))
+def _joined(terms: Sequence[DictionaryEntry]) -> DictionaryEntry:
+    return DictionaryEntry(terms[0].shape, tuple(c for t in terms for c in t.columns), tuple(x for t in terms for x in t.texts))
 
 
-def _with_priors(terms: Sequence[Term], located: str) -> list[Term]:
+def _with_priors(terms: Sequence[DictionaryEntry], located: str) -> list[DictionaryEntry]:
     """Functions of one covariate and products each share their part of the prior alike; those with the located covariate get half of it."""
     weight = np.zeros(len(terms))
-    classes: tuple[tuple[float, Callable[[Term], bool]], ...] = (
+    classes: tuple[tuple[float, Callable[[DictionaryEntry], bool]], ...] = (
         (1 - OPTIONS.products, lambda t: "*" not in t.shape),
         (OPTIONS.products, lambda t: "*" in t.shape),
     )
