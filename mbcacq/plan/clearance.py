@@ -6,13 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
-from mbcacq import lazy
 from mbcacq.plan.collision import Body, arm_bodies, halves, station_bodies, surrounding_bodies
 from mbcacq.plan.planned import LoadedPlan
+from mbcacq.plan.solid_distance import SolidDistance
+
+DISTANCE = SolidDistance()
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,6 @@ class Pair:
 
     a: Body
     b: Body
-    distance: Any
     lever: np.ndarray
     most: float = np.inf
 
@@ -121,7 +121,7 @@ class Clearance:
         return [self._pair(body, part) for part in self._arm if part.link >= 2]
 
     def _pair(self, a: Body, b: Body) -> Pair:
-        return Pair(a, b, lazy.coal().ComputeDistance(a.shape, b.shape), self._lever(a.link, b))
+        return Pair(a, b, self._lever(a.link, b))
 
     def _lever(self, behind: int, body: Body) -> np.ndarray:
         frames = self._chain.frames(np.zeros((1, self._chain.n)))[0]
@@ -136,17 +136,15 @@ class Posture:
     """Bodies placed for one posture, each only once. frames: (n + 1, 4, 4)."""
 
     def __init__(self, frames: np.ndarray) -> None:
-        self._frames, self._coal = frames, lazy.coal()
-        self._placed: dict[Body, Any] = {}
+        self._frames = frames
+        self._placed: dict[Body, np.ndarray] = {}
 
     def distance(self, pair: Pair) -> float:
         """mm, negative: overlap."""
-        coal = self._coal
-        return pair.distance(self._place(pair.a), self._place(pair.b), coal.DistanceRequest(), coal.DistanceResult())
+        return DISTANCE(pair.a, self._place(pair.a), pair.b, self._place(pair.b))
 
-    def _place(self, body: Body) -> Any:
+    def _place(self, body: Body) -> np.ndarray:
         placed = self._placed.get(body)
         if placed is None:
-            T = self._frames[body.link] @ body.pose
-            placed = self._placed[body] = self._coal.Transform3s(T[:3, :3], T[:3, 3])
+            placed = self._placed[body] = self._frames[body.link] @ body.pose
         return placed
