@@ -179,8 +179,8 @@ def outliers(types: Sequence[ArmType]) -> list[Outlier]:
         out += [Outlier(d.arm, None, d.name, d.change, 0.0, d.limit, drift=True) for d in drifts(kind.rows)]
         for chart in kind.charts:
             for k in np.flatnonzero(chart.outside):
-                figures = (float(each[k]) for each in (chart.value, chart.centre, chart.limit))
-                out.append(Outlier(kind.rows[k]["arm"], kind.rows[k]["recording"], chart.name, *figures))
+                value, centre, limit = (float(each[k]) for each in (chart.value, chart.centre, chart.limit))
+                out.append(Outlier(kind.rows[k]["arm"], kind.rows[k]["recording"], chart.name, value, centre, limit))
             for a in np.flatnonzero(chart.unusual):
                 out.append(Outlier(chart.arms[a], None, chart.name, float(chart.arm_value[a]), chart.usual, float(chart.arm_limit[a])))
     return sorted(out, key=lambda o: -abs(o.value - o.centre) / o.limit if o.limit > 0 else -np.inf)

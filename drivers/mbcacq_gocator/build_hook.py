@@ -6,7 +6,7 @@ import runpy
 from pathlib import Path
 from typing import Any
 
-from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface  # pyright: ignore[reportMissingImports] -- of the build alone
 
 PACKAGE = "drivers/mbcacq_gocator"
 
