@@ -114,13 +114,12 @@ class Posture:
 
     def __init__(self, frames: np.ndarray) -> None:
         self._frames, self._fcl = frames, lazy.fcl()
+        self._request = self._fcl.DistanceRequest(enable_signed_distance=True)  # overlap as a negative distance
         self._placed: dict[Body, Any] = {}
 
     def distance(self, pair: Pair) -> float:
         """mm, negative: overlap."""
-        fcl = self._fcl
-        request = fcl.DistanceRequest(enable_signed_distance=True)
-        between = fcl.distance(self._place(pair.a), self._place(pair.b), request, fcl.DistanceResult())
+        between = self._fcl.distance(self._place(pair.a), self._place(pair.b), self._request, self._fcl.DistanceResult())
         return between - pair.a.rounding - pair.b.rounding
 
     def _place(self, body: Body) -> Any:

@@ -1,6 +1,7 @@
 """All formats of one result, through the command line's options."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
