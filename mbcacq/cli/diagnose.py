@@ -49,6 +49,22 @@ if TYPE_CHECKING:
     help="Compare with this instead of the built-in model: another simulator's set for the same poses or motion (one for each recording), "
     "or a model file that MuJoCo runs (MJCF, URDF).",
 )
+@click.option(
+    "--propose",
+    is_flag=False,
+    flag_value="proposed-effect",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="[DIR]",
+    help="Search short formulas for unmodelled effects, and write the best as a package of an effect into DIR [default: proposed-effect].",
+)
+@click.option(
+    "--effect-file",
+    "effect_files",
+    multiple=True,
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    metavar="FILE.py",
+    help="Try the effect of this Python file, whose code is run, next to those of the catalogue (repeatable).",
+)
 @click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
     data: tuple[Path, ...],
@@ -64,6 +80,8 @@ def command(
     with_found: bool,
     place: str,
     simulation: tuple[Path, ...],
+    propose: Path | None,
+    effect_files: tuple[Path, ...],
     write_model: Path | None,
 ) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
@@ -73,18 +91,27 @@ def command(
     \b
     Examples:
       mbcacq diagnose latest --calibrate
+      mbcacq diagnose latest --propose my-effect
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
       mbcacq diagnose motion1 motion2 --simulation arm.xml --check motion3 --write-model found.xml
     """
     import mbcacq
+    from mbcacq.effects.catalogue import with_files
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    with StepProgress() as progress:
+    with StepProgress() as progress, with_files(effect_files):
         progress("reading the recording")
         found = mbcacq.diagnose(
-            data, progress=progress, workers=workers, options=options, check=check, place=place, simulation=simulation or None
+            data,
+            progress=progress,
+            workers=workers,
+            options=options,
+            check=check,
+            place=place,
+            simulation=simulation or None,
+            propose=propose is not None,
         )
         if write_model is not None:
             write_matched_model(found, write_model)
@@ -94,6 +121,7 @@ def command(
             if is_run_folder(data[0]) and not simulation:
                 found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
+        calibrated += [] if propose is None else proposed(found, propose)
     if out is not None:
         try:
             out.write_text(found.to_json() + "\n", encoding="utf-8")
@@ -105,6 +133,15 @@ def command(
     echo(found.text)
     for line in calibrated:
         echo(line)
+
+
+def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
+    """Write the draft of an effect where a formula was found, and say how it is used."""
+    if not found.proposals:
+        return ["", "No formula is proposed: there is no unmodelled effect that a short one predicts."]
+    files = found.write_effect(folder)
+    used = f"mbcacq diagnose DATA --effect-file {files[1]}"
+    return ["", f"A draft of the effect is in {folder}: pip install {folder} adds it to the catalogue, {used} tries it at once."]
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:

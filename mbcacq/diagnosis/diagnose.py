@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.outlier_readmission import readmit_outliers
@@ -31,12 +32,14 @@ def diagnose(
     progress: Progress = lambda text: None,
     workers: int = 1,
     options: CalibrationOptions | None = None,
+    formulas: bool = False,
 ) -> Diagnosis:
     """Locate the mismatch, explain it by effects, and validate these on data left out.
 
     recordings: one, or several of one arm, which share the arm and its effects and keep their own base, tool, stations and noise.
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
-    options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out.
+    options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out. formulas: whether
+    formulas are proposed for unmodelled effects.
     Raises CalibrationError where the data do not even determine the geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
@@ -45,7 +48,7 @@ def diagnose(
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
         with WorkerPool(1 if poses >= OPTIONS.many_poses else workers) as pool:
-            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()))
+            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas)
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
@@ -53,7 +56,12 @@ def diagnose(
 
 
 def _diagnose(
-    recordings: Observations | Sequence[Observations], folds: int | None, progress: Progress, pool: WorkerPool, options: CalibrationOptions
+    recordings: Observations | Sequence[Observations],
+    folds: int | None,
+    progress: Progress,
+    pool: WorkerPool,
+    options: CalibrationOptions,
+    formulas: bool,
 ) -> Diagnosis:
     progress("fitting the geometry")
     problem = readmit_outliers(prepare(recordings, options))
@@ -66,6 +74,8 @@ def _diagnose(
     validation = cross_validate(problem, full, folds or usual_folds(obs, full), pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = conclude(problem, full, validation)
+    if formulas:
+        result = replace(result, proposals=propose(problem, full, result.effects, progress))
     return replace(result, notes=(*result.notes, *notes))
 
 

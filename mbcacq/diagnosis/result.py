@@ -14,6 +14,7 @@ import numpy as np
 
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
 
 FORMAT_1, FORMAT = "mbcacq-diagnosis/1", "mbcacq-diagnosis/2"
@@ -155,12 +156,38 @@ class ExclusionLimit:
 
 
 @dataclass(frozen=True)
+class Proposal:
+    """A short formula for an unmodelled effect that was located.
+
+    where: its location; formula: what is displaced, by which functions, with the fitted coefficients. terms: of what it is a function,
+    whatever the phase, e.g. ``q4*q6``. log_bayes_factor: natural logarithm, against no effect there; odds: posterior probability
+    relative to the most probable formula. held_out_before_chi2_dof, held_out_chi2_dof, held_out_rms_mm: on data left out, without the
+    formula and with it; smooth_chi2_dof: with the smooth model in its place. found_in, parts: of how many repetitions of the search
+    without a part of the data it was among the reported. term: the formula as a term, from which a draft of an effect is written.
+    """
+
+    where: tuple[str, ...]
+    formula: str
+    terms: tuple[str, ...]
+    log_bayes_factor: float
+    odds: float
+    held_out_before_chi2_dof: float
+    held_out_chi2_dof: float
+    held_out_rms_mm: float
+    smooth_chi2_dof: float
+    found_in: int
+    parts: int
+    term: EffectTerm
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of ``diagnose``.
 
     verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
     effects that were not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of
-    all effects that were not found, those with the largest error first. between_recordings: of several recordings of one arm. model: the
+    all effects that were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals:
+    formulas for unmodelled effects, where they were asked for, the most probable of each location first. model: the
     effects as terms that a calibration takes; None where there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures
     are drawn; it is no part of the JSON object, so None after ``from_json``.
     """
@@ -175,13 +202,16 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     exclusion_limits: tuple[ExclusionLimit, ...] = ()
     between_recordings: tuple[BetweenRecordings, ...] = ()
+    proposals: tuple[Proposal, ...] = ()
     model: EffectModel | None = field(default=None, compare=False)
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
-        content = {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in ("plot_data", "model")}
-        return content | {"model": plain(self.model.to_dict()) if self.model else None}
+        apart = ("plot_data", "model", "proposals")
+        content = {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
+        proposals = [plain({**vars(p), "term": p.term.to_dict()}) for p in self.proposals]
+        return content | {"proposals": proposals, "model": plain(self.model.to_dict()) if self.model else None}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:
@@ -257,12 +287,19 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
             BetweenRecordings(**{**b, "where": tuple(b["where"]), "values": tuple(b["values"]), "stds": tuple(b["stds"])})
             for b in content.get("between_recordings", ())
         ),
+        proposals=tuple(_read_proposal(p) for p in content.get("proposals", ())),
         model=EffectModel.from_dict(content["model"]) if content.get("model") else None,
     )
 
 
 def _read_limit(e: Mapping[str, Any]) -> ExclusionLimit:
     return ExclusionLimit(e["name"], tuple(e["where"]), e["parameter"], e["value"], e["workspace_mm"], e["length_mm"])
+
+
+def _read_proposal(p: Mapping[str, Any]) -> Proposal:
+    numbers = {f.name: _number(p[f.name]) for f in fields(Proposal) if f.type == "float"}
+    whole = {key: tuple(p[key]) for key in ("where", "terms")}
+    return Proposal(**{**p, **numbers, **whole, "term": EffectTerm.from_dict(p["term"])})
 
 
 def _read_effect(e: Mapping[str, Any]) -> EffectFound:

@@ -32,11 +32,8 @@ UNITS = {ENCODER: "rad", TORQUE: "N m", JOINT_SIDE: "rad"}
 
 
 def mujoco_engine() -> Any:
-    """The package mujoco. Raises ConfigError where it is not installed."""
-    try:
-        return import_module("mujoco")
-    except ImportError:
-        raise ConfigError("a model file is simulated by MuJoCo, which is missing; pip install 'mbcacq[mjcf]'") from None
+    """The package mujoco, which is slow to load."""
+    return import_module("mujoco")
 
 
 @dataclass(frozen=True)

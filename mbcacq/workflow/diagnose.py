@@ -34,6 +34,7 @@ def diagnose(
     check: Sequence[Data] = (),
     place: str = "fitted",
     simulation: Data | Sequence[Data] | None = None,
+    propose: bool = False,
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
@@ -45,10 +46,13 @@ def diagnose(
     arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing. simulation: another
     simulator's set for the same poses or motion, one for each recording, or a model file that MuJoCo runs (MJCF, URDF): the mismatch is
     explained against that simulation, and what was found in a model file is written into it (``found.simulation.write("found.xml")``).
+    propose: search short formulas for unmodelled effects of one recording of poses (``found.proposals``, ``found.write_effect("folder")``).
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
     several = listed(data)
+    if propose and (len(several) > 1 or simulation is not None or is_trajectory(several[0])):
+        raise ConfigError("formulas are proposed for one recording of poses; leave --propose out, or give that recording alone")
     if simulation is not None:
         return diagnose_against(several, listed(simulation), Question(progress, workers, options, tuple(check), place))
     if check and all(is_trajectory(one) for one in several):
@@ -63,7 +67,7 @@ def diagnose(
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
     observations = as_observations(one)
-    found = diagnose_poses(observations, progress, workers, options)
+    found = diagnose_poses(observations, progress, workers, options, propose)
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
         others = [other for other in check if not isinstance(other, Trajectory)]

@@ -120,13 +120,17 @@ def diagnose_motion(trajectories: Sequence[Trajectory | Path | str]) -> Diagnosi
 
 
 def diagnose_poses(
-    observations: Observations, progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None = None
+    observations: Observations,
+    progress: Callable[[str], None],
+    workers: int | None,
+    options: CalibrationOptions | None = None,
+    formulas: bool = False,
 ) -> DiagnosisResult:
     """The diagnosis of poses at standstill. Raises CalibrationError."""
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
-    found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options)
+    found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options, formulas=formulas)
     return DiagnosisResult(with_fitted_model(found, observations, progress), observations=observations)
 
 

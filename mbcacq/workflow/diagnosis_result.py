@@ -10,7 +10,7 @@ from typing import Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound
+from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
@@ -55,6 +55,18 @@ class DiagnosisResult:
     def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
         """The effects found, the largest first: name, where, parameters (value and std by name), p_value, held_out_gain, alternatives."""
         return self.main.effects
+
+    @property
+    def proposals(self) -> Sequence[Proposal]:
+        """Formulas for unmodelled effects, where they were asked for, the most probable of each location first."""
+        return self.poses.proposals if self.poses is not None else ()
+
+    def write_effect(self, folder: Path | str) -> list[Path]:
+        """The most probable formulas as a package that adds them to the catalogue (``pip install FOLDER``). Raises ConfigError where none
+        was found, or the folder holds something already."""
+        from mbcacq.workflow.effect_draft import write_draft
+
+        return write_draft(self.proposals, Path(folder))
 
     @property
     def text(self) -> str:

@@ -78,6 +78,7 @@ def test_the_keys_stand_in_the_order_of_the_format():
         "notes",
         "exclusion_limits",
         "between_recordings",
+        "proposals",
         "model",
     ]
     assert list(content["effects"][0])[:7] == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]

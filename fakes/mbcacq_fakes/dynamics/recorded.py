@@ -49,10 +49,12 @@ def recorded(
     seconds: float = 12.0,
     speed_share: float = 0.5,
     noise: SignalNoise | None = None,
+    planned: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> RecordedMotion:
     """Robot: an mbcacq RobotModel (duck-typed). injected: ``{name, where?, strength?, ...}``; seed: the arm, motion: which motion of it.
 
-    speed_share: share of the joints' speed limits that is reached. Raises ConfigError for an unknown fault.
+    speed_share: share of the joints' speed limits that is reached. planned: times (T,) s and set points (T, n) rad to follow in place of a
+    motion drawn at random. Raises ConfigError for an unknown fault.
     """
     noise = noise or SignalNoise()
     rng = np.random.default_rng([seed, 17])
@@ -73,7 +75,11 @@ def recorded(
     ]
     described = (float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
     bodies = Bodies(robot.chain.sign, robot.chain.rows, mass, com, _together(described, drives.payload), robot.gravity)
-    time, command = fourier(robot, seconds, speed_share * speed, np.random.default_rng([seed, 18, motion]))
+    if planned is None:
+        time, command = fourier(robot, seconds, speed_share * speed, np.random.default_rng([seed, 18, motion]))
+    else:
+        time = np.arange(planned[0][0], planned[0][-1], CYCLE_S)
+        command = CubicSpline(*planned)
     fine = simulate(bodies, drives, time, command)
     noise_rng = np.random.default_rng([seed, 19, motion])
     at = {name: time - drives.clocks.get(name, 0.0) for name in ("q_joint", "tau", "q_set")}

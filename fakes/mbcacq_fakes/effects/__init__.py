@@ -36,7 +36,22 @@ CATALOGUED = (
     "payload",
     "exposure_latency",
 )
-UNCATALOGUED = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory")
+UNCATALOGUED = (
+    "axis_wobble",
+    "cable_at_mount",
+    "cable_drag",
+    "floor_heave",
+    "fringe_ripple",
+    "hose_twist",
+    "link_bending",
+    "loose_anchor",
+    "progressive_gear",
+    "short_memory",
+    "sinking_pedestal",
+    "tilting_camera",
+    "uneven_ring",
+    "warm_gearbox",
+)
 
 
 def make(name: str, strength: float = 1.0, seed: int | None = None, **options: Any) -> InjectedEffect:

@@ -180,7 +180,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSepar
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (
         f"{names} go together over the angles recorded (deg: {ranges or 'all wide'}): record a motion over as much of these ranges as the "
-        "cell allows, and the same motion once with a known weight on the flange"
+        "cell allows (mbcacq plan design PLAN --motion RECORDING makes one), and the same motion once with a known weight on the flange"
     )
     return [MotionAdvice(reason)]
 

@@ -77,11 +77,11 @@ def resemblance(model: MotionModel, effect: SelectedEffect, spread: np.ndarray) 
     if model.group.base[0].shape[2]:
         n = model.runs[0].q.shape[1]
         others["arm"] = [position[int(i)] for i in model.store.base[len(model.group.joints) : -n]]
-    strongest = {name: _canonical(spread, own, at) for name, at in others.items()}
+    strongest = {name: canonical_correlation(spread, own, at) for name, at in others.items()}
     return max(strongest.items(), key=lambda pair: pair[1]) if strongest else ("", 0.0)
 
 
-def _canonical(spread: np.ndarray, own: list[int], other: list[int]) -> float:
+def canonical_correlation(spread: np.ndarray, own: list[int], other: list[int]) -> float:
     """Largest canonical correlation between two sets of coefficients with covariance ``spread``."""
     one, two = (_whitener(spread[np.ix_(at, at)]) for at in (own, other))
     return float(np.clip(np.linalg.svd(one @ spread[np.ix_(own, other)] @ two.T, compute_uv=False)[0], 0.0, 1.0))

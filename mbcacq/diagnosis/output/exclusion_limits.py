@@ -1,12 +1,16 @@
 """Exclusion limits: the largest size of every effect at every location that a recording does not exclude, with 95 % confidence.
 
 A coefficient c is estimated as c^ with standard deviation s, the found effects and the geometry fitted with it. |c| is below |c^| + 1.645 s
-in 95 % of recordings, whatever it is; an effect of known sign is at least zero. Where an effect has a hyper-parameter, its
-limit is the median over the preferred values, or over those of the search: a change just where the station changes can always hide.
+in 95 % of recordings, whatever it is. An effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise
+never excludes what the recording could not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166).
+Of several coefficients the largest limit, in typical sizes, is that of the effect. Of the values of a hyper-parameter it is the one where
+the effect is determined as at the median under the noise as stated: a change just where the station changes can always hide, and a choice
+by the recording would hide an effect at one value among all others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +21,10 @@ from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.variance_components import first_noise
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
+LOWEST = -1.0  # estimate of an effect of known sign, in standard deviations, below which it counts as that
 MOST_VALUES = 12  # of a hyper-parameter that are tried
 ABSORBED = 1e-10  # share of an effect's information below which the geometry absorbs it: it has no limit
 HARMLESS_MM = 1e-6  # error of a length by an effect of typical size
@@ -38,14 +44,12 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
     """Of every candidate that was not found, those with the largest error in the workspace first."""
     found = {(c.name, c.where) for c, _ in full.model.effects}
     there = elsewhere(setup.context)
-    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
-    for c in setup.candidates:  # of several variants, those of fewest coefficients
-        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
+    stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
     out = []
-    for candidate in setup.candidates:
-        if (candidate.name, candidate.where) in found or candidate.k > fewest[candidate.name, candidate.where]:
+    for candidate in of_fewest_coefficients(setup.candidates):
+        if (candidate.name, candidate.where) in found:
             continue
-        limit = coefficient_limit(full.conditioned, candidate)
+        limit = coefficient_limit(full.conditioned, candidate, stated)
         if not np.all(np.isfinite(limit.coefficients)) and harmless(there, candidate, limit.hyper):
             continue
         name, value = parameter_of(candidate, limit)
@@ -54,28 +58,50 @@ def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[Exclusion
     return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
 
 
-def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate) -> CoefficientLimit:
-    """The largest coefficient, relative to its typical size, that is not excluded, at the median over the hyper-parameter."""
-    limits = [limit_at(conditioned, candidate, hyper) for hyper in tried_values(candidate)]
-    limits.sort(key=lambda one: float((one.coefficients / candidate.typical).max()))
-    return limits[len(limits) // 2]
+def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Of several variants of an effect at a location, those of fewest coefficients."""
+    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
+    for c in candidates:
+        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
+    return [c for c in candidates if c.k == fewest[c.name, c.where]]
 
 
-def limit_at(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> CoefficientLimit:
-    """The same at one value of the hyper-parameter."""
+def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, stated: CandidateScoring | None = None) -> CoefficientLimit:
+    """The largest coefficient that is not excluded, in typical sizes. stated: the problem under the noise as stated, by which the value of
+    the hyper-parameter is chosen.
+    """
+    hyper = representative_value(stated or conditioned, candidate)
+    estimate, std = estimated(conditioned, candidate, hyper)
+    limits = upper_limits(estimate, std, candidate.positive)
+    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
+    return CoefficientLimit(hyper, np.where(worst, limits, 0.0) if np.all(np.isfinite(std)) else limits)
+
+
+def upper_limits(estimate: np.ndarray, std: np.ndarray, positive: bool) -> np.ndarray:
+    """(k,) what the size of each coefficient does not exceed in 95 % of recordings."""
+    return (np.maximum(estimate, LOWEST * std) if positive else np.abs(estimate)) + QUANTILE * std
+
+
+def representative_value(projected: CandidateScoring, candidate: Candidate) -> float | None:
+    """The value of the hyper-parameter at which the effect is determined as at the median of those that are tried."""
+    if candidate.hyper is None:
+        return None
+    values = tried_values(candidate)
+    values.sort(key=lambda hyper: float((estimated(projected, candidate, hyper)[1] / candidate.typical).max()))
+    return values[len(values) // 2]
+
+
+def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (k,) and their standard deviations, with everything else in place; inf where the geometry absorbs one of them."""
     X, S, b = conditioned.candidate_products(candidate, hyper)
     absorbed = conditioned.conditioned.T @ X
     S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
     size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
     scaled = S / np.outer(size, size)
     if np.linalg.eigvalsh(scaled)[0] < ABSORBED:
-        return CoefficientLimit(hyper, np.full(candidate.k, np.inf))
+        return np.zeros(candidate.k), np.full(candidate.k, np.inf)
     covariance = np.linalg.inv(scaled) / np.outer(size, size)
-    estimate = covariance @ b
-    middle = np.maximum(estimate, 0.0) if candidate.positive else np.abs(estimate)
-    limits = middle + QUANTILE * np.sqrt(np.diag(covariance))
-    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
-    return CoefficientLimit(hyper, np.where(worst, limits, 0.0))
+    return covariance @ b, np.sqrt(np.diag(covariance))
 
 
 def tried_values(candidate: Candidate) -> list[float | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable
+from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable, Proposal
 from mbcacq.effects.effect import in_digits
 
 VERDICTS = {
@@ -39,6 +39,7 @@ def words(d: Diagnosis) -> str:
         f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; "
         f"expected from noise alone: {d.fit.repeatability_floor_mm:.4f} mm."
     )
+    lines += proposal_lines(d.proposals)
     lines += [hidden(limit) for limit in d.exclusion_limits[:MOST_LIMITS]]
     lines += [difference(one) for one in d.between_recordings]
     lines += [f"Cannot be told apart: {' and '.join(pair.effects)} ({odds_of(pair)})" for pair in d.not_separable]
@@ -55,6 +56,20 @@ def difference(b: BetweenRecordings) -> str:
         return f"{said}, no difference between them (p = {b.p_value:.2g})"
     causes = "another tool or another stated mass, the temperature, wear"
     return f"{said}, standard deviation between recordings {in_digits(b.between_std)} (p = {b.p_value:.1g}): {causes} could be behind it"
+
+
+def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
+    """Each formula with its evidence."""
+    out = []
+    for p in proposals:
+        smooth = "" if p.smooth_chi2_dof == p.held_out_before_chi2_dof else f" (a smooth model: {p.smooth_chi2_dof:.2f})"
+        out.append(f"Proposed at {', '.join(p.where)}: {p.formula}")
+        out.append(
+            f"  log Bayes factor {p.log_bayes_factor:.1f}, odds {'1 : 1' if p.odds == 1.0 else f'1 : {1 / max(p.odds, 1e-9):.3g}'}; "
+            f"held-out chi2/dof {p.held_out_before_chi2_dof:.2f} -> {p.held_out_chi2_dof:.2f}{smooth}; "
+            f"found again in {p.found_in} of {p.parts} searches without a part of the data"
+        )
+    return out
 
 
 def hidden(limit: ExclusionLimit) -> str:

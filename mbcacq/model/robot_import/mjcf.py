@@ -14,11 +14,8 @@ from mbcacq.model.robot_import.source import ArmSource
 
 
 def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
-    """Raises ConfigError where MuJoCo is missing or refuses the file, or no serial arm of hinges leads to the flange."""
-    try:
-        mujoco: Any = import_module("mujoco")
-    except ImportError:
-        raise ConfigError(f"{path}: reading MJCF needs MuJoCo; pip install 'mbcacq[mjcf]', or import a URDF") from None
+    """Raises ConfigError where MuJoCo refuses the file, or no serial arm of hinges leads to the flange."""
+    mujoco: Any = import_module("mujoco")
     try:
         model: Any = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:

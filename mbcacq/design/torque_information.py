@@ -1,0 +1,153 @@
+"""What recordings of torque, and motions that were not made yet, tell about the parameters that the diagnosis of motion fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.motion.candidate_pool import all_candidates
+from mbcacq.diagnosis.motion.channel_groups import channel_groups
+from mbcacq.diagnosis.motion.determination import canonical_correlation
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect, Variant
+from mbcacq.diagnosis.motion.options import DEFAULTS
+from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare
+from mbcacq.diagnosis.motion.torque_constants import with_torque
+from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.motion.gravity_compensator import NAME as BALANCER
+from mbcacq.effects.motion.payload import NAME as PAYLOAD
+from mbcacq.errors import ConfigError
+from mbcacq.geometry.dynamics import regressor
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.trajectory import Trajectory
+
+NAMES = {
+    BALANCER: (("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0)),
+    PAYLOAD: (("added_mass_kg", 1.0), ("added_moment_x_kg_mm", 1e3), ("added_moment_y_kg_mm", 1e3), ("added_moment_z_kg_mm", 1e3)),
+}
+FORM = {BALANCER: "balancing", PAYLOAD: ""}
+
+
+@dataclass(frozen=True)
+class PlacedCandidate:
+    """An effect that every arm may have, at one value of its hyper-parameter, with the positions of its coefficients."""
+
+    candidate: MotionCandidate
+    hyper: float | None
+    at: np.ndarray
+
+
+@dataclass(frozen=True)
+class TorqueInformation:
+    """Normal equations of everything that is fitted to the torque: offsets, inertial parameters of the links, rotors, friction, a load on
+    the flange, a balancer.
+
+    normal (P, P): of the recordings, with the priors. weights (J,): of a sample at each joint; step_s: between two of them. named:
+    positions of the parameters that are to be told apart, names: with their unit; scale (P,): from coefficients to these units. arm:
+    positions of the links' inertial parameters.
+    """
+
+    robot: RobotModel
+    group: ChannelGroup
+    normal: np.ndarray
+    weights: np.ndarray
+    step_s: float
+    placed: tuple[PlacedCandidate, ...]
+    named: np.ndarray
+    names: tuple[str, ...]
+    scale: np.ndarray
+    arm: np.ndarray
+
+    @classmethod
+    def of(cls, recordings: Sequence[Trajectory]) -> TorqueInformation:
+        """Raises ConfigError for recordings without torque."""
+        prepared = [prepare(t, DEFAULTS) for t in with_torque(list(recordings), DEFAULTS)]
+        runs, robot = tuple(run for run, _ in prepared), recordings[0].robot
+        groups = [g for g in channel_groups(runs, [i for _, i in prepared], robot, DEFAULTS) if g.name == "tau"]
+        if not groups:
+            raise ConfigError("the recordings have no torque (tau*_Nm, motor_tau*_Nm or i*_A); record it, or give others to --motion")
+        group = groups[0]
+        model = MotionModel(group, runs)
+        nothing = np.zeros(len(group.joints))
+        for candidate in all_candidates(group, runs):
+            if candidate.usual and not candidate.extends:
+                hyper = None if candidate.hyper is None else float(candidate.hyper[len(candidate.hyper) // 2])
+                model.selected.append(SelectedEffect(Variant(candidate, hyper, model.add(candidate, hyper)), 0.0, nothing, nothing))
+        chosen = model.chosen()
+        weights = model.weights(chosen)
+        normal = model.store.normal(weights)[np.ix_(chosen, chosen)] + np.diag(1.0 / np.array(model.store.prior)[chosen] ** 2)
+        position = {int(c): i for i, c in enumerate(chosen)}
+        placed = tuple(
+            PlacedCandidate(e.candidate, e.variant.hyper, np.array([position[int(i)] for i in e.variant.ids])) for e in model.selected
+        )
+        named, names, scale = _named(placed, len(chosen))
+        arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
+        return cls(robot, group, normal, weights, runs[0].step_s, placed, named, names, scale, arm)
+
+    def of_motion(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> np.ndarray:
+        """(P, P): what recording a motion adds, of which the angles (T, n) and their rates are given every so many s."""
+        run, inertial = self._signals(q, qd, qdd, step_s)
+        (group,) = [g for g in channel_groups((run,), [inertial], self.robot, DEFAULTS) if g.name == "tau"]
+        count, J = len(self.normal), len(self.group.joints)
+        out = np.zeros((count, count))
+        for j, joint in enumerate(self.group.joints):
+            here = group.index(joint)
+            X = np.zeros((len(q), count))
+            X[:, j] = 1.0
+            X[:, J : J + group.base[0].shape[2]] = group.base[0][:, here]
+            for one in self.placed:
+                if joint in one.candidate.joints:
+                    X[:, one.at] = one.candidate.columns(run, joint, one.hyper)
+            X = X[group.use[0][:, here]]
+            out += self.weights[j] * step_s / self.step_s * (X.T @ X)
+        return out
+
+    def _signals(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> tuple[MotionSignals, np.ndarray]:
+        robot, still = self.robot, np.zeros_like(q)
+        inertial = regressor(robot.chain, q, qd, qdd, robot.gravity)
+        run = MotionSignals(
+            step_s,
+            q,
+            qd,
+            qdd,
+            direction_of_rotation(q, step_s, DEFAULTS),
+            q,
+            torque=still,
+            rigid=still,
+            gravity=still,
+            payload=inertial[:, :, -1],
+            robot=robot,
+        )
+        return run, inertial
+
+    def covariance(self, more: np.ndarray | None = None) -> np.ndarray:
+        """(P, P) expected, in the units of the names, after these recordings and a further motion."""
+        A = self.normal if more is None else self.normal + more
+        size = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+        inverse = np.linalg.inv(A * np.outer(size, size) + 1e-12 * np.eye(len(A))) * np.outer(size, size)
+        return inverse * np.outer(self.scale, self.scale)
+
+    def log_volume(self, more: np.ndarray) -> float:
+        """Log determinant of the covariance of the named parameters after a further motion."""
+        named = self.covariance(more)[np.ix_(self.named, self.named)]
+        return float(np.linalg.slogdet(named)[1])
+
+    def correlations(self, covariance: np.ndarray) -> dict[str, float]:
+        """Largest canonical correlation of balancer and load with each other and with the inertial parameters of the links."""
+        at = {one.candidate.name: [int(i) for i in one.at if i in self.named] for one in self.placed}
+        at = {name: own for name, own in at.items() if own} | {"arm": [int(i) for i in self.arm]}
+        pairs = [(a, b) for a, b in ((BALANCER, PAYLOAD), (BALANCER, "arm"), (PAYLOAD, "arm")) if a in at and b in at and at[b]]
+        return {f"{a} and {b}": canonical_correlation(covariance, at[a], at[b]) for a, b in pairs}
+
+
+def _named(placed: Sequence[PlacedCandidate], count: int) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
+    """Positions, names and scale (P,) of the parameters of a balancer and of a load."""
+    named, names, scale = [], [], np.ones(count)
+    for one in placed:
+        if one.candidate.form == FORM.get(one.candidate.name):
+            for position, (name, factor) in zip(one.at, NAMES[one.candidate.name], strict=False):
+                named.append(int(position))
+                names.append(name)
+                scale[position] = factor
+    return np.array(named, dtype=int), tuple(names), scale

@@ -1,0 +1,155 @@
+"""Formulas for unmodelled effects: a concealed one is recovered, its draft is an effect of the catalogue, noise gives none."""
+
+import tomllib
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.formulas.propose import located, propose
+from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
+from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.verdict import verdict_of
+from mbcacq.effects import catalogue
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.forward_model import Displacements
+from mbcacq.estimation.variance_components import pack
+from mbcacq.workflow.effect_draft import write_draft
+
+PULL = 1.2e-4
+
+
+def pull_by_another_angle(s):
+    """Joint 1 is pulled aside by the sine of twice the third angle."""
+    joint = np.zeros(s.obs.q.shape)
+    joint[:, 0] = PULL * np.sin(2 * s.obs.q[:, 2])
+    return Displacements(joint=joint)
+
+
+def hose_between_two_angles(s):
+    """Joint 5 is pulled aside by the product of two sines."""
+    joint = np.zeros(s.obs.q.shape)
+    joint[:, 4] = PULL * np.sin(s.obs.q[:, 3]) * np.sin(s.obs.q[:, 1])
+    return Displacements(joint=joint)
+
+
+def found_at(where, on):
+    return EffectFound(UNMODELLED, (where,), {}, 0.0, 1.0, depends_on=on)
+
+
+def spaces_at(problem, places):
+    return [FormulaSpace.of(problem.context, location, on) for location, on in located(problem.context, places)]
+
+
+def plain_noise(problem):
+    return NoisePoint(problem.linear, problem.prior_noise, pack(problem.noise))
+
+
+@pytest.fixture(scope="module")
+def recording(plan):
+    return simulated.observe(plan, 31, [pull_by_another_angle])
+
+
+@pytest.fixture(scope="module")
+def proposals(recording):
+    problem = model_fit.prepare(recording)
+    full = model_fit.fit_model(problem)
+    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells])
+
+
+def test_the_concealed_formula_is_the_most_probable(proposals):
+    best = proposals[0]
+
+    assert (best.where, best.terms) == (("A1",), ("2q3",))
+    assert best.term.names == ("A1.sin_2q3_rad",)
+    assert abs(best.term.coefficients[0] - PULL) < 4 * best.term.std[0]
+    assert best.found_in == best.parts
+    assert best.held_out_chi2_dof < 1.2 < best.held_out_before_chi2_dof
+
+
+def test_a_product_of_two_angles_is_found(plan):
+    problem = model_fit.prepare(simulated.observe(plan, 33, [hose_between_two_angles]))
+
+    search = FormulaSearch(plain_noise(problem), (), spaces_at(problem, [found_at("link4", "q4")]))
+    best = search.run(most_terms=1)[0]
+
+    assert [p.label for p in best.placed] == ["A5(0,):q2*q4[sin(q2) sin(q4)]"]
+    assert abs(coefficients(best.hypothesis).mean[0] - PULL) < 4 * np.sqrt(coefficients(best.hypothesis).covariance[0, 0])
+
+
+def test_the_draft_is_found_by_its_name_and_explains_the_recording(proposals, recording, tmp_path):
+    _, module = write_draft(proposals[:1], tmp_path / "draft")
+
+    with catalogue.with_files([module]):
+        found = model_fit.fit_model(model_fit.prepare(recording))
+
+    assert [(c.name, c.where) for c, _ in found.model.effects] == [("a1_by_q3", ("A1",))]
+    assert verdict_of(found) == "explained"
+    (value,), ((variance,),) = found.model.coefficients, found.model.covariance
+    assert abs(value - PULL) < 4 * np.sqrt(variance)
+    assert "a1_by_q3" not in catalogue.effects()
+
+
+def test_the_package_of_a_draft_names_its_entry_point(proposals, tmp_path, monkeypatch):
+    project, module = write_draft(proposals[:1], tmp_path / "draft")
+    stated = tomllib.loads(project.read_text())
+    points = stated["project"]["entry-points"]["mbcacq.effects"]
+    info = project.parent / "draft-0.1.dist-info"  # as pip leaves it beside the module
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: draft\nVersion: 0.1\n")
+    lines = [f"{name} = {target}" for name, target in points.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[mbcacq.effects]", *lines, ""]))
+    monkeypatch.syspath_prepend(str(project.parent))
+
+    assert stated["tool"]["setuptools"]["py-modules"] == [module.stem]
+    assert list(points.values()) == [module.stem]
+    assert set(points) <= set(catalogue.effects())
+
+
+def test_noise_gives_no_formula(plan):
+    problem = model_fit.prepare(simulated.observe(plan, 32))
+    spaces = spaces_at(problem, [found_at("A2", "q2"), found_at("mount", "q6"), found_at("scanner", "x")])
+
+    best = FormulaSearch(plain_noise(problem), (), spaces).run(most_terms=1)[0]
+
+    assert [s.location.name for s in spaces] == ["A2", "mount", "A6", "scanner"]
+    assert best.log_posterior < 0.0
+
+
+def test_proposals_survive_json(proposals):
+    import dataclasses
+
+    from test_result import FOUND
+
+    content = dataclasses.replace(FOUND, proposals=proposals).to_json()
+    again = Diagnosis.from_json(content)
+
+    assert [p.formula for p in again.proposals] == [p.formula for p in proposals]
+    assert again.to_json() == content
+
+
+def test_a_draft_replaces_nothing(proposals, tmp_path):
+    (tmp_path / "mine.py").write_text("x = 1\n")
+
+    with pytest.raises(ConfigError, match="not empty"):
+        write_draft(proposals, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("NAME = 'a'", "needs NAME and candidates"),
+        ("import no_such_module", "no_such_module"),
+        ("NAME = 'backlash'\ndef candidates(context):\n    return []", "called backlash, as another one is"),
+    ],
+)
+def test_a_file_that_is_no_effect_is_refused_in_a_sentence(text, words, tmp_path):
+    file = tmp_path / "effect.py"
+    file.write_text(text)
+
+    with pytest.raises(ConfigError, match=words), catalogue.with_files([file]):
+        pass
