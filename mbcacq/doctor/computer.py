@@ -18,7 +18,7 @@ LIBRARIES = {  # distribution: module; None: only its presence is asked for
     "scipy": "scipy",
     "pydantic": "pydantic",
     "rerun-sdk": "rerun",
-    "python-fcl": "fcl",
+    "mujoco": "mujoco",
     "ruckig": "ruckig",
     "pymodbus": "pymodbus",
     "pyserial": "serial",

@@ -86,11 +86,18 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
             "give that of a real arm, or --simulated-anyway"
         )
     refuse_existing(folder / "result.json", force, f"{folder} already holds an export; give another folder, or --force to replace it")
-    if isinstance(source, Path | str) and Path(source).is_dir():
+    if isinstance(source, Path | str) and _holds_observations(Path(source)):
         measured = load_observations(source)
     marks = {"simulated": True} if result.get("simulated") else {}
     for path in write_folder(contents(result, targets, measured), folder):
         yield {"file": str(path)} | marks
+
+
+def _holds_observations(path: Path) -> bool:
+    """Whether a folder is a run or an observation set; one of a result alone has no residuals to write."""
+    from mbcacq.recording.rrd import layout
+
+    return path.is_dir() and (bool(layout.parts(path)) or (path / "cell.yaml").exists())
 
 
 def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, Any]]:

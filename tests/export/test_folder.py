@@ -1,6 +1,7 @@
 """All formats of one result, through the command line's options."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,3 +108,11 @@ def test_an_earlier_export_is_replaced_only_with_force(result_file, tmp_path):
     assert (out / "tool_data.txt").read_bytes() == before
     run(result_file, "--results", out, "--tool", 8, "--force")
     assert (out / "tool_data.txt").read_bytes() != before
+
+
+def test_a_folder_with_a_result_alone_is_exported_without_residuals(result_file, tmp_path):
+    from mbcacq import export
+
+    written = [Path(one["file"]).name for one in export(result_file.parent, results=tmp_path / "out")]
+    assert "arm.mjcf.xml" in written
+    assert "residuals.csv" not in written

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from conftest import install
+from installed_package import install
 
 from mbcacq.conformance import CHECKS, check
 from mbcacq.devices import ConfigError, ConnectError, MotionLimits, SafetyStop

@@ -93,3 +93,15 @@ def test_a_sentence_is_split_into_what_and_what_to_do(sentence, text, cure):
 def test_no_colour_codes_where_none_are_wanted(monkeypatch):
     monkeypatch.setitem(os.environ, "NO_COLOR", "1")
     assert "\x1b" not in mbcacq("doctor").stdout
+
+
+def test_the_libraries_that_it_looks_for_are_those_that_are_installed_with_it():
+    import re
+    import tomllib
+    from pathlib import Path
+
+    from mbcacq.doctor.computer import LIBRARIES
+
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    installed = {re.split(r"[<>=;\[ ]", dependency)[0] for dependency in project["dependencies"]}
+    assert set(LIBRARIES) <= installed
