@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas import dictionary
-from mbcacq.diagnosis.formulas.dictionary import Term
+from mbcacq.diagnosis.formulas.dictionary import FormulaTerm
 from mbcacq.diagnosis.formulas.formula import PlacedTerm, candidate
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
@@ -33,7 +33,7 @@ class FormulaSpace:
     context: Context
     location: Location
     per_pose: bool
-    terms: list[Term]
+    terms: list[FormulaTerm]
     placed: list[PlacedTerm]
     log_priors: np.ndarray
     blocks: GivenBlocks
@@ -59,7 +59,7 @@ class FormulaSpace:
         return cls(context, location, per_pose, kept, placed, np.array(logs), GivenBlocks([group], [planned(group)], {}))
 
 
-def table(context: Context, terms: Sequence[Term], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[Term]]:
+def table(context: Context, terms: Sequence[FormulaTerm], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[FormulaTerm]]:
     """(rows, f) all columns, each of unit size; which of them are each term's; the terms of which none is constant."""
     rows = context.obs.n_poses if per_pose else context.obs.n_centres
     known: dict[str, np.ndarray] = {}
