@@ -172,7 +172,8 @@ def main() -> None:
         broken = [row for row in rows if row["status"] != "evaluated"]
         found = outliers(arm_types(rows))
         by_arm = sorted({(o.arm, o.name) for o in found if o.recording})
-        odd = sorted({(o.arm, o.name) for o in found if o.recording is None})
+        odd = sorted({(o.arm, o.name) for o in found if o.recording is None and not o.drift})
+        moving = sorted((o.arm, o.name, o.value) for o in found if o.drift)
         outside = len({o.recording for o in found if o.recording and o.arm not in (f"arm-{DRIFTING + 1:02d}", f"arm-{CRASHED + 1:02d}")})
         processor = float(np.mean([row["processor_s"] for row in rows]))
         mean = cells.random_errors(cells.kr10(), np.random.default_rng(7))
@@ -181,6 +182,7 @@ def main() -> None:
         table = study(priors, mean, options.study_arms)
     reasons = "; ".join((row["reason"] or "").replace(f"{recordings}/", "") for row in broken)
     named, unlike = (", ".join(f"{arm} {name}" for arm, name in each) or "none" for each in (by_arm, odd))
+    drifting = ", ".join(f"{arm} {name} ({1e3 * change:+.2f} mrad or um)" for arm, name, change in moving) or "none"
     size = f" --arms {options.arms} --days {options.days} --study-arms {options.study_arms}"
     page = f"""# Fleet
 
@@ -200,7 +202,7 @@ Without a result: {len(broken)} recording, the one that was cut in the middle of
 
 Concealed: arm-{DRIFTING + 1:02d} drifts by 0.6 mrad in theta_2, theta_3 of arm-{CRASHED + 1:02d} is 0.5 mrad off after 0.6 of the days,
 link 2 of arm-{ODD + 1:02d} is 2 mm too long. Outside their control limits: {named}.
-Unlike the other arms: {unlike}.
+Unlike the other arms: {unlike}. Drifting from their first recording to their last: {drifting}.
 False alarms: {outside} of {total} recordings (about {total * 0.0027:.1f} are expected).
 
 ## What a prior saves

@@ -1,33 +1,45 @@
-"""How fast a Gocator's 2-megapixel surface becomes points in mm, against a plain copy of the same bytes.
+"""How fast a Gocator's 2-megapixel surface becomes points in mm, against a loop in C that does the same in one pass.
 
-Usage: python benchmarks/gocator_decode.py [repetitions] [--before FILE]. Prints a table and writes benchmarks/gocator_decode.md.
-FILE is another version of mbcacq_gocator/points.py to compare with. The repetitions of the copy and of the versions take turns, so that
-whatever else the computer does concerns all of them. The copy goes into memory that is already mapped, which is the hardest comparison;
-the decoder makes new arrays.
+Usage: python benchmarks/gocator_decode.py [repetitions] [--before FILE] [--write]. Prints two tables; --write puts them into
+benchmarks/gocator_decode.md. FILE is another version of mbcacq_gocator/points.py to compare with. Needs gcc.
+
+The C loop (gocator_decode.c) makes the same arrays (points, pixel, intensity) into new memory, as the driver does, and into memory that is
+kept. The second table is the whole way of a frame: a process replays a recorded data set over the loopback, the receiving side decodes it.
+All repetitions take turns, so that whatever else the computer does concerns all of them.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import importlib.util
+import multiprocessing
 import platform
+import socket
 import statistics
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from mbcacq_fakes.protocols.gocator import FakeGocator, encode
-from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, uniform_grid
+from mbcacq_fakes.protocols.gocator import encode
 from mbcacq_fakes.world.frame import ScannerFrame
-from mbcacq_gocator import points
-from mbcacq_gocator.decode import decode
-from mbcacq_gocator.driver import Gocator
+from mbcacq_gocator import conversion, points
+from mbcacq_gocator.dataset import read_set
+from mbcacq_gocator.decode import ArrayMessage, decode
+from mbcacq_gocator.layouts import SURFACE_POINTS
+from mbcacq_gocator.selection import scan_intensity, scan_surface
+from mbcacq_gocator.wire import MessageReader
 
 SHAPE = (1250, 1650)
+RECEIVE_BUFFER = 4 * 2**20
 
 
 def frame(missing: float) -> ScannerFrame:
@@ -43,52 +55,182 @@ def frame(missing: float) -> ScannerFrame:
     return ScannerFrame(xyz, (x + y).astype(np.uint32).astype(np.uint8))
 
 
+@dataclass(frozen=True)
+class Case:
+    """One kind of data set. messages: as sent, stamp first, surface second, intensity third if there is one."""
+
+    name: str
+    messages: list[bytearray]
+
+    @property
+    def surface(self) -> ArrayMessage:
+        message = decode(self.messages[1])[0]
+        assert isinstance(message, ArrayMessage)
+        return message
+
+    @property
+    def grey(self) -> ArrayMessage | None:
+        message = decode(self.messages[2])[0]
+        return message if isinstance(message, ArrayMessage) else None
+
+
+def cases() -> list[Case]:
+    found = []
+    for missing in (0.0, 0.3):
+        seen = frame(missing)
+        for uniform in (False, True):
+            for intensity in (False, True):
+                header = encode.DataSetHeader(1000.0, 1, 1, 1, uniform=uniform, intensity=intensity)
+                name = ("uniform surface" if uniform else "point cloud") + (", intensity" if intensity else "")
+                found.append(Case(f"{name}, {missing:.0%} invalid", encode.data_set(seen, header)))
+    return found
+
+
+def compiled(folder: Path) -> ctypes.CDLL:
+    library = folder / "gocator_decode.so"
+    source = Path(__file__).with_suffix(".c")
+    subprocess.run(["gcc", "-O3", "-march=native", "-shared", "-fPIC", "-o", library, source, "-lm"], check=True)
+    found = ctypes.CDLL(str(library))
+    found.into_kept.restype = found.into_new.restype = ctypes.c_size_t
+    found.received.restype = ctypes.c_long
+    return found
+
+
+class InC:
+    """The loop in C on one case."""
+
+    def __init__(self, library: ctypes.CDLL, case: Case) -> None:
+        self._library, self._surface, self._grey = library, case.surface, case.grey
+        rows, columns = self._surface.array.shape[:2]
+        cloud = self._surface.type == SURFACE_POINTS
+        attributes = self._surface.attributes
+        self._scale = np.array([attributes[f"{axis}_resolution"] / 1e6 for axis in "xyz"], np.float32)
+        self._offset = np.array([attributes[f"{axis}_offset"] / 1e3 for axis in "xyz"], np.float32)
+        size = (rows * columns, 0) if cloud else (rows, columns)
+        self._grid = (*(ctypes.c_size_t(n) for n in size), *map(address, (self._scale, self._offset)))
+        self._input = (address(self._surface.array), None if self._grey is None else address(self._grey.array), *self._grid)
+        # Written once, so that every page is there.
+        self.points = np.ones((rows * columns, 3), np.float32)
+        self.pixel, self.intensity = np.ones(rows * columns, np.int32), np.ones(rows * columns, np.uint8)
+        self._buffer = np.ones(64 * 2**20, np.uint8)
+
+    def into_new(self) -> int:
+        return self._library.into_new(*self._input)
+
+    def into_kept(self) -> int:
+        return self._library.into_kept(*self._input, *map(address, (self.points, self.pixel, self.intensity)))
+
+    def with_nan(self) -> None:
+        self._library.with_nan(*self._input, address(self.points))
+
+    def received(self, sock: socket.socket) -> int:
+        return self._library.received(sock.fileno(), address(self._buffer), ctypes.c_size_t(self._buffer.size), *self._grid)
+
+
+def address(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def ours(version: ModuleType, case: Case) -> object:
+    surface, grey = case.surface, case.grey
+    found = version.surface_points(surface)
+    return found if grey is None else (found, version.intensity_of(grey, found))
+
+
+def agree(case: Case, in_c: InC) -> None:
+    """Both make the same of it."""
+    count, found = in_c.into_kept(), points.surface_points(case.surface)
+    np.testing.assert_array_equal(found.pixel, in_c.pixel[:count])
+    np.testing.assert_allclose(found.points, in_c.points[:count], rtol=0, atol=6e-5)  # float32 at 0.3 m
+    if case.grey is not None:
+        np.testing.assert_array_equal(points.intensity_of(case.grey, found), in_c.intensity[:count])
+
+
 def medians(actions: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
-    """Median processor time of this thread in s for one call of each action; they take turns."""
+    """Median processor time of this thread in ms for one call of each action; they take turns."""
     times: list[list[float]] = [[] for _ in actions]
     for _ in range(repetitions):
         for own, action in zip(times, actions, strict=True):
             start = time.thread_time()
             action()
             own.append(time.thread_time() - start)
-    return [statistics.median(own) for own in times]
+    return [1e3 * statistics.median(own) for own in times]
 
 
-def cases(points: ModuleType) -> dict[str, tuple[int, Callable[[], object]]]:
-    """By name: bytes of the messages, and what decodes them by ``points``."""
-    found = {}
-    for missing in (0.0, 0.3):
-        seen = frame(missing)
-        scaling = Scaling.over(*extent(seen.xyz))
-        cloud = encode.surface_points(seen.xyz, scaling, 0)
-        raw, raised_grey, grid = uniform_grid(seen.xyz, seen.intensity)
-        height = encode.uniform_surface(raw, grid, 0)
-        assert seen.intensity is not None
-        assert raised_grey is not None
-        greys = encode.surface_intensity(seen.intensity, scaling, 0), encode.surface_intensity(raised_grey, grid, 0)
-
-        def surface(message: bytearray) -> object:
-            return points.surface_points(decode(message)[0])
-
-        def with_intensity(message: bytearray, grey: bytearray) -> object:
-            return points.intensity_of(decode(grey)[0], points.surface_points(decode(message)[0]))
-
-        share = f"{missing:.0%} invalid"
-        for name, message, grey in (("surface point cloud", cloud, greys[0]), ("uniform surface", height, greys[1])):
-            found[f"{name}, {share}"] = len(message), partial(surface, message)
-            found[f"{name} and intensity, {share}"] = len(message) + len(grey), partial(with_intensity, message, grey)
-    return found
+def with_numpy(case: Case) -> object:
+    """As where no compiler was at the installation."""
+    compiled_loop, conversion.compiled = conversion.compiled, lambda: None
+    try:
+        return ours(points, case)
+    finally:
+        conversion.compiled = compiled_loop
 
 
-def rows(repetitions: int, before: ModuleType | None) -> list[tuple[str, float, list[float]]]:
-    """(what, MB, medians in ms of copy, decoder and earlier decoder) a row."""
-    versions = [cases(each) for each in (points, before) if each is not None]
-    result = []
-    for name, (size, _) in versions[0].items():
-        source, target = np.zeros(size, np.uint8) + 1, np.zeros(size, np.uint8) + 1
-        actions = [partial(np.copyto, target, source), *(version[name][1] for version in versions)]
-        result.append((name, size / 1e6, [1e3 * t for t in medians(actions, repetitions)]))
-    return result
+def decoding(library: ctypes.CDLL, repetitions: int, before: ModuleType | None) -> Iterator[str]:
+    yield "| surface | ours | C, new memory | ours / C | C, kept memory | C, NaN | ours, numpy only |" + (" before |" if before else "")
+    yield "|---|---|---|---|---|---|---|" + ("---|" if before else "")
+    for case in cases():
+        in_c = InC(library, case)
+        agree(case, in_c)
+        actions = [partial(ours, points, case), in_c.into_new, in_c.into_kept, in_c.with_nan, partial(with_numpy, case)]
+        actions += [partial(ours, before, case)] if before else []
+        own, new, *others = medians(actions, repetitions)
+        yield f"| {case.name} | {own:.2f} | {new:.2f} | {own / new:.2f} |" + "".join(f" {t:.2f} |" for t in others)
+
+
+def replay(case: Case, port: object) -> None:
+    """In a process of its own: sends the data set for every byte that comes."""
+    everything = b"".join(case.messages)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port.send(server.getsockname()[1])  # type: ignore[attr-defined]
+        connection, _ = server.accept()
+        with connection:
+            while connection.recv(1):
+                connection.sendall(everything)
+
+
+@contextmanager
+def replayed(case: Case) -> Iterator[socket.socket]:
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=replay, args=(case, there), daemon=True)
+    process.start()
+    with socket.socket() as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        sock.connect(("127.0.0.1", here.recv()))
+        yield sock
+    process.join()
+
+
+def whole_way(library: ctypes.CDLL, repetitions: int) -> Iterator[str]:
+    yield "| surface | MB | ours | C | ours / C | received only |"
+    yield "|---|---|---|---|---|---|"
+    for case in cases():
+        size, in_c, scratch = sum(map(len, case.messages)), InC(library, case), bytearray(RECEIVE_BUFFER)
+        with replayed(case) as sock:
+            reader = MessageReader(sock, "scan")
+
+            def by_driver(sock: socket.socket = sock, reader: MessageReader = reader) -> object:
+                sock.send(b"x")
+                found = read_set(reader, time.monotonic() + 10)
+                message = scan_surface(found.arrays)
+                assert message is not None
+                grey, surface = scan_intensity(found.arrays, message), points.surface_points(message)
+                return surface if grey is None else (surface, points.intensity_of(grey, surface))
+
+            def by_c(sock: socket.socket = sock, in_c: InC = in_c) -> None:
+                sock.settimeout(None)
+                sock.send(b"x")
+                assert in_c.received(sock) > 0
+
+            def bare(sock: socket.socket = sock, size: int = size, scratch: bytearray = scratch) -> None:
+                sock.settimeout(None)
+                sock.send(b"x")
+                while size:
+                    size -= sock.recv_into(scratch, min(size, len(scratch)))
+
+            own, in_c_ms, received = medians([by_driver, by_c, bare], repetitions)
+        yield f"| {case.name} | {size / 1e6:.1f} | {own:.2f} | {in_c_ms:.2f} | {own / in_c_ms:.2f} | {received:.2f} |"
 
 
 def loaded(path: str) -> ModuleType:
@@ -101,56 +243,39 @@ def loaded(path: str) -> ModuleType:
     return module
 
 
-def captures(repetitions: int) -> float:
-    """Median seconds from snapshot to Scan over the loopback, the fake sensor in the same process."""
-    seen = frame(0.3)
-    with (
-        FakeGocator(lambda exposure_us: seen) as sensor,
-        Gocator(
-            "front",
-            "",
-            {
-                "address": "127.0.0.1",
-                "control_port": sensor.ports.control,
-                "health_port": sensor.ports.health,
-                "data_port": sensor.ports.data,
-            },
-        ) as scanner,
-    ):
-        scanner.capture()
-        times = []
-        for _ in range(repetitions):
-            start = time.perf_counter()
-            scanner.capture()
-            times.append(time.perf_counter() - start)
-    return statistics.median(times)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("repetitions", type=int, nargs="?", default=41)
     parser.add_argument("--before", metavar="FILE", help="another version of points.py")
+    parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
     before = loaded(given.before) if given.before else None
-    extra = " before | before / copy | before / now |" if before else ""
-    lines = [
-        f"{SHAPE[0]} x {SHAPE[1]} pixels, median processor time in ms of {given.repetitions} turns, "
-        f"numpy {np.__version__}, {platform.machine()}.",
-        "",
-        f"| message | MB | copy | now | now / copy |{extra}",
-        "|---|---|---|---|---|" + ("---|---|---|" if before else ""),
-    ]
-    for name, size, (copy, now, *rest) in rows(given.repetitions, before):
-        columns = [f"{copy:.2f}", f"{now:.2f}", f"{now / copy:.1f}"]
-        columns += [column for old in rest for column in (f"{old:.2f}", f"{old / copy:.1f}", f"{old / now:.2f}")]
-        lines.append(f"| {name} | {size:.1f} | {' | '.join(columns)} |")
-    whole_ms = captures(max(given.repetitions // 4, 5)) * 1e3
-    lines += ["", f"Snapshot to points over the loopback, sensor and driver in one process: {whole_ms:.0f} ms."]
-    if before:
-        lines += ["", "'before': the same messages by the version of points.py that `--before` named, in turn with the others."]
-    text = "\n".join(lines)
+    if conversion.compiled() is None:
+        sys.exit("the driver's loop is not compiled: python -m mbcacq_gocator.build_loop")
+    with tempfile.TemporaryDirectory() as folder:
+        library = compiled(Path(folder))
+        tables = ["\n".join(decoding(library, given.repetitions, before)), "\n".join(whole_way(library, given.repetitions))]
+    text = f"""# Gocator decode
+
+{SHAPE[0]} x {SHAPE[1]} pixels; median processor time in ms of {given.repetitions} turns, numpy {np.__version__}, {platform.machine()}.
+Made by `python benchmarks/gocator_decode.py --write`. C: one pass of a loop, `gcc -O3 -march=native`, in the same run
+(`gocator_decode.c`), which makes the same arrays; with NaN it makes less, every pixel and no index.
+Ours is compiled for any processor of its kind, reads heights once more to count them, and gives back what it did not fill.
+'numpy only': without a compiler at the installation.
+
+## A message in memory
+
+{tables[0]}
+
+## From the socket to points
+
+A process replays the data set over the loopback; time of the receiving thread, with what the kernel does for it.
+
+{tables[1]}
+"""
     print(text)
-    Path(__file__).with_suffix(".md").write_text("# Gocator decode\n\n" + text + "\n")
+    if given.write:
+        Path(__file__).with_suffix(".md").write_text(text)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any
 
 
 def open3d() -> ModuleType:
@@ -18,10 +17,3 @@ def open3d() -> ModuleType:
         ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
         import open3d
     return open3d
-
-
-def coal() -> Any:
-    """The collision library. Its compiled names have no type stubs, hence Any."""
-    import coal
-
-    return coal

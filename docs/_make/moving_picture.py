@@ -1,6 +1,7 @@
 """Draws the moving picture of the README from a recording: the arm measures, balls are found, the error shrinks, an effect is named.
 
-``python docs/_make/moving_picture.py RUN docs/run.webp`` for the folder of a run that was diagnosed (``mbcacq diagnose RUN``).
+``python docs/_make/moving_picture.py RUN docs/run.webp`` for the folder of a run that was diagnosed (``mbcacq diagnose RUN --calibrate``);
+that of the README is ``plans/concealed.yaml``, dry.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ CELL, SCAN, BARS = (10, 40, 520, 450), (540, 40, 870, 230), (540, 255, 870, 450)
 @dataclass(frozen=True)
 class Film:
     """What is drawn. joints: (P, n + 1, 3) mm, base and joints of each pose; balls: for each pose (k, 3) mm in the base; scans: points
-    (m, 3) mm of the scanner frame by pose number; numbers: (P,) of the poses; before, after: (k,) mm length errors; limit: mm or None."""
+    (m, 3) mm of the scanner frame by pose number; numbers: (P,) of the poses; errors: (k,) mm length errors before calibration, after it,
+    and with the effects that were found, where there are such; limit: mm or None."""
 
     joints: np.ndarray
     balls: list[np.ndarray]
     scans: dict[int, np.ndarray]
     found: list[np.ndarray]
     numbers: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+    errors: list[np.ndarray]
     limit: float | None
     sentences: list[str]
 
@@ -51,9 +52,13 @@ def film_of(run: Path) -> Film:
     found = [observations.xyz[observations.pose == k] for k in range(observations.n_poses)]
     balls = [xyz @ T[k, :3, :3].T + T[k, :3, 3] for k, xyz in enumerate(found)]
     places = (result.get("verification") or {}).get("places", [])
-    before, after = (np.array([p[key] for p in places]) for key in ("before_mm", "after_mm"))
+    errors = [np.array([p[key] for p in places]) for key in ("before_mm", "after_mm")]
+    corrected = run / "with-effects" / "result.json"
+    if corrected.exists():
+        with_effects = json.loads(corrected.read_text(encoding="utf-8"))["verification"]["places"]
+        errors.append(np.array([p["after_mm"] for p in with_effects]))
     limit = (result.get("verification") or {}).get("limit_mm")
-    return Film(joints, balls, scans_of(run), found, observations.pose_id, before, after, limit, sentences_of(run))
+    return Film(joints, balls, scans_of(run), found, observations.pose_id, errors, limit, sentences_of(run))
 
 
 def scans_of(run: Path, most: int = 1500) -> dict[int, np.ndarray]:
@@ -76,10 +81,13 @@ def sentences_of(run: Path) -> list[str]:
         content = diagnosis_content(json.loads((run / "diagnosis.json").read_text(encoding="utf-8")), None)
     except OSError:
         return []
-    lines = [content.headline]
-    for effect in content.effects[:2]:
+    if not content.effects:
+        return [content.headline]
+    lines = []
+    for effect in content.effects:
         lines.append(effect.title)
-        lines += [f"   {name} {value} ± {uncertainty} {unit}" for name, value, uncertainty, unit in effect.parameters[:3]]
+        certain = [p for p in effect.parameters if abs(float(p[1])) > 2 * float(p[2]) and not p[0].endswith(("order", "phase"))]
+        lines += [f"   {name} {value} ± {uncertainty} {unit}".replace("µ", "u") for name, value, uncertainty, unit in certain]
     return lines
 
 
@@ -106,7 +114,8 @@ class Frame:
         step = "measure" if self.seconds < MEASURING_S else "calibrate" if self.seconds < MEASURING_S + SHRINKING_S else "diagnose"
         for k, name in enumerate(("measure", "calibrate", "diagnose")):
             self._text((12 + 130 * k, 8), name, 20, INK if name == step else SOFT)
-        self._text((540, 10), f"pose {self.pose + 1} of {len(self.film.numbers)}", 16, SOFT)
+        if step == "measure":
+            self._text((540, 10), f"pose {self.pose + 1} of {len(self.film.numbers)}", 16, SOFT)
         return self.image
 
     def _cell(self) -> None:
@@ -131,7 +140,11 @@ class Frame:
             self.draw.ellipse((x - 7, y - 7, x + 7, y + 7), fill=(52, 56, 64))
 
     def _scan(self) -> None:
-        """The latest scan from above, and a circle round each ball that was found in it."""
+        """The latest scan from above, and a circle round each ball that was found in it; in the end what the diagnosis says."""
+        if self.seconds >= MEASURING_S + SHRINKING_S and self.film.sentences:
+            for k, line in enumerate(self.film.sentences[:8]):
+                self._text((540, 40 + 24 * k), line, 15 if line.startswith(" ") else 17, INK if line.startswith(" ") else AFTER)
+            return
         number = max((n for n in self.film.scans if n <= self.film.numbers[self.pose]), default=None)
         self.draw.rectangle(SCAN, outline=(58, 64, 76))
         if number is None:
@@ -148,28 +161,29 @@ class Frame:
         self._text((548, 206), f"{(count := len(self.film.found[pose]))} ball{'' if count == 1 else 's'} found", 16, BALL)
 
     def _bars(self) -> None:
-        """Length errors, which shrink while the cell is calibrated; then what the diagnosis says."""
-        if self.seconds >= MEASURING_S + SHRINKING_S and self.film.sentences:
-            for k, line in enumerate(self.film.sentences[:8]):
-                self._text((540, 258 + 24 * k), line, 19 if k == 0 else 15, AFTER if k == 0 else INK)
+        """Length errors, which shrink while the cell is calibrated, and once more with the effects that were found."""
+        if not len(self.film.errors[0]):
             return
-        if not len(self.film.before):
-            return
-        share = float(np.clip((self.seconds - MEASURING_S) / (SHRINKING_S - 1.5), 0.0, 1.0))
+        stage = 0 if self.seconds < MEASURING_S + SHRINKING_S or len(self.film.errors) < 3 else 1
+        began = MEASURING_S + stage * (SHRINKING_S + 1.0)
+        share = float(np.clip((self.seconds - began) / (SHRINKING_S - 1.5), 0.0, 1.0))
         share = share * share * (3 - 2 * share)
-        values = (1 - share) * np.abs(self.film.before) + share * np.abs(self.film.after)
-        top = 1.05 * float(np.abs(self.film.before).max())
+        start, end = (np.abs(self.film.errors[stage + k]) for k in (0, 1))
+        values = (1 - share) * start + share * end
+        top = 1.05 * float(np.abs(self.film.errors[0]).max())
         left, head, right, bottom = BARS[0], BARS[1] + 26, BARS[2], BARS[3] - 6
         width = (right - left) / len(values)
-        self._text((left, BARS[1]), f"length error, largest {values.max():.3f} mm", 17, AFTER if share > 0.5 else BEFORE)
-        colour = tuple(int((1 - share) * b + share * a) for b, a in zip(BEFORE, AFTER, strict=True))
+        colours = (BEFORE, AFTER, BALL)[stage : stage + 2]
+        self._text((left, BARS[1]), f"length error, largest {values.max():.3f} mm", 17, colours[share > 0.5])
+        colour = tuple(int((1 - share) * b + share * a) for b, a in zip(*colours, strict=True))
         for k, value in enumerate(values):
             x, y = left + width * k, bottom - (bottom - head) * value / top
             self.draw.rectangle((x + 3, min(y, bottom - 1), x + width - 3, bottom), fill=colour)
         if self.film.limit is not None:
             y = bottom - (bottom - head) * self.film.limit / top
             self.draw.line((left, y, right, y), fill=LIMIT, width=2)
-            self._text((right - 90, y - 22), f"limit {self.film.limit:g} mm", 14, LIMIT)
+            self.draw.rectangle((right - 96, y - 22, right, y - 3), fill=NIGHT)
+            self._text((right - 90, y - 21), f"limit {self.film.limit:g} mm", 14, LIMIT)
 
     def _text(self, at: tuple[float, float], text: str, size: int, colour: tuple[int, int, int]) -> None:
         self.draw.text(at, text, font=font(size), fill=colour)

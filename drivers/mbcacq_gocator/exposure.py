@@ -80,7 +80,7 @@ def _scan(session: GocatorSession, data: DataSet, stamp: Stamp, message: ArrayMe
     return Scan(
         points=surface.points,
         pixel=surface.pixel,
-        shape=surface.valid.shape,
+        shape=surface.shape,
         intensity=None if grey is None else intensity_of(grey, surface),
         time_s=stamp.time_s,
         frame=stamp.frame,

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
@@ -57,9 +58,14 @@ def new(
         choices = ", ".join(p.stem for p in sorted((shipped.folder() / kind).glob("*.yaml")))
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
     options = NewPlanOptions(driver, stations, count, seed)
-    new_plan(
-        wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=lambda text: echo(text, err=True)
-    )
+    with StepProgress() as steps:
+
+        def said(text: str) -> None:
+            steps.clear()
+            echo(text, err=True)
+            steps.begin(text)
+
+        new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=said)
 
 
 @command.command("show")
@@ -110,12 +116,16 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
     loaded = load(plan)
     if fix:
         loaded = _fixed(loaded, plan)
-    poses, _ = expand_reachable(loaded)
-    routes = find_paths(loaded, poses)
-    findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
-    more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
-    findings += more
-    findings += reach_findings(loaded)
+    with StepProgress() as steps:
+        steps.begin("looking for postures that reach every pose")
+        poses, _ = expand_reachable(loaded)
+        steps.begin("looking for free paths between them")
+        routes = find_paths(loaded, poses)
+        findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
+        steps.begin("computing what the poses can tell")
+        more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
+        findings += more
+        findings += reach_findings(loaded)
     errors = sum(f.level == "error" for f in findings)
     if as_json:
         content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
@@ -204,11 +214,14 @@ def design(
     loaded, repairs = repaired(load(plan))
     for sentence in repairs:
         echo(sentence, err=True)
-    result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
-    target.write_text(result.text, encoding="utf-8")
-    new = load(target)
-    poses = expand(new)
-    rows = compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
+    with StepProgress() as steps:
+        steps.begin("choosing views by what they tell")
+        result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
+        target.write_text(result.text, encoding="utf-8")
+        new = load(target)
+        poses = expand(new)
+        steps.begin("comparing both plans by simulated cells")
+        rows = compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
     if sentence := scope_sentence(new, poses):
         echo(sentence, err=True)
     if as_json:

@@ -31,6 +31,8 @@ from mbcacq.plan.yaml_source import read
 
 # Places tried, as shares of the arm's reach from its shoulder, and deg about axis 1; a joint's error shows itself at all distances.
 DISTANCES, HEIGHTS, AZIMUTHS_DEG = (0.45, 0.6, 0.75), (-0.35, -0.1, 0.15, 0.4), (-60, -25, 0, 25, 60)
+ROBOT_SOURCES = (".urdf", ".xacro", ".mjcf", ".xml", ".csv")
+CERTIFICATES = (".csv", ".dmo", ".dmi", ".dms", ".pdf")
 LEAN_DEG = 20.0  # of the artefact towards the arm, at every other place: a station with another orientation tells more
 VIEWS_TRIED = 24  # per place
 LEAST_SHARE = 0.2  # of them that must be possible at a place
@@ -66,6 +68,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
 
     Raises ConfigError where the files do not fit, or the arm serves too few places with this scanner.
     """
+    _refuse_sources(request)
     spec = read(request.robot, "robot").validate(RobotSpec)
     artefact = read(request.artefact, "artefact").validate(ArtefactSpec)
     if len(artefact.balls) < 3:
@@ -96,6 +99,19 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
         yield f"{left_out} views were left out again, because no free path leads to them"
     yield f"next: mbcacq plan check {request.out}; mbcacq run {request.out} --dry-run"
     yield "then put your own numbers in: hand_eye from a drawing, obstacles, workspace, payload; and `plan check` again"
+
+
+def _refuse_sources(request: NewPlan) -> None:
+    """Raises ConfigError where a description of an arm or a certificate is given for the file that is made of it."""
+    if request.robot.suffix.lower() in ROBOT_SOURCES:
+        raise ConfigError(
+            f"{request.robot}: a plan names a robot file (YAML), not such a description; make one: mbcacq robot import {request.robot}"
+        )
+    if request.artefact.suffix.lower() in CERTIFICATES:
+        raise ConfigError(
+            f"{request.artefact}: a plan names an artefact file (YAML), not a certificate; "
+            f"make one: mbcacq export {request.artefact} --artefact {request.artefact.stem}"
+        )
 
 
 def _beside(path: Path, out: Path) -> str:

@@ -114,6 +114,17 @@ class LinearProblem:
         """(M, R, n): change of the prediction by each joint's angle."""
         return self.computed_once("joints", lambda: self.rows.unpad(self.joint)[..., : self.obs.cell.robot.n])
 
+    def twist(self, location: str, index: int, component: int) -> np.ndarray:
+        """(P, 6): spatial twist of the arm, in the base frame, by a unit of one component of a joint, a frame of the arm or a station."""
+        prediction = self.prediction
+        if location == "joint":
+            return self.state.chain.joint_twists(prediction.frames)[:, index]
+        if location == "frame":
+            return se3.adjoint(prediction.frames[:, index])[:, :, component]
+        if location == "station":
+            return -se3.adjoint(prediction.T_base_station)[:, :, component]
+        raise ValueError(f"{location} does not move the arm as a whole")
+
     def unit(self, location: str, index: int, component: int) -> np.ndarray:
         """(M, R): change of the prediction by a unit of one component of one location."""
         key = (location, index, component)
@@ -121,12 +132,8 @@ class LinearProblem:
 
     def _unit(self, location: str, index: int, component: int) -> np.ndarray:
         obs, prediction = self.obs, self.prediction
-        if location == "joint":
-            return self.joint_columns[:, :, index]
-        if location == "station":
-            return self.station[:, :, component]
-        if location == "frame":
-            twist = se3.adjoint(prediction.frames[:, index])[:, :, component]
+        if location in ("joint", "frame", "station"):
+            twist = self.twist(location, index, component)
             return np.einsum("mrc,mc->mr", prediction.gradient, twist[obs.pose])
         out = np.zeros((obs.n_centres, self.width))
         if location == "ball":
@@ -174,9 +181,9 @@ class LinearProblem:
         return out, sigma.reshape(-1)
 
     def nuisance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (M, R, z) of the free geometry and of the stations in use, and their prior sigma (z,)."""
+        """Columns (M, R, z) of the stations in use, six each, and of the free geometry, and their prior sigma (z,)."""
         stations, sigma = self.station_columns(self.rows.stations)
-        return np.concatenate([self.geometry, stations], axis=2), np.concatenate([self.sigma, sigma])
+        return np.concatenate([stations, self.geometry], axis=2), np.concatenate([sigma, self.sigma])
 
     def whitener(self, noise: Noise) -> CentreWhitening:
         return CentreWhitening(self.rows, self.joint, noise, self.keep)
@@ -185,6 +192,10 @@ class LinearProblem:
         """The whitened normal equations of geometry together with columns (M, R, k) of prior sigma (k,), stations eliminated; the residual
         is what the best fit of all of them leaves.
         """
+        return self.whitened(noise, columns, sigma).after_fit()
+
+    def whitened(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> WhitenedSystem:
+        """The same with the residual as it is."""
         whitening = Whitening(self.rows, self.joint, noise, self.keep.astype(float), np.ones(self.rows.n_poses))
         blocks = [self.geometry, columns, self.station, self.residual[:, :, None]]
         X = whitening(self.rows.pad(np.concatenate(blocks, axis=2)))
@@ -194,9 +205,7 @@ class LinearProblem:
             if s in self.given_stations:
                 information[j] = _given(self.obs, self.state, int(s))[0]
         prior = Prior(widths, np.zeros(len(widths)), information, np.zeros((len(information), 6)))
-        normal = Normal(self.rows, X, prior)
-        X[..., -1] -= normal.fitted(X)
-        return WhitenedSystem(whitening, X, normal)
+        return WhitenedSystem(whitening, X, Normal(self.rows, X, prior))
 
     # Adjustment with effects --------------------------------------------------------------------------------------
 

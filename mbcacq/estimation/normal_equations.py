@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +60,7 @@ class Normal:
         observable = value > UNOBSERVABLE * np.maximum(value[:, -1:], 1e-300)
         self.station_rank = observable.sum(axis=1)
         root = np.where(observable, 1.0 / np.sqrt(np.where(observable, value, 1.0)), 0.0)
+        self.station_log_det = float(np.sum(np.log(np.where(observable, value, 1.0))))  # up to a constant
         self.station_root = STATION_SCALE[:, None] * vector * root[:, None, :]  # F with F F' = pseudo-inverse of Hss
         self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg  # F' Hsg
         reduced_b = np.einsum("sji,sj->si", self.station_root, bs)
@@ -66,6 +68,12 @@ class Normal:
         tall = self.reduced.reshape(6 * len(self.reduced), g)
         self.information = H - tall.T @ tall
         self.gradient = b - tall.T @ reduced_b.reshape(-1)
+
+    def with_weight(self, weight: np.ndarray) -> Normal:
+        """The same with further prior information (g,) of the parameters."""
+        out = copy(self)
+        out.information = self.information + np.diag(weight)
+        return out
 
     def decrease(self, step: np.ndarray) -> float:
         """Decrease of the cost that the linear system predicts for this step and the best stations."""
@@ -103,3 +111,9 @@ class WhitenedSystem:
     whitening: Whitening
     X: np.ndarray
     normal: Normal
+
+    def after_fit(self) -> WhitenedSystem:
+        """The same with the residual that the best fit of the parameters and stations leaves."""
+        X = self.X.copy()
+        X[..., -1] -= self.normal.fitted(self.X)
+        return replace(self, X=X)

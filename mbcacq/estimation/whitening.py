@@ -145,3 +145,26 @@ class CentreWhitening:
         """(P, c, z): left'right over the rows of each pose; left (M R, c), right (M R, z), whitened or not."""
         a, b = (self.rows.pad(x.reshape(-1, self.rows.width, x.shape[1])) for x in (left, right))
         return self.rows.per_pose(np.swapaxes(a, 1, 2) @ b)
+
+    def gram(self, unit: np.ndarray, functions: np.ndarray) -> np.ndarray:
+        """(c f, c f): products of the whitened columns unit (M, R, c) times functions (M, f), component by component.
+
+        With W'W = s (I - J inv(I + J'J) J') s, s the scale of the rows, no whitened column is made.
+        """
+        rows, blocks, (c, f) = self.rows, self.blocks, (unit.shape[2], functions.shape[1])
+        scaled = rows.pad(unit) * blocks.scale
+        F = rows.pad(functions[:, None, :])
+        by_centre = scaled.reshape(rows.n_poses, rows.depth, rows.width, c)
+        J = blocks.J.reshape(rows.n_poses, rows.depth, rows.width, -1)
+        own = np.einsum("pbrc,pbrd->cdpb", by_centre, by_centre).reshape(c, c, -1)
+        flat, out = F.reshape(-1, f), np.zeros((c, f, c, f))
+        for i in range(c):
+            for j in range(i + 1):
+                if own[i, j].any():
+                    out[i, :, j] = flat.T @ (own[i, j][:, None] * flat)
+                    out[j, :, i] = out[i, :, j].T
+        mixed = np.einsum("pbrn,pbrc->pbnc", J, by_centre).reshape(rows.n_poses, rows.depth, -1)
+        T = (np.swapaxes(mixed, 1, 2) @ F).reshape(rows.n_poses, -1, c * f)
+        L = np.linalg.cholesky(np.swapaxes(blocks.J, 1, 2) @ blocks.J + np.eye(J.shape[3]))
+        T = np.linalg.solve(L, T).reshape(-1, c * f)
+        return out.reshape(c * f, c * f) - T.T @ T

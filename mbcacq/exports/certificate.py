@@ -63,7 +63,7 @@ def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Arte
     elif suffix in (".dmo", ".dmi", ".dms"):
         rows, about = dmis.spheres(text, str(path)), {}
     else:
-        raise ConfigError(f"{path}: a certificate must be .csv, .yaml or DMIS output (.dmo)")
+        raise ConfigError(f"{path}: a certificate must be .csv, .yaml or DMIS output (.dmo), not '{suffix}'; convert it")
     if not rows:
         raise ConfigError(f"{path}: lists no sphere; a certificate needs label, x, y, z and diameter of each")
     labels = [str(r["label"]) for r in rows]
@@ -161,7 +161,7 @@ def _from_yaml(text: str, path: Path) -> tuple[list[Row], Row]:
     data = _mapping(text, path)
     balls = data.get("balls", data.get("spheres"))
     if not isinstance(balls, list):
-        raise ConfigError(f"{path}: has no list 'balls' or 'spheres'")
+        raise ConfigError(f"{path}: has no list 'balls' or 'spheres'; give one, with label, x, y, z and diameter of each")
     about = _yaml_about(data, path)
     return [_yaml_row(ball, f"{path}: sphere {i}") for i, ball in enumerate(balls, 1)], about
 
@@ -190,7 +190,7 @@ def _yaml_about(data: dict[Any, Any], path: Path) -> Row:
 
 def _yaml_row(ball: Any, where: str) -> Row:
     if not isinstance(ball, dict):
-        raise ConfigError(f"{where} is not a mapping with label, x, y, z, diameter")
+        raise ConfigError(f"{where} is not a mapping; give label, x, y, z and diameter")
     row: Row = {}
     for key, value in ball.items():
         known = _key(str(key))

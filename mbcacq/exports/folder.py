@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import state_from_dict
+from mbcacq.calibration.result_io import effects_of
 from mbcacq.errors import RecordingError
-from mbcacq.exports import joint_frames, kuka, ros, tables, urdf
-from mbcacq.exports.marks import comments, with_comments
+from mbcacq.exports import joint_frames, kuka, mjcf, ros, tables, urdf
+from mbcacq.exports.marks import comments, mjcf_comments, with_comments
 from mbcacq.exports.result_json import result_schema
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.observations import Observations
@@ -60,7 +61,7 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
         ),
         "scanner.launch.py": ros.launch_file(T, targets.flange_frame, targets.scanner_frame),
         "kinematics.yaml": joint_frames.kinematics_yaml(chains(result)[1], str(result["robot"].get("name", ""))),
-        "arm.mjcf.xml": joint_frames.mjcf(chains(result)[1], T, str(result["robot"].get("name", "arm")), marks),
+        "arm.mjcf.xml": mjcf.mjcf(chains(result)[1], T, str(result["robot"].get("name", "arm")), mjcf_comments(result), effects_of(result)),
         "static_transform.sh": "#!/bin/sh\nexec " + ros.static_transform_command(T, targets.flange_frame, targets.scanner_frame) + "\n",
     }
     text = {name: with_comments(name, content, marks) for name, content in text.items()}

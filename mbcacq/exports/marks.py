@@ -8,6 +8,7 @@ from typing import Any
 
 from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.result_io import effects_of
+from mbcacq.exports.mjcf import expressed_effects
 
 COMMENT = {
     "tool_data.txt": ";",
@@ -22,6 +23,14 @@ COMMENT = {
 def comments(result: Mapping[str, Any]) -> list[str]:
     """The lines for a result: 'simulated: true' first where it is, then the sentences."""
     return [*(["simulated: true"] if result.get("simulated") else []), *caveats(result), *geometry_alone(result)]
+
+
+def mjcf_comments(result: Mapping[str, Any]) -> list[str]:
+    """The lines for a MuJoCo model of a result, which can hold some of its effects."""
+    effects = effects_of(result)
+    lines = [line for line in comments(result) if line not in geometry_alone(result)]
+    left = expressed_effects(effects).left if effects else []
+    return [*lines, *([f"without {', '.join(dict.fromkeys(left))}, which bodies and hinges cannot express"] if left else [])]
 
 
 def geometry_alone(result: Mapping[str, Any]) -> list[str]:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
+from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import EVALUATED
 
 FALSE_ALARMS = 0.0027  # of a recording, and of an arm among the others: three standard deviations of a single figure
@@ -70,7 +71,9 @@ class ArmType:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A figure of a recording (or, ``recording`` None, of an arm) outside the limits; in mm or rad."""
+    """A figure of a recording (or, ``recording`` None, of an arm) outside the limits; in mm or rad. drift: from an arm's first recording
+    to its last, instead of a level.
+    """
 
     arm: str
     recording: str | None
@@ -78,6 +81,7 @@ class Outlier:
     value: float
     centre: float
     limit: float
+    drift: bool = False
 
 
 def arm_types(rows: Sequence[Mapping[str, Any]]) -> list[ArmType]:
@@ -167,9 +171,12 @@ def weighted_median(value: np.ndarray, weight: np.ndarray) -> float:
 
 
 def outliers(types: Sequence[ArmType]) -> list[Outlier]:
-    """All that is outside its limits: recordings against their arm, arms against the others of their type, the farthest out first."""
+    """All that is outside its limits: recordings against their arm, arms against the others of their type and against standing still, the
+    farthest out first.
+    """
     out = []
     for kind in types:
+        out += [Outlier(d.arm, None, d.name, d.change, 0.0, d.limit, drift=True) for d in drifts(kind.rows)]
         for chart in kind.charts:
             for k in np.flatnonzero(chart.outside):
                 figures = (float(each[k]) for each in (chart.value, chart.centre, chart.limit))

@@ -25,7 +25,8 @@ def fleet_content(rows: Sequence[Mapping[str, Any]], kinds: Sequence[ArmType], o
         ("recordings", str(len(rows)), f"{len(rows) - len(broken)} evaluated"),
         ("arms", str(len(arms)), f"of {len(kinds)} type{'s' * (len(kinds) != 1)}"),
         ("outside the control limits", str(len({o.recording for o in outside if o.recording})), "recordings"),
-        ("unlike the others", str(len({o.arm for o in outside if o.recording is None})), "arms"),
+        ("unlike the others", str(len({o.arm for o in outside if o.recording is None and not o.drift})), "arms"),
+        ("drifting", str(len({o.arm for o in outside if o.drift})), "arms"),
         ("without a result", str(len(broken)), "recordings"),
     ]
     verdicts = Counter(row["verdict"] for row in rows if row.get("verdict"))
@@ -52,6 +53,7 @@ def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
     scale, unit = scale_and_unit(outlier.name)
     away = outlier.value - outlier.centre
     where = "all, against the other arms" if outlier.recording is None else Path(outlier.recording).name
+    where = "all, from the first to the last" if outlier.drift else where
     figures = (f"{scale * away:+.4f} {unit}", f"± {scale * outlier.limit:.4f} {unit}", f"{abs(away) / outlier.limit:.1f}")
     return (outlier.arm, where, TITLES.get(outlier.name, outlier.name), *figures)
 

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
-from mbcacq import lazy
-from mbcacq.plan.collision import Body, arm_bodies, station_bodies, surrounding_bodies
+from mbcacq.plan.collision import Body, arm_bodies, halves, station_bodies, surrounding_bodies
 from mbcacq.plan.planned import LoadedPlan
+from mbcacq.plan.solid_distance import SolidDistance
+
+DISTANCE = SolidDistance()
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two bodies that must not touch. lever: (n,) mm by which a radian of each joint can at most move one against the other."""
+    """Two bodies that must not touch. lever: (n,) mm by which a radian of each joint can at most move one against the other.
+    most: mm, more is never asked of the two, which are near each other in every posture."""
 
     a: Body
     b: Body
-    distance: Any
     lever: np.ndarray
+    most: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -41,12 +44,12 @@ class Clearance:
         self._pairs: dict[str | None, list[Pair]] = {}
 
     def at(self, q: np.ndarray, station: str | None) -> Closest:
-        """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away)."""
+        """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away). Two that are as far apart as can be asked of
+        them do not count."""
         posture = Posture(self._chain.frames(q[None])[0])
-        pairs = self.pairs(station)
-        distances = [posture.distance(p) for p in pairs]
-        k = int(np.argmin(distances)) if distances else -1
-        return Closest(distances[k], pairs[k].a.name, pairs[k].b.name) if distances else Closest(np.inf, "", "")
+        distances = [(posture.distance(p), p) for p in self.pairs(station)]
+        distance, pair = min(((d, p) for d, p in distances if d < p.most), key=lambda found: found[0], default=(np.inf, None))
+        return Closest(distance, "" if pair is None else pair.a.name, "" if pair is None else pair.b.name)
 
     def along_segment(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
         """A pair of bodies closer than ``needed`` mm somewhere on the straight joint motion, or None if all of it is free.
@@ -61,10 +64,10 @@ class Clearance:
             posture = Posture(self._chain.frames((start + (low + high) / 2 * (end - start))[None])[0])
             share, close = high - low, []
             for pair, sweep in suspects:
-                distance = posture.distance(pair)
-                if distance < needed:
+                distance, asked = posture.distance(pair), min(needed, pair.most)
+                if distance < asked:
                     return Closest(distance, pair.a.name, pair.b.name)
-                if distance - share * sweep < needed and share * sweep > finest / 2:
+                if distance - share * sweep < asked and share * sweep > finest / 2:
                     close.append((pair, sweep))
             if close:
                 middle = (low + high) / 2
@@ -87,19 +90,38 @@ class Clearance:
         return arm_bodies(self._loaded)
 
     def _own_pairs(self) -> list[Pair]:
-        """All bodies of the arm against each other, except neighbours: those that touch, or nearly, in each of many random postures."""
-        robot = self._loaded.cell.robot
-        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (self._loaded.planning.neighbour_postures, robot.n))
-        pairs = [self._pair(a, b) for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1)]
+        """All bodies of the arm against each other, except neighbouring links, and what overlaps in each of many random postures.
+
+        The scanner and what carries it are no links, and no joint limit of the maker's keeps them off the arm: where they overlap with a
+        link in every posture, they are divided, and only those parts of them are left out that do.
+        """
+        robot, planning = self._loaded.cell.robot, self._loaded.planning
+        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (planning.random_postures, robot.n))
         postures = [Posture(frames) for frames in robot.chain.frames(q)]
-        return [p for p in pairs if any(posture.distance(p) > self._loaded.planning.neighbour_gap_mm for posture in postures)]
+        bodies = combinations(self._arm, 2)
+        return [p for a, b in bodies if b.link > max(a.link, 1) for p in self._examined(a, b, postures)]
+
+    def _examined(self, a: Body, b: Body, postures: Sequence[Posture]) -> Iterator[Pair]:
+        """The pair, or pairs with parts of ``b``, or nothing."""
+        planning, pair, farthest = self._loaded.planning, self._pair(a, b), -np.inf
+        for posture in postures:
+            farthest = max(farthest, posture.distance(pair))
+            if farthest > max(self._loaded.plan.clearance_mm, planning.neighbour_gap_mm):
+                yield pair
+                return
+        if b.carried and farthest <= 0:
+            if b.length > planning.smallest_part_mm:
+                for half in halves(b):
+                    yield from self._examined(a, half, postures)
+        elif farthest > (0.0 if b.link - a.link > 1 or b.carried else planning.neighbour_gap_mm):
+            yield replace(pair, most=farthest / 2)
 
     def _against(self, body: Body) -> list[Pair]:
         """What stands still, against all that moves; link 1 turns on the spot, where the arm is bolted down."""
         return [self._pair(body, part) for part in self._arm if part.link >= 2]
 
     def _pair(self, a: Body, b: Body) -> Pair:
-        return Pair(a, b, lazy.coal().ComputeDistance(a.shape, b.shape), self._lever(a.link, b))
+        return Pair(a, b, self._lever(a.link, b))
 
     def _lever(self, behind: int, body: Body) -> np.ndarray:
         frames = self._chain.frames(np.zeros((1, self._chain.n)))[0]
@@ -114,17 +136,15 @@ class Posture:
     """Bodies placed for one posture, each only once. frames: (n + 1, 4, 4)."""
 
     def __init__(self, frames: np.ndarray) -> None:
-        self._frames, self._coal = frames, lazy.coal()
-        self._placed: dict[Body, Any] = {}
+        self._frames = frames
+        self._placed: dict[Body, np.ndarray] = {}
 
     def distance(self, pair: Pair) -> float:
         """mm, negative: overlap."""
-        coal = self._coal
-        return pair.distance(self._place(pair.a), self._place(pair.b), coal.DistanceRequest(), coal.DistanceResult())
+        return DISTANCE(pair.a, self._place(pair.a), pair.b, self._place(pair.b))
 
-    def _place(self, body: Body) -> Any:
+    def _place(self, body: Body) -> np.ndarray:
         placed = self._placed.get(body)
         if placed is None:
-            T = self._frames[body.link] @ body.pose
-            placed = self._placed[body] = self._coal.Transform3s(T[:3, :3], T[:3, 3])
+            placed = self._placed[body] = self._frames[body.link] @ body.pose
         return placed

@@ -3,28 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq import lazy
 from mbcacq.geometry import se3
 from mbcacq.plan.planned import LoadedPlan
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A convex solid fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame.
+    """A capsule or a box, fixed to frame ``link`` of the arm (0: base and surroundings, n: flange). pose: (4, 4) in that frame.
 
-    radius: of a sphere around the origin of ``pose`` that holds it. Two bodies are equal only if they are the same object.
+    sides: (3,) mm of a box, or (0, 0, length of the line) of a capsule of radius ``rounding``. radius: of a sphere around the origin of
+    ``pose`` that holds it. carried: the scanner, or what carries it, no link. Two bodies are equal only if they are the same object.
     """
 
     name: str
     link: int
     pose: np.ndarray
-    shape: Any
+    sides: np.ndarray
     radius: float
+    rounding: float = 0.0
+    carried: bool = False
+
+    @property
+    def length(self) -> float:
+        """mm, of its longest side; of a capsule, of the line in it."""
+        return float(np.max(self.sides))
+
+
+def halves(body: Body) -> tuple[Body, Body]:
+    """The two halves of a body across its longest side, as bodies of the same name."""
+    axis, half = int(np.argmax(body.sides)), body.length / 2
+    sides = np.where(np.arange(3) == axis, half, body.sides)
+    radius = float(np.linalg.norm(sides) / 2) + body.rounding
+    shift = np.eye(3)[axis] * half / 2
+    low, high = (replace(body, pose=body.pose @ se3.transform(np.eye(3), s), sides=sides, radius=radius) for s in (-shift, shift))
+    return low, high
 
 
 def arm_bodies(loaded: LoadedPlan) -> list[Body]:
@@ -42,7 +58,7 @@ def arm_bodies(loaded: LoadedPlan) -> list[Body]:
                 bodies.append(_capsule(name, link, se3.inverse(frames[link]), start, end, radius))
     if field.body_mm is not None:
         low, high = np.array(field.body_mm)
-        bodies.append(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high))
+        bodies.append(replace(_box("scanner", robot.n, loaded.cell.T_flange_scanner, low, high), carried=True))
         bodies += _bracket(loaded, low, high)
     return bodies
 
@@ -61,7 +77,7 @@ def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[
     end = se3.apply(T, np.clip(flange, low, high))
     if np.linalg.norm(end) > loaded.planning.shortest_body_mm:
         radius = reach(loaded) * loaded.planning.link_radius_shares[-1]
-        yield _capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius)
+        yield replace(_capsule("bracket", loaded.cell.robot.n, np.eye(4), np.zeros(3), end, radius), carried=True)
 
 
 def surrounding_bodies(loaded: LoadedPlan) -> list[Body]:
@@ -110,7 +126,7 @@ def reach(loaded: LoadedPlan) -> float:
 
 def _box(name: str, link: int, T: np.ndarray, low: np.ndarray, high: np.ndarray) -> Body:
     middle = se3.transform(np.eye(3), (low + high) / 2)
-    return Body(name, link, T @ middle, lazy.coal().Box(*(high - low)), float(np.linalg.norm(high - low) / 2))
+    return Body(name, link, T @ middle, high - low, float(np.linalg.norm(high - low) / 2))
 
 
 def _capsule(name: str, link: int, T: np.ndarray, start: np.ndarray, end: np.ndarray, radius: float) -> Body:
@@ -120,4 +136,4 @@ def _capsule(name: str, link: int, T: np.ndarray, start: np.ndarray, end: np.nda
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
     pose = T @ se3.transform(np.stack([x, np.cross(z, x), z], axis=1), (start + end) / 2)
-    return Body(name, link, pose, lazy.coal().Capsule(radius, length), length / 2 + radius)
+    return Body(name, link, pose, np.array([0.0, 0.0, length]), length / 2 + radius, rounding=radius)

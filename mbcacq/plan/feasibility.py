@@ -13,7 +13,7 @@ from mbcacq.plan.findings import PlanFinding, finding
 from mbcacq.plan.motion_limits import axis_limits, requested_limits
 from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
-from mbcacq.plan.plausibility import lacks_orientation
+from mbcacq.plan.plausibility import lacks_orientation, symmetric
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
 
 
@@ -44,12 +44,16 @@ def refuse_errors(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> None:
 
 
 def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
-    """Artefacts whose orientation no calibration can determine."""
+    """Artefacts whose orientation no calibration can determine, and those that look the same turned."""
     if (found := lacks_orientation(loaded)) is not None:
         where, sentence = found
         yield PlanFinding(
             "error", "few-balls", loaded.plan.steps[int(where[1])].name, f"{loaded.path}:{loaded.lines.get(where, 1)}", sentence
         )
+    for index, artefact in enumerate(loaded.cell.artefacts):
+        if sentence := symmetric(artefact):
+            place = f"{loaded.path}:{loaded.lines.get(('artefacts', index), 1)}"
+            yield PlanFinding("warning", "symmetric", "", place, sentence)
 
 
 def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
@@ -83,7 +87,13 @@ def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[P
         if room[axis] < 0:
             yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f} deg exceeds {limits}; take another pose")
         elif room[axis] < loaded.planning.near_limit:
-            yield finding(loaded, pose, "warning", "near-limit", f"A{axis + 1} at {angle:.1f} deg comes close to {limits}")
+            yield finding(
+                loaded,
+                pose,
+                "warning",
+                "near-limit",
+                f"A{axis + 1} at {angle:.1f} deg comes close to {limits}; another tilt, azimuth or roll keeps away",
+            )
         for code, sentence in _singularities(loaded, pose.q):
             yield finding(loaded, pose, "warning", code, sentence)
 
@@ -96,14 +106,20 @@ def _singularities(loaded: LoadedPlan, q: np.ndarray) -> Iterator[tuple[str, str
     frames = robot.chain.frames(q[None])[0]
     z, origin = frames[:, :3, 2], frames[:, :3, 3]
     if np.linalg.norm(np.cross(z[3], z[5])) < nearest:
-        yield "wrist-singular", "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly separates their errors"
+        yield (
+            "wrist-singular",
+            "the wrist is almost straight: A4 and A6 turn about one line, and this pose hardly separates their errors; tilt more",
+        )
     shoulder, elbow, wrist = origin[1], origin[2], origin[4]
     upper, lower = elbow - shoulder, wrist - elbow
     if np.linalg.norm(np.cross(upper, lower)) < nearest * np.linalg.norm(upper) * np.linalg.norm(lower):
-        yield "elbow-singular", "the arm is almost stretched: it is slow to move outwards and close to the end of its reach"
+        yield (
+            "elbow-singular",
+            "the arm is almost stretched: it is slow to move outwards and close to the end of its reach; bring the station nearer",
+        )
     axis = z[0] / np.linalg.norm(z[0])
     if np.linalg.norm(np.cross(wrist - origin[0], axis)) < loaded.planning.shoulder_singular_mm:
-        yield "shoulder-singular", "the wrist stands above axis A1: small moves sideways turn the whole arm"
+        yield "shoulder-singular", "the wrist stands above axis A1: small moves sideways turn the whole arm; move the station outwards"
 
 
 def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
@@ -122,7 +138,7 @@ def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterato
 
 
 def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> Iterator[PlanFinding]:
-    """Poses to which no free path was found; those that collide by themselves are found by ``check_clearance``."""
+    """Poses to or from which no free path was found; those that collide by themselves are found by ``check_clearance``."""
     _, obstructed = find_paths(loaded, poses) if routes is None else routes
     if not obstructed:
         return
@@ -131,7 +147,7 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
     by_number = {p.number: (before, p) for before, p in zip([None, *poses], poses, strict=False)}
     for each in obstructed:
         before, pose = by_number[each.number]
-        if pose.number in spoiled or (before is not None and before.number in spoiled):
+        if pose.number in spoiled or (before is not None and before.number in spoiled and not each.homewards):
             continue
         sentence = obstructed_sentence(loaded, poses, each).split(": ", 1)[1]
         yield PlanFinding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))

@@ -41,8 +41,9 @@ class PlanningLimits:
 
     # Clearance along a motion.
     finest_travel_mm: float = 4.0  # a motion is divided until nothing moves further between two examined postures
-    neighbour_postures: int = 100  # random postures: bodies of the arm that overlap in all of them are neighbours, not collisions
-    neighbour_gap_mm: float = 10.0  # and so are those never farther apart than this: only a short link lies between them
+    random_postures: int = 400  # bodies of the arm that overlap in all of them do so by the shape of the model, and are no collision
+    neighbour_gap_mm: float = 10.0  # neighbouring links need not overlap to be left out, only to be never farther apart than this
+    smallest_part_mm: float = 40.0  # into which the scanner is divided where it overlaps with a link in every posture
 
     # Detours.
     retractions_mm: tuple[float, ...] = (80.0, 160.0, 260.0)  # tried in turn, along the scanner's axis away from the artefact

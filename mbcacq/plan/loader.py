@@ -24,6 +24,8 @@ def load(path: str | Path, text: str | None = None) -> LoadedPlan:
     text: the plan's YAML, where it is not written to ``path`` yet.
     """
     file = read(Path(path), "plan") if text is None else parse(text, Path(path))
+    if "format" not in file.data:
+        raise file.error((), "this is no plan, which begins with 'format: mbcacq-plan/1'; give a plan, or add that line")
     plan = file.validate(Plan)
     robot = _robot(file, plan)
     artefacts = _artefacts(file, plan)
@@ -59,10 +61,13 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     spec = source.validate(RobotSpec)
     for index, link in enumerate(spec.links):
         if link.limits_deg[0] >= link.limits_deg[1]:
-            raise source.error(("links", index, "limits_deg"), f"limits of A{index + 1}: the lower one must come first")
+            raise source.error(("links", index, "limits_deg"), f"limits of A{index + 1}: the lower one must come first; exchange them")
     _check_motion_limits(source, spec)
     if not np.any(spec.base_to_gravity) or (use.base_to_gravity is not None and not np.any(use.base_to_gravity)):
-        raise file.error(("robot", "base_to_gravity"), "base_to_gravity is a direction and cannot be zero")
+        raise file.error(
+            ("robot", "base_to_gravity"),
+            "base_to_gravity is a direction and cannot be zero; give the direction in which things fall, in the base frame",
+        )
     model = spec.model()
     if use.payload is not None:
         model = replace(model, payload_mass=use.payload.mass_kg, payload_com=np.array(use.payload.com_mm))
@@ -118,15 +123,22 @@ def _check_frames(file: YamlFile, plan: Plan) -> None:
         _check_frame(file, ("stations", index, "pose_in_base"), station.pose_in_base, SMALLEST_DISTANCE_MM)
     view = plan.scanner.field_of_view
     if view.near_z_mm <= view.far_z_mm:
-        raise file.error(("scanner", "field_of_view", "near_z_mm"), "near_z_mm must exceed far_z_mm: z points to the scanner")
+        raise file.error(
+            ("scanner", "field_of_view", "near_z_mm"), "near_z_mm must exceed far_z_mm, since z points to the scanner; exchange them"
+        )
     if min(*view.near_half_mm, *view.far_half_mm) <= 0:
-        raise file.error(("scanner", "field_of_view"), "the half widths of the field of view must be positive")
+        raise file.error(
+            ("scanner", "field_of_view"), "the half widths of the field of view must be positive; give half the widths of the data sheet"
+        )
     for index, box in enumerate(plan.obstacles):
         if any(low >= high for low, high in zip(box.min_mm, box.max_mm, strict=True)):
-            raise file.error(("obstacles", index), f"obstacle '{box.name}': each number of min_mm must be below that of max_mm")
+            raise file.error(
+                ("obstacles", index),
+                f"obstacle '{box.name}': each number of min_mm must be below that of max_mm; exchange those that are not",
+            )
     space = plan.workspace
     if space is not None and any(low >= high for low, high in zip(space.min_mm, space.max_mm, strict=True)):
-        raise file.error(("workspace",), "workspace: each number of min_mm must be below that of max_mm")
+        raise file.error(("workspace",), "workspace: each number of min_mm must be below that of max_mm; exchange those that are not")
 
 
 def _check_frame(file: YamlFile, where: Path_, pose: PoseSpec, smallest_mm: float) -> None:
@@ -150,7 +162,9 @@ def _check_stations(file: YamlFile, plan: Plan, artefacts: tuple[cell.Artefact, 
         ids.add(str(station.id))
         if station.artefact not in known:
             sentence = f"station '{station.id}' names an artefact '{station.artefact}' that the plan does not have"
-            raise file.error(("stations", index, "artefact"), f"{sentence} (it has {', '.join(known)})")
+            raise file.error(
+                ("stations", index, "artefact"), f"{sentence} (it has {', '.join(known)}); name one of these, or add its file to artefacts"
+            )
 
 
 def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: tuple[cell.Artefact, ...]) -> None:
@@ -164,7 +178,8 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
         wanted = {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look) else {("station",): step.station}
         for place, station in wanted.items():
             if str(station) not in artefact_of:
-                raise file.error((*where, *place), f"step '{step.name}' names a station '{station}' that the plan does not have")
+                sentence = f"step '{step.name}' names a station '{station}' that the plan does not have (it has {', '.join(artefact_of)})"
+                raise file.error((*where, *place), f"{sentence}; name one of these, or add the station")
         if isinstance(step, Look) and isinstance(step.balls, tuple):
             for station in step.stations:
                 _check_balls(file, where, step.name, step.balls, artefact_of[str(station)], station)
@@ -177,11 +192,12 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
 def _check_balls(file: YamlFile, where: Path_, step: str, balls: tuple[int, ...], artefact: cell.Artefact, station: str | int) -> None:
     if missing := set(balls) - set(artefact.ball_ids):
         sentence = f"step '{step}' expects ball {min(missing)}, which the artefact at station '{station}' does not have"
+        sentence += f" (it has {', '.join(map(str, artefact.ball_ids))}); expect others, or correct the artefact file"
         raise file.error((*where, "balls"), sentence)
 
 
 def _check_joints(file: YamlFile, where: Path_, angles_deg: Sequence[float], robot: cell.RobotModel) -> None:
     if len(angles_deg) != robot.n:
-        raise file.error(where, f"{len(angles_deg)} joint angles are given, but the robot has {robot.n} axes")
+        raise file.error(where, f"{len(angles_deg)} joint angles are given, but the robot has {robot.n} axes; give one for each axis")
     if sentence := looks_like_radians(angles_deg, robot.limits):
         raise file.error(where, sentence)

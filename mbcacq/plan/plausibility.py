@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
 
+from mbcacq.model.cell import Artefact
 from mbcacq.model.cell_schema import ArtefactSpec
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.yaml_source import Path_
@@ -16,6 +17,7 @@ SMALLEST_ARTEFACT_MM = 2.0  # an artefact of 2 m in metres is 2
 SMALLEST_DISTANCE_MM = 5.0  # from the base to an artefact; a place 5 m away in metres is 5
 SMALLEST_MOUNT_MM = 1.0  # from the flange to the scanner's frame; a scanner 1 m away in metres is 1
 LEAST_LIMIT = np.radians(30.0)  # an axis that moves less may well be meant to stand within 2 pi deg
+LEAST_DIFFERENCE_MM = 0.3  # of two distances that a scan tells apart
 BALLS_FOR_ORIENTATION = 3  # not on one line: fewer leave a rotation of the artefact open
 
 Implausible = tuple[Path_, str]
@@ -92,6 +94,45 @@ def lacks_orientation(loaded: LoadedPlan) -> Implausible | None:
             )
             first = first or (("steps", index), sentence)
     return first
+
+
+def symmetric(artefact: Artefact) -> str:
+    """A sentence about an artefact that a rotation takes onto itself, so that its balls can be named in several ways, or ''."""
+    order = _symmetry(artefact.centres, artefact.diameters)
+    if order is None:
+        return ""
+    ball, other = next((artefact.ball_ids[k], artefact.ball_ids[image]) for k, image in enumerate(order) if image != k)
+    return (
+        f"artefact '{artefact.id}' looks the same turned (ball {ball} could be ball {other}), and only its planned place tells them apart: "
+        f"make all distances between its balls differ by {LEAST_DIFFERENCE_MM:g} mm, or set it up close to where it is planned"
+    )
+
+
+def _symmetry(centres: np.ndarray, diameters: np.ndarray) -> tuple[int, ...] | None:
+    """An exchange of balls, centres (B, 3) mm, that a rotation makes good within ``LEAST_DIFFERENCE_MM``; None where there is none."""
+    n, apart = len(centres), np.linalg.norm(centres[:, None] - centres, axis=2)
+    if n < BALLS_FOR_ORIENTATION:
+        return None
+
+    def images(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+        k = len(order)
+        if k == n:
+            yield order
+            return
+        for image in set(range(n)) - set(order):
+            same = abs(diameters[image] - diameters[k]) < LEAST_DIFFERENCE_MM
+            if same and np.all(np.abs(apart[image, list(order)] - apart[k, :k]) < LEAST_DIFFERENCE_MM):
+                yield from images((*order, image))
+
+    for order in images(()):
+        if order == tuple(range(n)):
+            continue
+        a, b = centres - centres.mean(axis=0), centres[list(order)] - centres.mean(axis=0)
+        u, s, vt = np.linalg.svd(b.T @ a)
+        turned = s @ [1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))]
+        if np.sum(a * a) + np.sum(b * b) - 2 * turned < n * LEAST_DIFFERENCE_MM**2:
+            return order
+    return None
 
 
 def _balls(count: int) -> str:

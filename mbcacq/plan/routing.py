@@ -17,10 +17,11 @@ from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
 @dataclass(frozen=True)
 class Obstructed:
-    """No free path was found to pose ``number``; closest: where the straight one fails."""
+    """No free path was found to pose ``number``, or from it to home (``homewards``); closest: where the straight one fails."""
 
     number: int
     closest: Closest
+    homewards: bool = False
 
 
 Routes = tuple[list[Transit], list[Obstructed]]
@@ -69,7 +70,7 @@ def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
 
 
 def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
-    """Transits to all poses, straight where no free path was found, and which those are."""
+    """Transits to all poses, straight where no free path was found, and which those are; the path home from the last is examined too."""
     router = router_of(loaded)
     transits, obstructed = [], []
     for before, pose in zip([None, *poses], poses, strict=False):
@@ -78,20 +79,25 @@ def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
         else:
             retract = [] if before is None else router.retract(before)
             approach = router.approach(pose)
-        if retract is None or approach is None:
+        if retract is None and before is not None:
+            obstructed.append(Obstructed(before.number, router.obstruction(before.q, router.home, before.station), homewards=True))
+        if approach is None:
             start = router.home if before is None or before.station != pose.station else before.q
             obstructed.append(Obstructed(pose.number, router.obstruction(start, pose.q, pose.station)))
-            retract, approach = retract if retract is not None else [router.home], approach or []
-        transits.append(Transit(retract, approach))
+        transits.append(Transit(retract if retract is not None else [router.home], approach or []))
+    if poses and router.retract(poses[-1]) is None:
+        closest = router.obstruction(poses[-1].q, router.home, poses[-1].station)
+        obstructed.append(Obstructed(poses[-1].number, closest, homewards=True))
     return transits, obstructed
 
 
 def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], obstructed: Obstructed) -> str:
-    """'file:line: ...' about a pose to which no free path was found."""
+    """'file:line: ...' about a pose to or from which no free path was found."""
     pose = next(p for p in poses if p.number == obstructed.number)
     near = obstructed.closest
+    way = f"home from pose {pose.number}" if obstructed.homewards else f"to pose {pose.number}"
     return (
-        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free path to pose {pose.number} was found "
+        f"{loaded.path}:{pose.line}: step '{pose.step_name}' at station '{pose.station}': no free path {way} was found "
         f"(on the straight one {near.a} comes within {near.distance:.0f} mm of {near.b}); move the station, or put a view between"
     )
 

@@ -61,7 +61,7 @@ def read(path: Path, role: str = "file") -> YamlFile:
     except OSError as error:
         raise ConfigError(f"{path}: the {role} cannot be read ({error.strerror}); correct the path") from None
     if len(raw) > MAX_BYTES:
-        raise ConfigError(f"{path}: the {role} is larger than {MAX_BYTES} bytes; it is not such a file")
+        raise ConfigError(f"{path}: the {role} is larger than {MAX_BYTES} bytes, which no such file is; correct the path")
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -80,7 +80,9 @@ def parse(text: str, path: Path) -> YamlFile:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
         tab = "; indent with spaces, not with tabs" if "\t" in _line_of(text, line) else ""
-        raise ConfigError(f"{path}:{line}: not valid YAML: {error.problem or error.context}{tab}") from None
+        raise ConfigError(
+            f"{path}:{line}: not valid YAML: {error.problem or error.context}{tab or '; correct this line or the one before it'}"
+        ) from None
     except (
         yaml.YAMLError,
         ValueError,
@@ -91,9 +93,9 @@ def parse(text: str, path: Path) -> YamlFile:
         RecursionError,
     ) as error:  # of a tag's own value
         reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
-        raise ConfigError(f"{path}:1: not valid YAML: {reason}") from None
+        raise ConfigError(f"{path}:1: not valid YAML: {reason}; correct it") from None
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}:1: the file must be a mapping of keys to values")
+        raise ConfigError(f"{path}:1: the file must be a mapping of keys to values; write it as lines of 'key: value'")
     return YamlFile(path, text, data, lines)
 
 
@@ -155,7 +157,7 @@ def _walk(node: yaml.Node, where: Path_, lines: dict[Path_, int], path: Path, co
         except ValueError:
             finite = not any(word in node.value.lower() for word in ("nan", "inf"))
         if not finite:
-            raise ConfigError(f"{path}:{line}: {_name(where)} is {node.value}, not a finite number")
+            raise ConfigError(f"{path}:{line}: {_name(where)} is {node.value}, not a finite number; correct it")
 
 
 def _explain(error: Any, lines: dict[Path_, int]) -> tuple[Path_, str]:
@@ -170,14 +172,16 @@ def _explain(error: Any, lines: dict[Path_, int]) -> tuple[Path_, str]:
     if kind == "extra_forbidden":
         return where, f"unknown key '{last}'; correct or remove it"
     if kind == "missing":
-        return where, f"{_name(where)} has too few values" if isinstance(last, int) else f"{_name(where)} lacks '{last}'"
+        if isinstance(last, int):
+            return where, f"{_name(where)} has too few values; add the missing ones"
+        return where, f"{_name(where)} lacks '{last}'; add it"
     if kind == "union_tag_not_found":
         return where, f"{_name(where)} lacks 'do'; say which of 'translate', 'look', 'joints'"
     if kind == "union_tag_invalid":
-        return where, f"{_name(where)}: do: {error['ctx']['tag']} is not one of {error['ctx']['expected_tags']}"
+        return where, f"{_name(where)}: do: {error['ctx']['tag']} is not one of {error['ctx']['expected_tags']}; take one of these"
     message = error["msg"][0].lower() + error["msg"][1:]
     shown = f", not {given!r}" if isinstance(given, str | int | float | bool | None) else ""
-    return where, f"{_name(where)}: {message}{shown}"
+    return where, f"{_name(where)}: {message}{shown}; correct it"
 
 
 def _name(where: Path_) -> str:

@@ -32,11 +32,8 @@ UNITS = {ENCODER: "rad", TORQUE: "N m", JOINT_SIDE: "rad"}
 
 
 def mujoco_engine() -> Any:
-    """The package mujoco. Raises ConfigError where it is not installed."""
-    try:
-        return import_module("mujoco")
-    except ImportError:
-        raise ConfigError("a model file is simulated by MuJoCo, which is missing; pip install 'mbcacq[mjcf]'") from None
+    """The package mujoco, which is slow to load."""
+    return import_module("mujoco")
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,23 @@ def load_arm(path: Path | str) -> MujocoArm:
     missing = [f"A{k + 1}" for k, name in enumerate(imported.joints) if not name or spec.joint(name) is None]
     if missing:
         raise ConfigError(f"{path}: the joint of {missing[0]} is without a name; name all joints of the arm")
+    _resolve_frames(spec, model, imported.joints)
     return MujocoArm(path, spec, imported.joints, robot, imported, _servos(engine, spec, model, imported.joints))
+
+
+def _resolve_frames(spec: Any, model: Any, joints: tuple[str, ...]) -> None:
+    """Place the arm's bodies and hinges in their bodies themselves, as MuJoCo compiles them, where the file has <frame> around them: what
+    is written later into a place or an axis is then not moved once more."""
+    bodies = [spec.joint(name).parent for name in joints]
+    placed = [(body, body.id) for body in bodies if body.frame is not None]  # the first change takes all numbers away
+    turning = [(hinge, hinge.id) for body in bodies for hinge in body.joints if hinge.frame is not None]
+    for body, number in placed:
+        body.pos, body.quat = model.body_pos[number], model.body_quat[number]
+        body.alt.type = mujoco_engine().mjtOrientation.mjORIENTATION_QUAT
+        body.set_frame(body.parent.add_frame())
+    for hinge, number in turning:
+        hinge.axis, hinge.pos = model.jnt_axis[number], model.jnt_pos[number]
+        hinge.set_frame(hinge.parent.add_frame())
 
 
 def _servos(engine: Any, spec: Any, model: Any, joints: tuple[str, ...]) -> tuple[int, ...] | None:

@@ -42,8 +42,7 @@ def T_body_link(arm: MujocoArm, axis: int) -> np.ndarray:
 
 
 def with_chain(arm: MujocoArm, chain: Chain) -> Any:
-    """The model whose joints lie as those of a calibrated chain: places of bodies and axes of joints. Raises ConfigError where several
-    bodies lie between two joints or a body has a turned frame around it, so that a place is not the body's own."""
+    """The model whose joints lie as those of a calibrated chain: places of bodies and axes of joints."""
     spec = arm.spec.copy()
     old = body_frames(arm, arm.spec)
     T_base = arm.imported.T_given_base

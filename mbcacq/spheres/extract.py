@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from mbcacq.spheres.candidates import sphere_candidates
 from mbcacq.spheres.fit import SphereFit, rough_fits, sphere_fits
 from mbcacq.spheres.found import FoundSpheres, SphereOptions
 from mbcacq.spheres.naming import identify_spheres
+from mbcacq.spheres.recognise import size_classes
 from mbcacq.spheres.voxels import Patches, Voxels, patches, voxelise
 
 MAX_CANDIDATES = 60
@@ -40,12 +42,14 @@ def find_spheres(
     columns = _finite(points)
     fits: list[tuple[float, SphereFit]] = []
     refused: list[tuple[str, np.ndarray | None]] = []
+    surface = None
     if columns.shape[1] >= options.min_points:
         surface = Surface(columns, artefact.diameters.min() / 2)
         fits, refused = _fit_all(surface, artefact, options)
         if not fits:
             _other_diameter(surface, artefact, options)
-    return identify_spheres(fits, refused, artefact, expected, predicted, options)
+    found = identify_spheres(fits, refused, artefact, expected, predicted, options)
+    return found if surface is None else _with_own_diameters(found, surface, artefact, options)
 
 
 class Surface:
@@ -75,7 +79,7 @@ def _fit_all(surface: Surface, artefact: Artefact, options: SphereOptions):
     view = None if options.view is None else np.asarray(options.view, dtype=float) / np.linalg.norm(options.view)
     starts, radii = [], []
     limit = min(3 * len(artefact.ball_ids) + 6, MAX_CANDIDATES)
-    for radius in np.unique(artefact.diameters) / 2:
+    for radius in np.unique(size_classes(artefact.diameters / 2, options.radius_tolerance)):
         found, _ = sphere_candidates(surface.patches, radius, view, limit)
         starts.extend(found)
         radii.extend([radius] * len(found))
@@ -100,6 +104,27 @@ def _fit_all(surface: Surface, artefact: Artefact, options: SphereOptions):
         elif telling:
             refused.append((fault, fit.centre))
     return fits, refused
+
+
+def _with_own_diameters(found: FoundSpheres, surface: Surface, artefact: Artefact, options: SphereOptions) -> FoundSpheres:
+    """The named balls fitted again, each with its own certified diameter, where those of one size differ by a little."""
+    own = np.array([artefact.diameters[artefact.ball_ids.index(b)] for b in found.ball.tolist()]) / 2
+    sought = dict(zip(artefact.ball_ids, size_classes(artefact.diameters / 2, options.radius_tolerance), strict=True))
+    if np.allclose([sought[b] for b in found.ball.tolist()], own, rtol=1e-9, atol=0):
+        return found
+    view = None if options.view is None else np.asarray(options.view, dtype=float) / np.linalg.norm(options.view)
+    fits = sphere_fits(surface.near_shells(found.xyz, own, 0.12 * own), found.xyz, own, view, options.max_incidence, options.max_noise)
+    kept = [k for k, fit in enumerate(fits) if fit is not None]
+    again = [fit for fit in fits if fit is not None]
+    return replace(
+        found,
+        ball=found.ball[kept],
+        xyz=np.array([f.centre for f in again]).reshape(-1, 3),
+        n_points=np.array([f.n_points for f in again], dtype=int),
+        rms_mm=np.array([f.rms_mm for f in again]),
+        covariance=np.array([f.covariance for f in again]).reshape(-1, 3, 3),
+        radius_error_mm=np.array([f.radius_error for f in again]),
+    )
 
 
 def _judge(fit: SphereFit, radius: float, options: SphereOptions) -> tuple[str | None, bool]:

@@ -10,7 +10,7 @@ from mbcacq.errors import DeviceFault
 from mbcacq.model.cell import Artefact
 from mbcacq.spheres.fit import SphereFit
 from mbcacq.spheres.found import FoundSpheres, SphereOptions
-from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_distance
+from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_distance, size_classes
 
 Refusals = list[tuple[str, np.ndarray | None]]
 
@@ -27,7 +27,7 @@ def identify_spheres(
     centres = np.array([f.centre for _, f in fits]).reshape(-1, 3)
     radii = np.array([r for r, _ in fits])
     sigma = np.array([np.sqrt(np.trace(f.covariance)) for _, f in fits])
-    allowed = np.isclose(radii[:, None], artefact.diameters / 2)
+    allowed = np.isclose(radii[:, None], size_classes(artefact.diameters / 2, options.radius_tolerance))
     if expected is not None and len(expected) < 3:
         allowed &= np.isin(artefact.ball_ids, list(expected))
     guess = _guess(artefact, expected, predicted)

@@ -49,6 +49,18 @@ def assignments(
     return sorted(result, key=lambda x: x.rms)
 
 
+def size_classes(radii: np.ndarray, tolerance: float) -> np.ndarray:
+    """(B,) for each certified radius (B,) the mean of those that a scan cannot tell from it: neighbours within ``tolerance``, relative.
+
+    A certificate gives each ball its own measured diameter; balls that were bought as one size are sought and named as one size.
+    """
+    order = np.argsort(radii)
+    apart = np.diff(radii[order]) > tolerance * radii[order][:-1]
+    number = np.empty(len(radii), dtype=int)
+    number[order] = np.concatenate([[0], np.cumsum(apart)])
+    return np.array([radii[number == k].mean() for k in number])
+
+
 def similarity_rms(source: np.ndarray, target: np.ndarray, mirror: bool = False) -> float:
     """Rms distance (mm) after the best rotation, translation and scale taking source (k, 3) to target (Umeyama 1991)."""
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)

@@ -57,6 +57,13 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
     What is calibrated follows from the plan's phases and stations (``options_for``). limit_mm: the plan's limit of the sphere spacing
     error. progress: gets a sentence a step.
     """
+    from mbcacq.recording.rrd.reader import opened_once
+
+    with opened_once():
+        return _evaluated(run, limit_mm, progress)
+
+
+def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
     from mbcacq.recording import find_gaps, log_result
     from mbcacq.recording.datasets.csvfile import write_text
     from mbcacq.recording.rrd.result_recording import Judgement

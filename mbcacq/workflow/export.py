@@ -38,7 +38,9 @@ def export(
     written = list(_results(source, Path(results), targets or Targets(), force, simulated_anyway)) if results is not None else []
     folders = [None if folder is None else Path(folder) for folder in (observations, trajectory)]
     if not (written or any(folders)):
-        raise ConfigError("nothing to export; say what and where, such as --observations DIR or --results DIR")
+        raise ConfigError(
+            "nothing to export; say what and where, such as --observations DIR, --results DIR, or --artefact ID for a certificate"
+        )
     for folder in folders:
         if folder is not None:
             refuse_existing(folder / "cell.yaml", force, f"{folder} already holds a set; give another folder, or --force to replace it")

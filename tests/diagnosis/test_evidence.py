@@ -12,9 +12,10 @@ from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors, log_set_bayes_factor
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
-from mbcacq.diagnosis.evidence.hypothesis import Member, conditioned
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import rivals
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 
@@ -59,33 +60,74 @@ def test_independent_effects_multiply_their_evidence():
 
 def test_the_gradient_by_the_noise_is_the_derivative_of_its_likelihood(small):
     setup = problem.prepare(simulated.observe(small, 11))
-    prior = setup.prior_noise
+    prior, nothing = setup.prior_noise, np.zeros((*setup.linear.residual.shape, 0))
     point = NoisePoint(setup.linear, prior, prior.centre)
-    gradient, _ = point.score(conditioned(point, ()))
+    gradient, _ = point.with_effects(nothing).score(np.zeros(0))
     for c in (0, 2, 4):
         step = 1e-4 * (np.arange(len(prior.centre)) == c)
-        above, below = (replace(point, theta=point.theta + sign * step).log_likelihood for sign in (1, -1))
+        above, below = (replace(point, theta=point.theta + sign * step).with_effects(nothing).log_likelihood for sign in (1, -1))
         assert gradient[c] == pytest.approx((above - below) / 2e-4, rel=1e-3, abs=1e-2)
 
 
 def test_the_gradient_with_an_effect_is_that_of_its_integrated_likelihood(small):
-    setup = problem.prepare(simulated.observe(small, 11, [("backlash", ("A2",), [6e-5], None)]))
+    setup = problem.prepare(simulated.observe(small, 11, [("joint_compliance", ("A2",), [2e-6], None)]))
     prior = setup.prior_noise
     point = NoisePoint(setup.linear, prior, prior.centre)
-    effect = next(c for c in setup.candidates if c.name == "backlash" and c.where == ("A2",))
-    member = Member(effect, None, sizes=(2.0,), size=2.0)
+    effect = next(c for c in setup.candidates if c.name == "joint_compliance" and c.where == ("A3",))
+    columns = setup.linear.columns(effect.build(None)) * effect.typical
 
     def log_likelihood(theta):
-        here = replace(point, theta=theta)
-        X, S, b = here.projected.candidate_products(effect, None)
-        t = effect.typical
-        return here.log_likelihood + log_bayes_factors((S * np.outer(t, t))[None], (b * t)[None], np.array([2.0]))[0]
+        there = replace(point, theta=theta).with_effects(columns)
+        return there.log_likelihood + log_bayes_factors(there.A[None], there.a[None], np.array([2.0]))[0]
 
-    gradient, _ = point.score(conditioned(point, (member,)))
+    gradient, _ = point.with_effects(columns).score(np.array([2.0**-2]))
     for c in (0, 4):
         step = 1e-4 * (np.arange(len(prior.centre)) == c)
         numeric = (log_likelihood(point.theta + step) - log_likelihood(point.theta - step)) / 2e-4
         assert gradient[c] == pytest.approx(numeric, rel=1e-3, abs=1e-2)
+
+
+def test_stations_may_be_eliminated_or_projected_out(small):
+    setup = problem.prepare(simulated.observe(small, 11))
+    point = NoisePoint(setup.linear, setup.prior_noise, setup.prior_noise.centre)
+    for name, where in (("backlash", ("A2",)), ("joint_compliance", ("A3",)), ("scanner_scale", ("scanner",))):
+        effect = next(c for c in setup.candidates if c.name == name and c.where == where)
+        eliminated = point.with_effects(setup.linear.columns(effect.build(None)) * effect.typical)
+        _, S, b = point.projected.candidate_products(effect, None)
+        assert eliminated.A == pytest.approx(S * np.outer(effect.typical, effect.typical), rel=1e-6)
+        assert eliminated.a == pytest.approx(b * effect.typical, rel=1e-5, abs=1e-6)
+
+
+def test_blocks_made_of_sums_equal_those_made_of_whitened_columns(small):
+    setup = problem.prepare(simulated.observe(small, 11, [("joint_compliance", ("A2",), [2e-6], None)]))
+    effect = next(c for c in setup.candidates if c.name == "joint_compliance" and c.where == ("A2",))
+    plain = CandidateScoring.of(setup.linear, setup.noise)
+    projected = plain.conditioned_on([(plain.block(effect, None), effect.typical**-2.0)])
+    evidence = EvidenceMap(projected, setup.design_blocks).evaluate(projected)
+    basis = np.concatenate([projected.Q, projected.conditioned], axis=1)
+    for cell in evidence.cells[::6]:
+        group = setup.design_blocks.groups[cell.group]
+        unit = np.stack([setup.linear.unit(*key) for key in group.keys], axis=2) @ group.mix[list(cell.rows)].T
+        F = group.functions[:, cell.shape.index]
+        F = F[setup.linear.obs.pose] if group.per_pose else F
+        X = projected.whiten((unit[:, :, :, None] * F[:, None, None, :]).reshape(*unit.shape[:2], -1))
+        S, b = X.T @ X - (basis.T @ X).T @ (basis.T @ X), X.T @ projected.r
+        log, gain, _ = log_bayes_factor(S[None], b[None], np.sum(X * X, axis=0)[None], np.tile(cell.shape.weight, len(cell.rows))[None])
+        assert cell.log_bayes_factor == pytest.approx(log[0], rel=1e-5, abs=1e-4)
+        assert cell.gain == pytest.approx(gain[0], rel=1e-4, abs=1e-3)
+
+
+def test_a_block_that_cannot_matter_is_left_out_and_no_other():
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(300, 60, 3))
+    S = np.swapaxes(columns, 1, 2) @ columns
+    b = (np.swapaxes(columns, 1, 2) @ (rng.normal(size=(300, 60)) + 0.3 * columns[:, :, 0])[:, :, None])[:, :, 0]
+    raw = np.einsum("hii->hi", S)
+    whole, _, _ = log_bayes_factor(S, b, raw, np.ones((300, 3)))
+    some, _, _ = log_bayes_factor(S, b, raw, np.ones((300, 3)), least=1.0)
+    assert np.all(np.isfinite(some[whole > 1.0]))
+    assert np.array_equal(some[np.isfinite(some)], whole[np.isfinite(some)])
+    assert 0 < np.sum(some == -np.inf) < 300
 
 
 @pytest.mark.parametrize("stated", [0.2, 1.0, 5.0])

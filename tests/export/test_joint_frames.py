@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import yaml
 
-from mbcacq.exports.joint_frames import joint_frames, kinematics_yaml, mjcf
+from mbcacq.exports.joint_frames import joint_frames, kinematics_yaml
+from mbcacq.exports.mjcf import mjcf
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model import shipped

@@ -20,6 +20,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import ArmPrior, CalibrationOptions
 from mbcacq.fleet.arm_prior import learnt, population, read_priors
 from mbcacq.fleet.control_chart import arm_types, excess_variance, outliers, weighted_median
+from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings
 from mbcacq.fleet.store import FleetStore, read_table
@@ -145,16 +146,40 @@ def made_rows(arms, each, rng, drift=0.0, odd=0.0):
 def test_a_drifting_arm_and_an_odd_arm_are_named_and_no_other():
     found = outliers(arm_types(made_rows(20, 8, np.random.default_rng(1), drift=4e-4, odd=3e-3)))
     assert {o.arm for o in found if o.recording is not None} == {"arm-00"}
-    assert {o.arm for o in found if o.recording is None} == {"arm-19"}
+    assert {o.arm for o in found if o.recording is None and not o.drift} == {"arm-19"}
+    (drifting,) = (o for o in found if o.drift)
+    assert (drifting.arm, drifting.name) == ("arm-00", "theta_2")
+    assert drifting.value == pytest.approx(4e-4 * 7 / 8, rel=0.2)
+
+
+def test_a_drift_that_no_parameter_shows_by_itself_is_found_by_all_together():
+    """theta_2 and a_1 are known to 0.1 only, but one combination of them to 0.001."""
+    rng, covariance = np.random.default_rng(4), np.array([[1e-2, 0.99995e-2], [0.99995e-2, 1e-2]])
+    root = np.linalg.cholesky(covariance)
+    rows = []
+    for arm in range(8):
+        for k in range(6):
+            value = root @ rng.normal(size=2) + (np.array([0.02 * k / 5, 0.0]) if arm == 2 else 0.0)
+            rows.append(
+                {
+                    "arm": f"arm-{arm}", "names": ["theta_2", "a_1"], "covariance": covariance.reshape(-1).tolist(),
+                    "error.theta_2": value[0], "error.a_1": value[1],
+                }
+            )  # fmt: skip
+    (found,) = drifts(rows)
+    assert found.arm == "arm-2"
+    assert abs(found.change) == pytest.approx(0.02, rel=0.3)
 
 
 def test_false_alarms_are_as_rare_as_the_limits_say():
     rng = np.random.default_rng(2)
-    outside = recordings = 0
+    outside = recordings = drifting = 0
     for _ in range(40):
         (kind,) = arm_types(made_rows(12, 6, rng))
         outside, recordings = outside + int(kind.charts[0].outside.sum()), recordings + len(kind.rows)
+        drifting += len(drifts(kind.rows))
     assert outside <= 3 * 0.0027 * recordings
+    assert drifting <= 3 * 0.0027 * 40 * 12
 
 
 def test_excess_variance_is_what_the_stated_one_lacks():

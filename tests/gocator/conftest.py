@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import socket
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,12 +12,25 @@ import pytest
 from gocator_bench import Line, options, read_frame, read_trace
 from mbcacq_fakes.protocols.gocator import FakeGocator
 from mbcacq_fakes.world.frame import ScannerFrame
+from mbcacq_gocator.build_loop import SOURCE, build
+from mbcacq_gocator.conversion import load
 from mbcacq_gocator.driver import Gocator
 
 
 @pytest.fixture(scope="session")
 def trace() -> list[Line]:
     return read_trace()
+
+
+@pytest.fixture(scope="session")
+def compiled_loop(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    """The conversion's loop in C, compiled for these tests."""
+    library = build(SOURCE, tmp_path_factory.mktemp("loop"))
+    if library is None:
+        pytest.skip("no C compiler")
+    loop = load(library)
+    assert loop is not None
+    return loop
 
 
 @pytest.fixture

@@ -154,5 +154,5 @@ def test_an_empty_surface_has_rows_and_columns_like_any_other(kind, shape):
     attributes = struct.pack("<II3I3iBIBii", *shape, 1000, 1000, 1000, 0, 0, 0, 0, 0, 0, 3, 0)
     body = struct.pack("<H", len(attributes)) + attributes
     surface = surface_points(decode(struct.pack("<IH", 6 + len(body), kind) + body)[0])
-    assert surface.valid.shape == shape
+    assert surface.shape == shape
     assert surface.points.shape == (0, 3)

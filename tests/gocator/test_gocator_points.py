@@ -1,4 +1,4 @@
-"""Raw values become millimetres: mm = offset um / 1000 + raw * resolution nm / 1e6."""
+"""Raw values become millimetres: mm = offset um / 1000 + raw * resolution nm / 1e6; by the compiled loop as with numpy."""
 
 from __future__ import annotations
 
@@ -7,12 +7,21 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from mbcacq_gocator import conversion
 from mbcacq_gocator.decode import decode
 from mbcacq_gocator.points import intensity_of, surface_points
 
 from mbcacq.devices import ProtocolError
 
+pytestmark = pytest.mark.usefixtures("way")
+
 RESOLUTION, OFFSET = (2351, 3003, 1713), (-71003, 1000, 250001)
+
+
+@pytest.fixture(params=["numpy", "compiled"])
+def way(request, monkeypatch):
+    loop = request.getfixturevalue("compiled_loop") if request.param == "compiled" else None
+    monkeypatch.setattr(conversion, "compiled", lambda: loop)
 
 
 def cloud(raw: np.ndarray) -> bytes:
@@ -29,7 +38,7 @@ def height_map(raw: np.ndarray) -> bytes:
 
 def unpacked(message):
     surface = surface_points(message)
-    return surface.points, surface.pixel, surface.valid
+    return surface.points, surface.pixel
 
 
 def test_known_millimetres():
@@ -38,7 +47,7 @@ def test_known_millimetres():
         "e8 03 00 00 90 d0 03 00 00 dc 05 00 00 00 06 00 00 00 00 00 00 00 01 00 00 00 00 00 00 00 ce ff"
         "ce ff 00 00 00 80 00 80 00 80 ce ff 00 00 49 03 00 00 00 00 49 03"
     )
-    points, pixel, _ = unpacked(decode(frame)[0])
+    points, pixel = unpacked(decode(frame)[0])
     assert points.dtype == np.float32
     np.testing.assert_allclose(points, [[-6, 0, 250], [-6, 1, 251.682], [-5, 1, 251.682]], rtol=0, atol=2e-5)
     assert pixel.tolist() == [0, 2, 3]
@@ -46,7 +55,7 @@ def test_known_millimetres():
 
 def test_minus_one_is_a_height_and_minus_32768_is_none():
     raw = np.array([[[5, 5, -1], [5, 5, -32768], [-32768, -1, -32767]]])
-    points, pixel, _ = unpacked(decode(cloud(raw))[0])
+    points, pixel = unpacked(decode(cloud(raw))[0])
     assert pixel.tolist() == [0, 2]
     np.testing.assert_allclose(points[:, 2], [250.001 - 0.001713, 250.001 - 32767 * 0.001713], rtol=0, atol=2e-5)
 
@@ -58,10 +67,10 @@ def test_every_point_of_a_frame_within_0_3_m_is_exact_to_0_03_um(kind):
     raw[rng.random((257, 311)) < 0.3, 2] = -32768
     scale, offset = np.array(RESOLUTION) / 1e6, np.array(OFFSET) / 1e3
     if kind == "cloud":
-        points, pixel, _ = unpacked(decode(cloud(raw))[0])
+        points, pixel = unpacked(decode(cloud(raw))[0])
         exact = (raw * scale + offset).reshape(-1, 3)
     else:
-        points, pixel, _ = unpacked(decode(height_map(raw[..., 2]))[0])
+        points, pixel = unpacked(decode(height_map(raw[..., 2]))[0])
         row, column = np.mgrid[:257, :311]
         exact = (np.stack([column, row, raw[..., 2]], axis=2) * scale + offset).reshape(-1, 3)
     assert pixel.tolist() == np.flatnonzero(raw[..., 2].ravel() != -32768).tolist()
@@ -71,7 +80,7 @@ def test_every_point_of_a_frame_within_0_3_m_is_exact_to_0_03_um(kind):
 def test_all_valid_and_none_valid():
     raw = np.arange(4 * 5 * 3).reshape(4, 5, 3)
     assert len(surface_points(decode(cloud(raw))[0]).points) == 20
-    points, pixel, _ = unpacked(decode(cloud(np.full((4, 5, 3), -32768)))[0])
+    points, pixel = unpacked(decode(cloud(np.full((4, 5, 3), -32768)))[0])
     assert points.shape == (0, 3)
     assert pixel.shape == (0,)
     assert surface_points(decode(height_map(np.full((4, 5), -32768)))[0]).points.shape == (0, 3)
@@ -83,6 +92,16 @@ def test_result_outlives_the_receive_buffer():
     before = points.copy()
     received[62:] = bytes(len(received) - 62)
     np.testing.assert_array_equal(points, before)
+
+
+def test_a_scan_still_in_use_shares_no_memory_with_the_next():
+    received = cloud(np.random.default_rng(1).integers(-32767, 32767, (30, 40, 3)))
+    first, second = (surface_points(decode(received)[0]) for _ in range(2))
+    assert not np.shares_memory(first.points, second.points)
+    assert not np.shares_memory(first.pixel, second.pixel)
+    kept = first.points.copy()
+    second.points[:] = 0
+    np.testing.assert_array_equal(first.points, kept)
 
 
 def test_intensity_follows_the_pixels_and_must_fit_the_surface():
@@ -101,7 +120,6 @@ def test_intensity_follows_the_pixels_and_must_fit_the_surface():
 def test_a_whole_frame_of_any_shape_is_converted_as_one_with_holes(make, shape):
     raw = np.random.default_rng(3).integers(-32767, 32768, (*shape, 3)[: 3 if make is cloud else 2])
     whole = surface_points(decode(make(raw))[0])
-    assert whole.valid.all()
     assert whole.pixel.tolist() == list(range(shape[0] * shape[1]))
     raw[-1, -1] = -32768
     holed = surface_points(decode(make(raw))[0])
@@ -123,4 +141,4 @@ def test_decoding_needs_hardly_more_memory_than_its_result(make, missing):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < 1.3 * sum(array.nbytes for array in (surface.points, surface.pixel, surface.valid))
+    assert peak < 1.3 * sum(array.nbytes for array in (surface.points, surface.pixel))

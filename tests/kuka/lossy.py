@@ -32,12 +32,12 @@ class Weather:
 class Relay(threading.Thread):
     """Between a controller (which sends to ``port``) and a client that listens on ``target``, in both directions."""
 
-    def __init__(self, target, weather, seed=1):
+    def __init__(self, target, weather, seed=1, port=0):
         super().__init__(daemon=True)
         self._weather, self._draw, self._quit = weather, random.Random(seed), threading.Event()
         self._front, self._back = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-        for each in (self._front, self._back):
-            each.bind(("127.0.0.1", 0))
+        self._front.bind(("127.0.0.1", port))
+        self._back.bind(("127.0.0.1", 0))
         self.port = self._front.getsockname()[1]
         self._where = {self._front: None, self._back: ("127.0.0.1", target)}
         self._names = {self._front: "to the client", self._back: "to the controller"}  # by the side from which they come

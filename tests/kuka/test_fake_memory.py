@@ -16,8 +16,8 @@ from mbcacq.errors import ConnectError
 SHM = Path("/dev/shm")
 pytestmark = pytest.mark.skipif(not SHM.is_dir(), reason="no shared memory as files here")
 
-FULL = """
-mount -t tmpfs -o size=32k none /dev/shm || exit 77
+SEPARATE = """
+mount -t tmpfs -o {} none /dev/shm || exit 77
 exec "$0" -c '
 from mbcacq_fakes.protocols.krc.server import FakeKrc
 try:
@@ -53,12 +53,14 @@ def test_what_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
     assert not blocks[0].exists()
 
 
-def test_a_full_dev_shm_is_a_sentence_and_no_sigbus():
+@pytest.mark.parametrize(("mounted", "reason"), [("size=32k", "No space left on device"), ("ro", "Read-only file system")])
+def test_a_full_or_read_only_dev_shm_is_a_sentence_and_no_sigbus(mounted, reason):
     if shutil.which("unshare") is None:
         pytest.skip("unshare is not installed: no /dev/shm of its own for the test")
-    command = ["unshare", "--mount", "sh", "-c", FULL, sys.executable]
+    command = ["unshare", "--mount", "sh", "-c", SEPARATE.format(mounted), sys.executable]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("a mount of its own is not permitted here")
     assert done.returncode == 0, done
-    assert done.stdout.startswith("ConnectError the fake controller has no 15364 KiB of shared memory")
+    assert done.stdout.startswith("ConnectError the fake controller has no ")
+    assert f"of shared memory ({reason})" in done.stdout

@@ -18,12 +18,12 @@ from mbcacq.devices import ConnectError
 SHM = Path("/dev/shm")
 pytestmark = pytest.mark.skipif(not SHM.is_dir(), reason="no shared memory as files here")
 
-FULL = """
-mount -t tmpfs -o size=8m none /dev/shm || exit 77
+SEPARATE = """
+mount -t tmpfs -o {} none /dev/shm || exit 77
 exec "$0" -c '
 from mbcacq_kuka.rsi.driver import KukaRsi
 try:
-    KukaRsi("arm", "", {"limits_deg": [[-1, 1]] * 6, "port": 0}).connect()
+    KukaRsi("arm", "", dict(limits_deg=[[-1, 1]] * 6, port=0)).connect()
 except Exception as error:
     print(type(error).__name__, error)
 '
@@ -52,11 +52,14 @@ def test_a_ring_that_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch)
     assert not blocks[0].exists()
 
 
-def test_a_full_dev_shm_ends_no_driver_by_sigbus():
+@pytest.mark.parametrize(("mounted", "reason"), [("size=8m", "No space left on device"), ("ro", "Read-only file system")])
+def test_a_full_or_read_only_dev_shm_ends_no_driver_by_sigbus(mounted, reason):
     if shutil.which("unshare") is None:
         pytest.skip("unshare is not installed: no /dev/shm of its own for the test")
-    done = subprocess.run(["unshare", "--mount", "sh", "-c", FULL, sys.executable], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", SEPARATE.format(mounted), sys.executable], capture_output=True, text=True, timeout=120
+    )
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("a mount of its own is not permitted here")
     assert done.returncode == 0, done
-    assert done.stdout.startswith("ConnectError robot 'arm': no shared memory for the RSI cycles (No space left on device)")
+    assert done.stdout.startswith(f"ConnectError robot 'arm': no shared memory for the RSI cycles ({reason})")

@@ -1,7 +1,6 @@
 """The example package for Universal Robots: literal bytes of RTDE, the suite every driver must pass, a dry run with its own fake."""
 
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 import yaml
 from conftest import install
 
-from mbcacq.conformance import CHECKS, Channel, DriverBench, Stand, TcpProxy, check
+from mbcacq.conformance import CHECKS, check
 from mbcacq.devices import ConfigError, ConnectError, MotionLimits, SafetyStop
 from mbcacq.model import shipped
 
@@ -62,58 +61,29 @@ def test_packages_are_cut_where_their_length_says():
         packages.feed(b"\x00\x01\x53")
 
 
-def length(data):
-    """Where the first package of these bytes ends, 0: not yet."""
-    return int.from_bytes(data[:2], "big") if len(data) >= 2 and len(data) >= int.from_bytes(data[:2], "big") else 0
-
-
-@contextmanager
+@pytest.fixture
 def opened():
-    from mbcacq_ur_rtde.driver import UrRtde
-    from mbcacq_ur_rtde.fake import FakeUr
+    from mbcacq_ur_rtde import conformance
 
-    with FakeUr(start_deg=HOME_DEG) as fake, TcpProxy(Channel("rtde"), ("127.0.0.1", fake.port)) as proxy:
-        made = []
-
-        def make(**more):
-            options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0, **more}
-            made.append(UrRtde("arm", "UR10e", options))
-            return made[-1]
-
-        def use(robot):
-            target = np.radians(HOME_DEG if np.abs(np.degrees(robot.state().q) - HOME_DEG).max() > 0.5 else HOME_DEG + 2)
-            robot.move_to(target, LIMITS)
-            while not robot.state().arrived:
-                pass
-            assert np.abs(fake.q - target).max() < 2e-4, "arrived, but the arm is elsewhere"
-
-        def begin(robot):
-            robot.move_to(np.radians(HOME_DEG + 170), LIMITS)
-
-        yield Stand(
-            make, use, {"rtde": proxy}, begin=begin, at_rest=lambda: fake.at_rest, short_limits={"silence_s": 0.5, "connect_timeout_s": 1.0}
-        )
-        for robot in made:
-            robot.close()
-
-
-NO_IDENTITY = {"refuses_the_wrong_device": "RTDE does not say which model of arm answers"}
+    return conformance.opened
 
 
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
 def test_it_passes_the_suite_every_driver_must_pass(each):
-    result = check(DriverBench("ur_rtde", "robot", opened, excused=NO_IDENTITY), each)
-    assert result.status == ("skipped" if each.__name__ in NO_IDENTITY else "passed"), str(result)
+    from mbcacq_ur_rtde.conformance import BENCH, EXCUSED
+
+    result = check(BENCH, each)
+    assert result.status == ("skipped" if each.__name__ in EXCUSED else "passed"), str(result)
 
 
-def test_a_target_beyond_the_limits_moves_nothing():
+def test_a_target_beyond_the_limits_moves_nothing(opened):
     with opened() as stand, stand.make(limits_deg=[[-100, 100]] * 6) as robot:
         with pytest.raises(SafetyStop, match=r"A2 would go to -101.000 deg, beyond its limits -100..100 deg; nothing was moved"):
             robot.move_to(np.radians([0, -101, 90, -90, -90, 0]), LIMITS)
         assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)
 
 
-def test_without_limits_it_is_not_even_constructed():
+def test_without_limits_it_is_not_even_constructed(opened):
     with opened() as stand, pytest.raises(ConfigError, match="limits_deg of six axes are needed"):
         stand.make(limits_deg=None)
 

@@ -307,3 +307,18 @@ def test_command_line(folder):
     failed = json.loads(CliRunner().invoke(command, ["check", str(bad), "--json"]).output)
     assert failed["errors"] == 2
     assert failed["findings"][0]["code"] == "reach"
+
+
+def test_a_last_pose_that_no_free_path_leaves_is_an_error_of_the_check_too(folder, monkeypatch):
+    """The run examines the way home before anything moves; the check of the plan says it earlier, with the line."""
+    from mbcacq.plan.routing import Router
+
+    plan = folder.plan()
+    retract = Router.retract
+    monkeypatch.setattr(Router, "retract", lambda self, pose: None if pose.number == 3 else retract(self, pose))
+    found = [f for f in findings(plan) if f.code == "way"]
+    assert [(f.place, f.poses) for f in found] == [(f"{folder.path}/plan.yaml:31", (3,))]
+    assert "no free path home from pose 3 was found" in found[0].sentence
+    loaded = load(plan)
+    with pytest.raises(ConfigError, match="no free path home from pose 3"):
+        path(loaded, expand(loaded))

@@ -89,7 +89,7 @@ FAULTS = {
     ),
     "view upside down": (
         [("near_z_mm: 55, far_z_mm: -55", "near_z_mm: -55, far_z_mm: 55")],
-        "plan.yaml:10: near_z_mm must exceed far_z_mm: z points to the scanner",
+        "plan.yaml:10: near_z_mm must exceed far_z_mm, since z points to the scanner; exchange them",
     ),
     "not a mapping": ([("format: mbcacq-plan/1\n", "- a\n- b\n#"), ("name: small", "#")], "plan.yaml:"),
     "tabs": (
@@ -127,11 +127,15 @@ OTHER_FILES = {
     "negative diameter": (
         "mbc.yaml",
         ("diameter_mm: 12.0", "diameter_mm: -12.0"),
-        "mbc.yaml:10: balls[0].diameter_mm: input should be greater than or equal to 0, not -12.0",
+        "mbc.yaml:10: balls[0].diameter_mm: input should be greater than or equal to 0, not -12.0; correct it",
     ),
-    "unknown key in a link": ("robot.yaml", ("d_mm: 400", "d: 400"), "robot.yaml:8: links[0] lacks 'd_mm'"),
-    "limits swapped": ("robot.yaml", ("[-170, 170]", "[170, -170]"), "robot.yaml:8: limits of A1: the lower one must come first"),
-    "sign": ("robot.yaml", ("{sign: -1", "{sign: 2"), "robot.yaml:8: links[0].sign: input should be -1 or 1, not 2"),
+    "unknown key in a link": ("robot.yaml", ("d_mm: 400", "d: 400"), "robot.yaml:8: links[0] lacks 'd_mm'; add it"),
+    "limits swapped": (
+        "robot.yaml",
+        ("[-170, 170]", "[170, -170]"),
+        "robot.yaml:8: limits of A1: the lower one must come first; exchange them",
+    ),
+    "sign": ("robot.yaml", ("{sign: -1", "{sign: 2"), "robot.yaml:8: links[0].sign: input should be -1 or 1, not 2; correct it"),
 }
 
 

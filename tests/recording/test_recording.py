@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import socket
 import subprocess
 
@@ -366,3 +367,14 @@ def test_the_command_line_exports_and_recovers(a_run, tmp_path):
         "cycles": 40,
         "complete": True,
     }
+
+
+def test_a_recording_is_opened_once_inside_and_anew_when_it_changed(a_run):
+    from mbcacq.recording.rrd.reader import open_recordings, opened_once
+
+    assert open_recordings(a_run)[0] is not open_recordings(a_run)[0]
+    with opened_once():
+        first = open_recordings(a_run)[0]
+        assert open_recordings(a_run)[0] is first
+        os.utime(a_run / "run.rrd", ns=(1, 1))
+        assert open_recordings(a_run)[0] is not first

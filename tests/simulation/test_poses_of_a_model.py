@@ -90,6 +90,37 @@ def test_the_written_model_stands_where_the_arm_does_at_poses_never_seen(arm, re
     assert spread(nominal, true) > 0.3
 
 
+FRAMED = ARM.replace(  # the same arm, with <frame> around a body, around two of them at once, and around a joint
+    '<body name="link2" pos="0.15 0 0.2">', '<frame pos="0.15 0 0" euler="0 0 90"><body name="link2" pos="0 0 0.2" euler="0 0 -90">'
+).replace('<body name="link3" pos="0 0 0.6" euler="0 5 0"><joint name="A3" axis="0 1 0" pos="0 0.02 0" range="-120 120"/>',
+          '<frame pos="0 0 0.4"><frame pos="0 0 0.2"><body name="link3" euler="0 5 0"><frame pos="0 0.02 0" euler="90 0 0">'
+          '<joint name="A3" axis="0 0 -1" range="-120 120"/></frame>').replace(
+    "</body></body></body></body></body></body></body></worldbody>",
+    "</body></body></body></body></frame></frame></body></frame></body></body></worldbody>",
+)  # fmt: skip
+
+
+def test_frames_around_bodies_and_joints_do_not_move_what_is_written(tmp_path):
+    from mbcacq.simulation.mujoco_arm import load_arm
+    from mbcacq.simulation.poses import run_poses
+    from mbcacq.simulation.write_model import as_xml, with_chain
+
+    q = random_angles(5, 6)
+    assert places(FRAMED, q) == pytest.approx(places(ARM, q), abs=1e-6)
+    path = tmp_path / "framed.xml"
+    path.write_text(FRAMED)
+    framed = load_arm(path)
+    errors = np.random.default_rng(3).normal(size=(6, 5)) * [1e-3, 0.5, 0.5, 1e-3, 1e-3]
+    chain = framed.robot.chain.with_errors(errors)
+    written = with_chain(framed, chain)
+    before, after = (T[:, -1] for T in (framed.robot.chain.frames(q), chain.frames(q)))
+    T_base = framed.imported.T_given_base
+    hand = np.linalg.inv(T_base @ before[0]) @ run_poses(framed, framed.spec, q[:1])[0]
+    assert run_poses(framed, written, q) == pytest.approx(T_base @ after @ hand, abs=1e-6)
+    again = mujoco.MjSpec.from_string(as_xml(framed, written))  # six digits are written
+    assert run_poses(framed, again, q) == pytest.approx(T_base @ after @ hand, abs=0.01)
+
+
 def spread(one, other):
     """rms distance (mm) of two sets of points after the best rigid motion."""
     a, b = one - one.mean(axis=0), other - other.mean(axis=0)

@@ -36,6 +36,15 @@ def test_every_ball_over_a_plate_is_found_and_named(cloud):
     assert found.xyz.dtype == np.float64
 
 
+def test_each_ball_has_its_own_certified_diameter():
+    """12 mm balls as a measuring machine finds them, 20 um apart: sought as one size, each fitted with its own."""
+    own = clouds.make(MBC.centres, 12 + np.array([8, -3, 0, 5, -9, 1, 11, -2]) * 1e-3)
+    points = clouds.scan(np.random.default_rng(0), CENTRES, own.diameters, spacing=0.3, noise=0.002)
+    found = find_spheres(points, own)
+    check(found, CENTRES, own)
+    assert np.abs(found.radius_error_mm).max() < 0.002
+
+
 @pytest.mark.parametrize(("plate", "tilt"), [(None, 0), (-14, 8), (0, 0), (3, 0)])
 def test_a_plate_may_be_absent_tilted_or_cut_the_balls(plate, tilt):
     flat = clouds.make(np.array([[-30, -20, 0], [25, -25, 1], [30, 22, 0], [-18, 30, 1], [2, 0, 0.0]]))

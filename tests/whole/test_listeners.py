@@ -26,7 +26,7 @@ def watched(*arguments, until, within_s=240):
     try:
         while not until(found) and process.poll() is None and time.monotonic() < deadline:
             found |= bound(process.pid)
-            time.sleep(0.01)
+            time.sleep(0.05)
     finally:
         process.terminate()
         text = process.communicate()[1]
@@ -44,7 +44,7 @@ def test_a_live_dry_run_with_every_kind_of_device(tmp_path):
         "--live",
         "--out",
         tmp_path / "run",
-        until=lambda _: journal.exists() and journal.read_text().count("pose_done") >= 3,
+        until=lambda _: journal.exists() and journal.read_text().count("pose_done") >= 1,
     )
     assert {protocol for protocol, _, _ in found} >= {"tcp", "udp"}
     assert len(found) >= 6  # viewer, controller and driver, scanner's three, Modbus

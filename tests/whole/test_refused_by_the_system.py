@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
+from typed_command import plan_file
 
 from mbcacq.cli.app import refused_by_the_system
 
@@ -49,10 +50,18 @@ def test_memory_files_and_threads_that_are_refused_are_no_bug():
     assert refused_by_the_system(RuntimeError("another")) == refused_by_the_system(ValueError("x")) == ""
 
 
-def test_ctrl_c_three_times_ends_the_run_as_once(tmp_path):
+def over_eki(plan):
+    plan["robot"] |= {
+        "driver": "kuka_eki",
+        "options": {"address": "127.0.0.1", "port": 54610, "tool": 1, "base": 0, "mode": "any", "override": 100},
+    }
+
+
+@pytest.mark.parametrize("change", [lambda plan: None, over_eki], ids=["rsi", "eki"])
+def test_ctrl_c_three_times_ends_the_run_as_once(tmp_path, change):
     run = tmp_path / "run"
     process = subprocess.Popen(
-        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
+        [MBCACQ, "run", plan_file(tmp_path, change), "--dry-run", "--out", run],
         cwd=ROOT,
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,

@@ -12,6 +12,7 @@ from typing import Any
 
 from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, MbcacqError, Scan
 from mbcacq_gocator import wire
+from mbcacq_gocator.conversion import picked
 from mbcacq_gocator.gopxl import gdp, tree
 from mbcacq_gocator.gopxl.control import JOB_S, STATE_S, GoPxLControl
 from mbcacq_gocator.gopxl.options import GoPxLOptions
@@ -190,7 +191,7 @@ class GoPxLSession:
             points=points,
             pixel=pixel,
             shape=(shape[0], shape[1]),
-            intensity=None if grey is None else grey.reshape(-1)[pixel],
+            intensity=None if grey is None else picked(grey, pixel),
             time_s=found.stamp.system_time_s if found.stamp else 0.0,
             frame=found.stamp.frame if found.stamp else 0,
             exposure_us=self.exposure_us or found.surface.exposure_us,

@@ -171,7 +171,8 @@ class KukaRsi:
             process = self._process = CycleProcess()
         except OSError as error:
             raise ConnectError(
-                f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); free some in /dev/shm"
+                f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); "
+                "free some in /dev/shm, which must be writable"
             ) from error
         if problem := process.start(self._options.settings()):
             raise ConnectError(

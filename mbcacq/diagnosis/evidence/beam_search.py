@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order, key_of, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
@@ -35,7 +35,7 @@ class EvidenceSearch:
     def run(self, start: NoisePoint, begin: Hypothesis | None = None) -> list[Hypothesis]:
         """All hypotheses that were compared, the most probable first; the empty set is one of them.
 
-        begin: a set, of another linearisation, from which the search goes on.
+        begin: a set, of another linearisation, from which the search goes on. What else an effect could be is asked by ``exchange``.
         """
         none = estimated((), start, 0.0, MOST_ROUNDS)
         self.known = {none.key: none}
@@ -48,31 +48,40 @@ class EvidenceSearch:
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
             best = beam[0]
-        if self.beam > 1:
-            self.exchange(best)
         return self.ranked()
 
     def ranked(self) -> list[Hypothesis]:
         return sorted(self.known.values(), key=lambda h: -h.log_posterior)
 
     def grown(self, beam: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The most probable sets with one effect more."""
-        return self.compared([child for node in beam for child in self.extensions(node)])
+        """The most probable sets with one effect more, best first.
 
-    def compared(self, children: Iterable[Hypothesis]) -> list[Hypothesis]:
-        """The most probable of hypotheses, each with its own noise, best first."""
+        Sets are proposed under the noise of the best one of the beam; those that may matter get a noise of their own.
+        """
+        point, proposed = beam[0].point, list[tuple[float, tuple[Member, ...]]]()
+        least = max(h.log_posterior for h in self.known.values()) - OPTIONS.reach
+        for node in beam:
+            there = under(point, node.members, node.log_prior)
+            further = self.extensions(there, least - there.log_posterior)
+            proposed += [(there.log_posterior + log, (*node.members, member)) for log, member in further]
         new: dict[tuple, Hypothesis] = {}
-        for child in sorted(children, key=lambda h: -h.log_posterior):
-            new.setdefault(child.key, child)
-        out = []
-        for child in list(new.values())[: self.estimated]:
-            if child.key not in self.known:
-                self.known[child.key] = estimated(child.members, child.point, child.log_prior)
-            out.append(self.known[child.key])
-        return sorted(out, key=lambda h: -h.log_posterior)[: self.beam]
+        for log, members in sorted(proposed, key=lambda one: -one[0]):
+            key = key_of(members)
+            if log > least and key not in new and len(new) < self.estimated:
+                new[key] = self.known.get(key) or estimated(members, point, self.log_prior(members))
+        self.known.update(new)
+        ranked = sorted(new.values(), key=lambda h: -h.log_posterior)[: self.beam]
+        return [h for h in ranked if h.log_posterior > ranked[0].log_posterior - OPTIONS.reach]
 
-    def extensions(self, node: Hypothesis, catalogued: int = OPTIONS.compared, unmodelled: int = OPTIONS.compared) -> list[Hypothesis]:
-        """A set with each of the candidates that are most probable beyond it: at most so many of the catalogue, and unmodelled ones."""
+    def log_prior(self, members: Sequence[Member]) -> float:
+        return self.prior.log_probability_of_set([m.candidate for m in members])
+
+    def extensions(
+        self, node: Hypothesis, least: float = -np.inf, catalogued: int = OPTIONS.compared, unmodelled: int = OPTIONS.compared
+    ) -> list[tuple[float, Member]]:
+        """The candidates that are most probable beyond a set, and their log posterior odds: at most so many of the catalogue, and
+        unmodelled ones. least: log posterior odds below which an effect does not matter.
+        """
         present = [m.candidate for m in node.members]
         possible = [
             self.weighted(scored, present)
@@ -84,15 +93,9 @@ class EvidenceSearch:
                 possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
         others: list[tuple[float, Member]] = []
         if self.unmodelled is not None:
-            found = self.unmodelled.evidence(node.conditioned)
+            found = self.unmodelled.evidence(node.conditioned, least)
             others = [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
-        chosen = sorted(possible, key=lambda one: -one[0])[:catalogued] + others[:unmodelled]
-        out = []
-        for _, member in sorted(chosen, key=lambda one: -one[0])[: OPTIONS.compared]:
-            members = (*node.members, member)
-            log_prior = self.prior.log_probability_of_set([m.candidate for m in members])
-            out.append(first_order(members, node.point, log_prior))
-        return out
+        return sorted(possible, key=lambda one: -one[0])[:catalogued] + others[:unmodelled]
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
         """Candidates that depend on the coefficients of a set: a wrong payload shows through elastic joints."""
@@ -112,17 +115,20 @@ class EvidenceSearch:
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
-    def exchange(self, best: Hypothesis) -> None:
-        """Sets with another effect in the place of one of the best set's: what else it could be."""
+    def exchange(self) -> list[Hypothesis]:
+        """All hypotheses, with sets that have another effect in the place of one of the best set's: what else it could be."""
+        best = next((h for h in self.ranked() if h.members), self.known[()])
         for j in range(len(best.members)):
             rest = best.members[:j] + best.members[j + 1 :]
-            log_prior = self.prior.log_probability_of_set([m.candidate for m in rest])
-            node = first_order(rest, best.point, log_prior)
+            node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
-            for other in self.extensions(node, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
-                if other.key not in self.known:
+            for _, member in self.extensions(node, -np.inf, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
+                members = (*rest, member)
+                if key_of(members) not in self.known:
+                    other = first_order(members, best.point, self.log_prior(members))
                     near = other.log_posterior > best.log_posterior - OPTIONS.reach
-                    self.known[other.key] = estimated(other.members, other.point, other.log_prior) if near else other
+                    self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other
+        return self.ranked()
 
 
 def log_e_value(ranked: Sequence[Hypothesis]) -> float:

@@ -42,7 +42,7 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
     """Those whose hyper-parameter has few values, all in one product."""
     key, kept = candidate_keys(candidates), projected.store.batches
     if key not in kept:
-        kept[key] = BatchScoring.of(candidates, projected.linear, projected.whiten, projected.Q, projected.beyond_geometry())
+        kept[key] = BatchScoring.of(candidates, projected.linear, projected.whiten, projected.absorbed, projected.beyond_geometry())
     batch = kept[key]
     logs = np.zeros(len(batch.fixed.entries))
     absorbed = (projected.conditioned.T @ batch.X).T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +29,12 @@ class EvidenceFit:
     linear: LinearProblem
     log_e_value: float
 
+    @classmethod
+    def of(cls, search: EvidenceSearch, linear: LinearProblem) -> EvidenceFit:
+        """What a search has compared so far."""
+        ranked = search.ranked()
+        return cls(tuple(ranked), search.known[()], linear, log_e_value(ranked))
+
     @property
     def significant(self) -> bool:
         return self.log_e_value > -np.log(OPTIONS.alpha)
@@ -48,25 +54,30 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
 
     effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
 
-    def searched(linear: LinearProblem, start: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
+    def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceSearch:
+        """none: a noise, to begin with, of the empty set."""
         search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort)
-        ranked = search.run(NoisePoint(linear, prior, start), from_set)
-        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
+        search.run(NoisePoint(linear, prior, none), from_set)
+        return search
 
-    fit = searched(linear, pack(problem.noise))
-    for _ in range(OPTIONS.relinearizations if keep is None else 0):
+    search = searched(linear, pack(problem.noise))
+    fit = EvidenceFit.of(search, linear)
+    if keep is not None:
+        return fit
+    for _ in range(OPTIONS.relinearizations):
         before = fit.best.key
-        kept = linear.keep if keep is not None else judged_centres(fit)
+        kept = judged_centres(fit)
         if not fit.best.members and np.array_equal(kept, linear.keep):
             break
         displaced = displacements(fit.best)
         linear = relinearized(linear, fit.best).restricted(kept) if fit.best.members else linear.restricted(kept)
         wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
-        fit = searched(wide, fit.best.point.theta, fit.best)
-        fit = replace(fit, linear=linear)
+        search = searched(wide, fit.none.point.theta, fit.best)
+        fit = EvidenceFit.of(search, linear)
         if fit.best.key == before:
             break
-    return fit
+    search.exchange()
+    return EvidenceFit.of(search, linear)
 
 
 def judged_centres(fit: EvidenceFit) -> np.ndarray:

@@ -15,6 +15,7 @@ from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
 
 UNMODELLED = "unknown"
 STEADY = 0.05  # change of a logarithm of the noise below which its estimation ends
@@ -67,7 +68,7 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[tuple[str, float], ...]:
-        return tuple(sorted(m.key for m in self.members))
+        return key_of(self.members)
 
     @property
     def unmodelled(self) -> tuple[Member, ...]:
@@ -83,22 +84,24 @@ class Hypothesis:
         return conditioned(self.point, self.members)
 
 
+def key_of(members: Sequence[Member]) -> tuple[tuple[str, float], ...]:
+    """Identifies a set of effects."""
+    return tuple(sorted(m.key for m in members))
+
+
 def conditioned(point: NoisePoint, members: Sequence[Member]) -> CandidateScoring:
     """The projected problem with these effects, each at its most probable size, in place."""
     blocks = [(point.projected.block(m.candidate, m.hyper), 1.0 / (m.size * m.candidate.typical) ** 2) for m in members]
     return point.projected.conditioned_on(blocks)
 
 
-def with_sizes(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Member, ...], float]:
-    """The effects at their most probable sizes, and the log Bayes factor of the set, averaged over sizes and hyper-parameters."""
+def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple[tuple[Member, ...], float]:
+    """The effects at their most probable sizes, and the log Bayes factor of the set, averaged over sizes and hyper-parameters.
+
+    A (k, k), a (k,): normal equations of all coefficients, in typical sizes, beyond the geometry.
+    """
     if not members:
         return (), 0.0
-    p = point.projected
-    X = np.concatenate([p.block(m.candidate, m.hyper) for m in members], axis=1)
-    typical = np.concatenate([m.candidate.typical for m in members])
-    absorbed = p.Q.T @ X
-    A = (X.T @ X - absorbed.T @ absorbed) * np.outer(typical, typical)
-    a = (X.T @ p.beyond_geometry()) * typical
     ends = np.cumsum([0] + [m.candidate.k for m in members])
     slices = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
     positive = [m.candidate.positive and m.candidate.k == 1 for m in members]
@@ -109,25 +112,41 @@ def with_sizes(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Memb
 def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis:
     """The hypothesis with its noise estimated anew, from a start."""
     point = start
-    sized, log_factor, gradient, information = at_noise(point, members)
+    sized, log_density, gradient, information = at_noise(point, members)
     for _ in range(rounds):
         new, change = point.moved(gradient, information)
         if change < STEADY:
             break
         point = new
-        sized, log_factor, gradient, information = at_noise(point, members)
-    return Hypothesis(sized, point, integrated(point.log_likelihood + log_factor, gradient, information), log_prior)
+        sized, log_density, gradient, information = at_noise(point, members)
+    return Hypothesis(sized, point, integrated(log_density, gradient, information), log_prior)
 
 
 def at_noise(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Member, ...], float, np.ndarray, np.ndarray]:
-    """The effects at their most probable sizes, the log Bayes factor, and gradient and information by the noise."""
-    sized, log_factor = with_sizes(point, members)
-    return sized, log_factor, *point.score(conditioned(point, sized))
+    """The effects at their most probable sizes, the log density of data and noise, and its gradient and information by the noise."""
+    nothing = np.zeros((*point.linear.residual.shape, 0))
+    system = point.with_effects(np.concatenate([nothing, *(columns_of(point.linear, m) for m in members)], axis=2))
+    sized, log_factor = with_sizes(members, system.A, system.a)
+    weight = np.concatenate([np.zeros(0), *(np.full(m.candidate.k, m.size**-2) for m in sized)])
+    return sized, system.log_likelihood + log_factor, *system.score(weight)
+
+
+def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:
+    """(M, R, k) of an effect, for coefficients in typical sizes."""
+    candidate = member.candidate
+    columns = linear.computed_once(("columns", candidate.key, member.hyper), lambda: linear.columns(candidate.build(member.hyper)))
+    return columns * candidate.typical
 
 
 def first_order(members: Sequence[Member], start: NoisePoint, log_prior: float) -> Hypothesis:
     """The same under the noise of the start, with the evidence that the next step of the noise is expected to reach."""
     return estimated(members, start, log_prior, 0)
+
+
+def under(point: NoisePoint, members: Sequence[Member], log_prior: float) -> Hypothesis:
+    """The same with the evidence under that noise, as it is."""
+    sized, log_density, _, information = at_noise(point, members)
+    return Hypothesis(sized, point, log_density - 0.5 * float(np.linalg.slogdet(information)[1]), log_prior)
 
 
 def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""Restricted likelihood of the noise with a set of effects in place, its maximum, and the integral over the noise (Laplace).
+"""Restricted likelihood of the noise with a set of effects in place, and its derivatives.
 
 The restricted log likelihood of a noise theta, with geometry and effects integrated over their priors, is
 -1/2 (ln|V| + ln|Z'V^-1 Z + I| + r'P r); the average information matrix (Gilmour, Thompson, Cullis 1995) stands for its curvature.
@@ -10,32 +10,24 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.projection import PoseSums
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.normal_equations import WhitenedSystem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.variance_components import NoisePrior, unpack
+from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, unpack
 
 LARGEST_STEP = 1.0  # of a logarithm in one round
 
 
 @dataclass(frozen=True, eq=False)
 class NoisePoint:
-    """The projected problem at one noise. linear: whose ``joint`` has, after the n of the joints, columns of held size (discrepancy)."""
+    """A recording at one noise. linear: whose ``joint`` has, after the n of the joints, columns of held size (discrepancy)."""
 
     linear: LinearProblem
     prior: NoisePrior
     theta: np.ndarray
-
-    @cached_property
-    def joints(self) -> int:
-        return self.linear.obs.cell.robot.n
-
-    @cached_property
-    def projected(self) -> CandidateScoring:
-        noise, held = unpack(self.theta), np.ones(self.linear.joint.shape[2] - self.joints)
-        return CandidateScoring.of(self.linear, replace(noise, joint=np.r_[noise.joint, held]))
 
     @cached_property
     def noise(self) -> Noise:
@@ -43,61 +35,29 @@ class NoisePoint:
         return unpack(self.theta)
 
     @cached_property
-    def log_likelihood(self) -> float:
-        """Restricted log likelihood with geometry alone, and the log prior of the noise."""
-        p = self.projected
-        return -0.5 * (p.whiten.log_det + p.log_det + p.chi2) + self.prior.log_density(self.noise)
+    def complete_noise(self) -> Noise:
+        """With what is held."""
+        held = np.ones(self.linear.joint.shape[2] - self.linear.obs.cell.robot.n)
+        return replace(self.noise, joint=np.r_[self.noise.joint, held])
 
     @cached_property
-    def _joint_rows(self) -> np.ndarray:
-        """(rows, n) whitened columns of a standard deviation of each joint."""
-        return self.projected.whiten(self.linear.joint_columns * self.noise.joint)
+    def projected(self) -> CandidateScoring:
+        """The projected problem, in which candidates are compared."""
+        return CandidateScoring.of(self.linear, self.complete_noise)
 
-    @cached_property
-    def _traces(self) -> np.ndarray:
-        """tr(P K) of each component, with geometry alone."""
-        norms = self.projected.whiten.row_norms()
-        rows = np.r_[norms.sum(axis=0)[:3], norms[:, 3:].sum()] * self._row_variances
-        joints = np.sum(self._joint_rows**2, axis=0)
-        return self._order(rows, joints) - self._squares(self.projected.Q)
-
-    @cached_property
-    def _sums(self) -> PoseSums:
-        return PoseSums.of(self.linear)
-
-    @cached_property
-    def _row_variances(self) -> np.ndarray:
-        value = np.exp(2 * self.theta)
-        return np.r_[value[:3], value[3 + self.joints :]]
-
-    def _order(self, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        return np.r_[rows[:3], joints, rows[3:]]
-
-    def _squares(self, columns: np.ndarray) -> np.ndarray:
-        """tr(B' W K W' B) of each component, for whitened columns B (rows, k)."""
-        back = self.projected.whiten.transpose(columns) ** 2
-        by_row = back.sum(axis=(0, 2)) if back.shape[2] else np.zeros(self.linear.width)
-        rows = np.r_[by_row[:3], by_row[3:].sum()] * self._row_variances
-        joints = np.sum(self.projected.whiten.pose_products(self._joint_rows, columns) ** 2, axis=(0, 2))
-        return self._order(rows, joints)
-
-    def score(self, conditioned: CandidateScoring) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient and information of the log posterior by theta, with what the problem is conditioned on in place."""
-        p, r, basis = self.projected, conditioned.r, conditioned.conditioned
-        trace = self._traces - (self._squares(basis) if basis.shape[1] else 0.0)
-        back = p.whiten.transpose(r)
-        images = np.zeros((*back.shape, len(self._row_variances)))
-        for c in range(len(self._row_variances)):
-            rows = slice(c, c + 1) if c < 3 else slice(3, 6)
-            images[:, rows, c] = back[:, rows] * self._row_variances[c]
-        rows = p.whiten(images)
-        b = self._sums(self._joint_rows * r[:, None])
-        joints = self._joint_rows * b[self._sums.pose_of_row]
-        Y = np.concatenate([rows[:, :3], joints, rows[:, 3:]], axis=1)
-        absorbed = np.concatenate([p.Q.T @ Y, basis.T @ Y])
-        information = 2 * (Y.T @ Y - absorbed.T @ absorbed) + self.prior.precision
-        gradient = Y.T @ r - trace - self.prior.precision @ (self.theta - self.prior.centre)
-        return gradient, information
+    def with_effects(self, columns: np.ndarray) -> EffectsSystem:
+        """The normal equations of effects with columns (M, R, k), of coefficients near one, beyond the geometry."""
+        k = columns.shape[2]
+        system = self.linear.whitened(self.complete_noise, columns, np.full(k, np.inf))
+        normal, g = system.normal, system.normal.size - k
+        root = np.linalg.cholesky(normal.information[:g, :g])
+        reduced = solve_triangular(root, np.c_[normal.information[:g, g:], normal.gradient[:g]], lower=True)
+        A = normal.information[g:, g:] - reduced[:, :k].T @ reduced[:, :k]
+        a = normal.gradient[g:] - reduced[:, :k].T @ reduced[:, k]
+        chi2 = normal.cost - float(np.sum(normal.station_b**2) + reduced[:, k] @ reduced[:, k])
+        scale = self.linear.keep[:, None] * np.log(self.linear.rows.row_sigma(self.noise))
+        log_det = system.whitening.log_det + 2 * np.sum(scale) + normal.station_log_det + 2 * np.log(np.diag(root)).sum()
+        return EffectsSystem(self, system, A, a, -0.5 * (float(log_det) + chi2) + self.prior.log_density(self.noise))
 
     def restricted(self, keep: np.ndarray) -> NoisePoint:
         """The same noise with only the centres in keep (M,)."""
@@ -107,3 +67,27 @@ class NoisePoint:
         """The point after a step of average-information scoring, and the largest change of a logarithm."""
         step = np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
         return replace(self, theta=self.theta + step), float(np.abs(step).max())
+
+
+@dataclass(frozen=True, eq=False)
+class EffectsSystem:
+    """Effects beyond the geometry at one noise: normal matrix A (k, k) and right-hand side a (k,) of their coefficients.
+
+    log_likelihood: restricted, with geometry alone, and the log prior of the noise, up to a constant of the recording.
+    """
+
+    point: NoisePoint
+    system: WhitenedSystem
+    A: np.ndarray
+    a: np.ndarray
+    log_likelihood: float
+
+    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information of the log posterior by theta, with the effects in place; weight (k,): prior weight of each."""
+        full, prior, theta = self.point.complete_noise, self.point.prior, self.point.theta
+        system = self.system
+        normal = system.normal.with_weight(np.r_[np.zeros(system.normal.size - len(weight)), weight])
+        gradient, information = reml_score_and_information(replace(system, normal=normal).after_fit(), full)
+        n = len(self.point.noise.joint)
+        free = np.r_[np.arange(3 + n), len(full.joint) + 3]  # what is held has no derivative
+        return gradient[free] - prior.precision @ (theta - prior.centre), information[np.ix_(free, free)] + prior.precision

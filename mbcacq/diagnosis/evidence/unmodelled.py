@@ -33,12 +33,15 @@ class UnmodelledEffects:
             self._map = EvidenceMap(projected, self.design_blocks)
         return self._map
 
-    def evidence(self, projected: CandidateScoring) -> list[tuple[float, Member]]:
-        """Log Bayes factor at each of the best locations, averaged over shapes, and the best block there."""
+    def evidence(self, projected: CandidateScoring, least: float = -np.inf) -> list[tuple[float, Member]]:
+        """Log Bayes factor at each of the best locations, averaged over shapes, and the best block there.
+
+        least: below which an effect does not matter.
+        """
         evidence_map = self.map(projected)
-        found = evidence_map.evaluate(projected)
+        found = evidence_map.evaluate(projected, least)
         out = []
-        for location, log in list(found.locations.items())[:MOST_LOCATIONS]:
+        for location, log in [(at, log) for at, log in found.locations.items() if log > least][:MOST_LOCATIONS]:
             cell = found.best_at(location)
             out.append((log, self.member(evidence_map, cell, log - cell.log_bayes_factor)))
         return out
@@ -46,9 +49,8 @@ class UnmodelledEffects:
     def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
         """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""
         group = self.design_blocks.groups[cell.group]
-        f, rows = group.functions.shape[1], np.array(cell.rows)
-        raw = evidence_map.normal[cell.group][2][(rows[:, None] * f + cell.shape.index).reshape(-1)]
-        typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(raw, 1e-300))
+        rows = np.array(cell.rows)
+        typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(evidence_map.raw_of(cell), 1e-300))
         parts = parts_of(group, rows, cell.shape.index)
         label = f"{cell.group} {cell.rows} {tuple(cell.shape.index)}"
         candidate = Candidate(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.formulas.dictionary import FormulaTerm
+from mbcacq.diagnosis.formulas.dictionary import DictionaryEntry
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import built
@@ -24,7 +24,7 @@ class PlacedTerm:
 
     location: Location
     rows: tuple[int, ...]
-    term: FormulaTerm
+    term: DictionaryEntry
 
     @property
     def label(self) -> str:

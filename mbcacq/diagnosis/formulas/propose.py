@@ -33,7 +33,7 @@ from mbcacq.estimation.variance_components import pack
 
 
 @dataclass(frozen=True)
-class FormulaSetting:
+class Setting:
     """What formulas are sought in, every unmodelled effect taken out.
 
     point: the noise with everything found in place. others: the parametric effects. linear, noise: by which data left out are scored.
@@ -67,7 +67,7 @@ def propose(
     if not formulas:
         return ()
     progress("searching for formulas without each part of the data")
-    validation = FormulaValidation(here, spaces)
+    validation = Validation(here, spaces)
     best = formulas[0].log_posterior
     out = []
     for formula in different(formulas)[: OPTIONS.proposed]:
@@ -94,17 +94,17 @@ def different(formulas: Sequence[Formula]) -> list[Formula]:
     return list(out.values())
 
 
-def setting(problem: DiagnosisProblem, full: ModelFit) -> FormulaSetting:
+def setting(problem: DiagnosisProblem, full: ModelFit) -> Setting:
     """The parametric effects in place, and no unmodelled one. Of a long recording, some of its poses."""
     if full.evidence is None:
         small = thinned(problem, full.geometry_only.linear.keep, DIAGNOSIS.many_poses)
         model = transferred(problem, small, full.model)
         others = tuple(Member(c, h) for c, h in model.effects)
         point = NoisePoint(small.linear, problem.prior_noise, pack(full.noise))
-        return FormulaSetting(small.context, point, others, small.linear, full.noise, model, None)
+        return Setting(small.context, point, others, small.linear, full.noise, model, None)
     best = reported_hypothesis(full.evidence)
     linear = full.geometry_only.linear
-    return FormulaSetting(problem.context, best.point, best.catalogued, linear, full.noise, full.model, full.smooth)
+    return Setting(problem.context, best.point, best.catalogued, linear, full.noise, full.model, full.smooth)
 
 
 def located(context: Context, effects: Sequence[EffectFound]) -> list[tuple[Location, str]]:
@@ -123,10 +123,10 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[tuple[Loca
     return [(arm[name], covariate) for name, covariate in on.items() if name in arm]
 
 
-class FormulaValidation:
+class Validation:
     """The search repeated without each part of the data, and scores of formulas on these parts."""
 
-    def __init__(self, here: FormulaSetting, spaces: Sequence[FormulaSpace]):
+    def __init__(self, here: Setting, spaces: Sequence[FormulaSpace]):
         self.here = here
         linear, pose = here.linear, here.linear.obs.pose
         fold = split(linear, OPTIONS.folds)[0]
@@ -168,7 +168,7 @@ def own_members(formula: Formula) -> tuple[Member, ...]:
     return formula.hypothesis.members[-len(formula.placed) :]
 
 
-def proposal(here: FormulaSetting, formula: Formula, odds: float, validation: FormulaValidation, score: PredictiveScore) -> Proposal:
+def proposal(here: Setting, formula: Formula, odds: float, validation: Validation, score: PredictiveScore) -> Proposal:
     """The formula with its coefficients and scores."""
     found = coefficients(formula.hypothesis)
     own = np.concatenate([np.arange(p.start, p.stop) for p in found.slices[-len(formula.placed) :]])

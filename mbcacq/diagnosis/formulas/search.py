@@ -10,12 +10,12 @@ import numpy as np
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas import dictionary
-from mbcacq.diagnosis.formulas.dictionary import FormulaTerm
+from mbcacq.diagnosis.formulas.dictionary import DictionaryEntry
 from mbcacq.diagnosis.formulas.formula import PlacedTerm, candidate
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES, log_bayes_factor
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, GivenBlocks, planned
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, GivenBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -33,7 +33,7 @@ class FormulaSpace:
     context: Context
     location: Location
     per_pose: bool
-    terms: list[FormulaTerm]
+    terms: list[DictionaryEntry]
     placed: list[PlacedTerm]
     log_priors: np.ndarray
     blocks: GivenBlocks
@@ -56,10 +56,10 @@ class FormulaSpace:
                 entries.append((location.name, rows, BasisFunction(term.shape, own, np.ones(len(own)))))
                 logs.append(term.log_prior - np.log(len(location.variants)))
         group = BlockGroup(len(location.mix), values, entries, location.keys, location.mix, per_pose)
-        return cls(context, location, per_pose, kept, placed, np.array(logs), GivenBlocks([group], [planned(group)], {}))
+        return cls(context, location, per_pose, kept, placed, np.array(logs), GivenBlocks([group]))
 
 
-def table(context: Context, terms: Sequence[FormulaTerm], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[FormulaTerm]]:
+def table(context: Context, terms: Sequence[DictionaryEntry], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[DictionaryEntry]]:
     """(rows, f) all columns, each of unit size; which of them are each term's; the terms of which none is constant."""
     rows = context.obs.n_poses if per_pose else context.obs.n_centres
     known: dict[str, np.ndarray] = {}

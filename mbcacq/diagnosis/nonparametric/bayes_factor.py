@@ -12,14 +12,32 @@ import numpy as np
 SIZES = 10.0 ** np.linspace(0.3, 6.0, 12)  # squares of the signal to noise ratio of a group's best determined direction
 
 
-def log_bayes_factor(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def log_bayes_factor(
+    S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray, least: float = -np.inf
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """S: projected normal matrices (H, k, k); b: right-hand sides (H, k); raw: columns squared before projection (H, k); weight: (H, k).
 
     Returns the log Bayes factor (H,), the gain in chi2 at the best size (H,) and how many coefficients the data determine there (H,).
+    Groups whose log Bayes factor cannot reach ``least`` have -inf, 0 and 0: half of the gain with coefficients of any size bounds it.
     """
     scale = weight / np.sqrt(np.maximum(raw, 1e-300))
     scaled, target = S * (scale[:, :, None] * scale[:, None, :]), b * scale
-    if S.shape[1] == 1:
+    if least == -np.inf:
+        return _log_bayes_factor(scaled, target)
+    k = S.shape[1]
+    floor = np.maximum(np.trace(scaled, axis1=1, axis2=2) / k, 1e-6) / SIZES[-1]  # not above one over the largest size
+    regular = scaled + floor[:, None, None] * np.eye(k)
+    bound = 0.5 * np.sum(target * np.linalg.solve(regular, target[:, :, None])[:, :, 0], axis=1)
+    possible = bound > least
+    out = np.full(len(S), -np.inf), np.zeros(len(S)), np.zeros(len(S))
+    for whole, part in zip(out, _log_bayes_factor(scaled[possible], target[possible]), strict=True):
+        whole[possible] = part
+    return out
+
+
+def _log_bayes_factor(scaled: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same of scaled groups: S (H, k, k) and b (H, k)."""
+    if scaled.shape[1] == 1:
         value, along2 = np.maximum(scaled[:, 0], 0.0), target**2
     else:
         value, V = np.linalg.eigh(scaled)
@@ -29,10 +47,9 @@ def log_bayes_factor(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.n
     grown = size[:, :, None] * value[:, None, :]
     gain = (along2[:, None, :] * size[:, :, None] / (1 + grown)).sum(axis=2)
     log = 0.5 * (gain - np.log1p(grown).sum(axis=2))
-    best = log.argmax(axis=1)
-    peak = log[np.arange(len(log)), best]
+    rows, best = np.arange(len(log)), log.argmax(axis=1)
+    peak = log[rows, best]
     mean = peak + np.log(np.mean(np.exp(log - peak[:, None]), axis=1))
-    rows = np.arange(len(log))
     used = (grown / (1 + grown)).sum(axis=2)
     return mean, gain[rows, best], used[rows, best]
 
@@ -40,4 +57,6 @@ def log_bayes_factor(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.n
 def log_mean(logs: np.ndarray) -> float:
     """log of the mean of exp(logs)."""
     peak = float(np.max(logs))
+    if peak == -np.inf:
+        return peak
     return peak + float(np.log(np.mean(np.exp(np.asarray(logs) - peak))))

@@ -31,24 +31,36 @@ class BlockGroup:
 
 
 @dataclass(frozen=True)
-class DesignBlock:
-    """Entries of a group with the same number k of coefficients: which entries, their flat columns (H, k) and weights (H, k); where the
-    products of two of their columns are (H, k, k): which pair of components, which pair of functions.
+class SizedBlocks:
+    """All design blocks with k coefficients, group after group. index (H, k): their columns, among those of all groups; weight (H, k).
+
+    products: of each group in turn, where in the table of the group's products those of every two
+    columns of a block stand, two indices (h, k, k). The table is, for functions of the pose, pairs of components by pairs of functions; for
+    functions of the centre, columns by columns.
     """
 
-    entries: list[int]
     index: np.ndarray
     weight: np.ndarray
-    components: np.ndarray
-    functions: np.ndarray
+    products: tuple[tuple[int, np.ndarray, np.ndarray], ...]
 
 
 @dataclass(frozen=True)
-class BlockPlan:
-    """Of a group: its blocks, and, of functions of the pose, the products (P, pairs) of every two that are together in a shape."""
+class BlockLayout:
+    """Where the design blocks of all groups stand, those of one size together; B blocks in all, in the order of ``sizes``.
 
-    blocks: list[DesignBlock]
-    products: np.ndarray
+    start: (G + 1,) first column of each group. pairs: of each group, the products (P, pairs) of every two functions that are together in a
+    shape. members: (group, entry) of each block. location (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with
+    a covariate.
+    """
+
+    sizes: tuple[SizedBlocks, ...]
+    start: np.ndarray
+    pairs: tuple[np.ndarray, ...]
+    locations: tuple[str, ...]
+    cells: tuple[tuple[str, str], ...]
+    members: tuple[tuple[int, int], ...]
+    location: np.ndarray
+    cell: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -66,8 +78,8 @@ class DesignBlocks:
         return log_prior_shares(self.groups)
 
     @cached_property
-    def plans(self) -> list[BlockPlan]:
-        return [planned(group) for group in self.groups]
+    def layout(self) -> BlockLayout:
+        return block_layout(self.groups)
 
 
 @dataclass(frozen=True)
@@ -75,30 +87,77 @@ class GivenBlocks:
     """Blocks that somebody else laid out, with the same fields as ``DesignBlocks``."""
 
     groups: list[BlockGroup]
-    plans: list[BlockPlan]
-    log_prior_shares: dict[str, float]
+
+    @cached_property
+    def log_prior_shares(self) -> dict[str, float]:
+        return log_prior_shares(self.groups)
+
+    @cached_property
+    def layout(self) -> BlockLayout:
+        return block_layout(self.groups)
 
 
-def planned(group: BlockGroup) -> BlockPlan:
-    """The entries of a group by their number of coefficients."""
-    f, c = group.functions.shape[1], group.components
-    by_size: dict[int, list[int]] = {}
-    for e, (_, rows, shape) in enumerate(group.entries):
-        by_size.setdefault(len(rows) * len(shape.index), []).append(e)
+def block_layout(groups: list[BlockGroup]) -> BlockLayout:
+    """The entries of all groups by their number of coefficients."""
+    start = np.cumsum([0] + [group.components * group.functions.shape[1] for group in groups])
+    pairs, number = zip(*[pairs_of(group) for group in groups], strict=True)
+    by_size: dict[int, list[tuple[int, int]]] = {}
+    for g, group in enumerate(groups):
+        for e, (_, rows, shape) in enumerate(group.entries):
+            by_size.setdefault(len(rows) * len(shape.index), []).append((g, e))
+    sizes = tuple(sized_blocks(groups, start, number, count, of_size) for count, of_size in by_size.items())
+    members = tuple(member for of_size in by_size.values() for member in of_size)
+    named = [groups[g].entries[e] for g, e in members]
+    locations = tuple(dict.fromkeys(location for location, _, _ in named))
+    cells = tuple(dict.fromkeys((location, shape.depends_on) for location, _, shape in named))
+    location = np.array([locations.index(location) for location, _, _ in named], dtype=int)
+    cell_number = {cell: j for j, cell in enumerate(cells)}
+    cell = np.array([cell_number[location, shape.depends_on] for location, _, shape in named], dtype=int)
+    return BlockLayout(sizes, start, tuple(pairs), locations, cells, members, location, cell)
+
+
+def pairs_of(group: BlockGroup) -> tuple[np.ndarray, np.ndarray]:
+    """Products (P, pairs) of every two functions that are together in a shape, and the number (f, f) of each pair.
+
+    Functions of the centre have no such products: theirs are made of whole columns.
+    """
+    f = group.functions.shape[1]
     number = np.full((f, f), -1)
-    for _, _, shape in group.entries:
-        number[np.ix_(shape.index, shape.index)] = 0
-    together = np.argwhere(np.triu(number == 0))
-    number[together[:, 0], together[:, 1]] = number[together[:, 1], together[:, 0]] = np.arange(len(together))
-    out = []
-    for entries in by_size.values():
-        row = np.array([np.repeat(group.entries[e][1], len(group.entries[e][2].index)) for e in entries])
-        column = np.array([np.tile(group.entries[e][2].index, len(group.entries[e][1])) for e in entries])
-        weight = np.array([np.tile(group.entries[e][2].weight, len(group.entries[e][1])) for e in entries])
-        functions = number[column[:, :, None], column[:, None]]
-        out.append(DesignBlock(entries, row * f + column, weight, row[:, :, None] * c + row[:, None], functions))
-    first, second = together.T if group.per_pose else together[:0].T
-    return BlockPlan(out, group.functions[:, first] * group.functions[:, second])
+    for index in {shape.index.tobytes(): shape.index for _, _, shape in group.entries}.values():
+        number[index[:, None], index] = 0
+    first, second = np.nonzero(np.triu(number == 0))
+    number[first, second] = number[second, first] = np.arange(len(first))
+    if not group.per_pose:
+        first, second = first[:0], second[:0]
+    return group.functions[:, first] * group.functions[:, second], number
+
+
+def sized_blocks(
+    groups: list[BlockGroup], start: np.ndarray, number: tuple[np.ndarray, ...], count: int, members: list[tuple[int, int]]
+) -> SizedBlocks:
+    """The blocks of ``count`` coefficients. number: of each group, of the pairs of its functions; members: (group, entry), by group."""
+    index, weight, products = [], [], []
+    group, entry = np.array(members).T
+    for g in np.unique(group):
+        of_group, chosen = groups[g], [groups[g].entries[e] for e in entry[group == g]]
+        row, function = np.empty((2, len(chosen), count), dtype=int)
+        prior = np.empty((len(chosen), count))
+        for r in {len(rows) for _, rows, _ in chosen}:
+            here = np.array([len(rows) == r for _, rows, _ in chosen])
+            rows = np.array([rows for _, rows, _ in chosen if len(rows) == r])
+            shapes = [shape for _, rows, shape in chosen if len(rows) == r]
+            row[here] = np.repeat(rows, count // r, axis=1)
+            function[here] = np.tile(np.array([shape.index for shape in shapes]), (1, r))
+            prior[here] = np.tile(np.array([shape.weight for shape in shapes]), (1, r))
+        column = row * of_group.functions.shape[1] + function
+        index.append(start[g] + column)
+        weight.append(prior)
+        if of_group.per_pose:
+            pair = row[:, :, None] * of_group.components + row[:, None]
+            products.append((int(g), pair, number[g][function[:, :, None], function[:, None]]))
+        else:
+            products.append((int(g), *np.broadcast_arrays(column[:, :, None], column[:, None])))
+    return SizedBlocks(np.concatenate(index), np.concatenate(weight), tuple(products))
 
 
 def log_prior_shares(groups: list[BlockGroup]) -> dict[str, float]:

@@ -1,12 +1,14 @@
 """Evidence map of unmodelled effects: every location by every shape, by its Bayes factor beyond geometry and whatever is conditioned on.
 
 Every shape at every choice of a location's components is a block of a normal matrix, of which only these blocks are made; those of one
-size stand in one array. Conditioning on an effect or a group is a correction of low rank.
+size, of all locations, stand in one array. Conditioning on an effect or a group is a correction of low rank.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import gammaln
@@ -14,11 +16,9 @@ from scipy.stats import chi2
 
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, BlockPlan, DesignBlocks, GivenBlocks
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, GivenBlocks
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-
-Normal = tuple[list[np.ndarray], np.ndarray, np.ndarray]  # of each block S (H, k, k); b and raw squares of all columns of the group
 
 
 @dataclass(frozen=True)
@@ -50,54 +50,83 @@ class MapEntry:
 
 @dataclass(frozen=True)
 class MapEvidence:
-    """cells: best first, one for each (location, depends_on). locations: location -> log of its mean Bayes factor, best first. total: log
-    of the mean over all locations.
+    """Of all B design blocks: log Bayes factor, gain in chi2 and number of determined coefficients (B,). locations: location -> log of its
+    mean Bayes factor, best first. total: log of the mean over all locations.
     """
 
-    cells: list[MapCell]
+    design_blocks: DesignBlocks | GivenBlocks
+    log_bayes_factor: np.ndarray
+    gain: np.ndarray
+    used: np.ndarray
     locations: dict[str, float]
     total: float
+
+    @cached_property
+    def cells(self) -> list[MapCell]:
+        """The best block of each (location, covariate), best first."""
+        found = last_of_each(self.design_blocks.layout.cell, self.log_bayes_factor)
+        return [self._cell(int(b)) for b in found[np.argsort(-self.log_bayes_factor[found], kind="stable")]]
 
     def best(self) -> MapCell:
         """The best cell of the best location."""
         return self.best_at(next(iter(self.locations)))
 
     def best_at(self, location: str) -> MapCell:
-        return next(c for c in self.cells if c.location == location)
+        layout = self.design_blocks.layout
+        here = np.flatnonzero(layout.location == layout.locations.index(location))
+        return self._cell(int(here[self.log_bayes_factor[here].argmax()]))
+
+    def _cell(self, block: int) -> MapCell:
+        g, e = self.design_blocks.layout.members[block]
+        location, rows, shape = self.design_blocks.groups[g].entries[e]
+        log = float(self.log_bayes_factor[block])
+        posterior = log - self.design_blocks.log_prior_shares[location]
+        gain, used = float(self.gain[block]), float(self.used[block])
+        return MapCell(location, shape.depends_on, log, posterior, gain, used, g, rows, shape)
 
 
 class EvidenceMap:
-    """Of one recording under one noise model, prepared with geometry alone projected out."""
+    """Of one recording under one noise model, prepared with geometry alone projected out.
+
+    Of all columns (K,) of all groups: b, raw squares; absorbed (K, z), their products with the basis of the geometry. S: normal matrices
+    (H, k, k) of the blocks of each size.
+    """
 
     def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks | GivenBlocks):
         self.projected, self.design_blocks = projected, design_blocks
-        self.whitened: dict[int, np.ndarray] = {}  # of groups that are functions of the centre
-        self.normal = [self._normal(group, plan) for group, plan in zip(design_blocks.groups, design_blocks.plans, strict=True)]
+        each = [self._products(g) for g in range(len(design_blocks.groups))]
+        self.b, self.raw, absorbed = (np.concatenate([one[j] for one in each]) for j in range(3))
+        self.S = []
+        for sized in design_blocks.layout.sizes:
+            whole = [each[g][3][first, second] for g, first, second in sized.products]
+            self.S.append(projected_out(np.concatenate(whole), absorbed[sized.index]))
 
-    def _normal(self, group: BlockGroup, plan: BlockPlan) -> Normal:
-        projected = self.projected
+    def _products(self, g: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """b, raw (k,) and absorbed (k, z) of a group, and the table of its products (see SizedBlocks)."""
+        projected, group = self.projected, self.design_blocks.groups[g]
         if not group.per_pose:
-            X = self._whitened(group)
-            absorbed = (projected.Q.T @ X).T
-            full, b = X.T @ X, X.T @ projected.beyond_geometry()
-            blocks = [full[block.index[:, :, None], block.index[:, None]] for block in plan.blocks]
-            return projected_out(blocks, plan, absorbed), b, np.diag(full).copy()
+            full = projected.whiten.gram(self._unit(g), group.functions)
+            sums = self._by_centre(g, np.c_[projected.Q, projected.beyond_geometry()])
+            return sums[:, -1], np.diag(full).copy(), sums[:, :-1], full
         b, A, C = projected.pose_products(group.keys)
         U, mix = group.functions, group.mix
         b, A = b @ mix.T, mix @ A @ mix.T
-        products = A.reshape(len(A), -1).T @ plan.products
-        blocks = [products[block.components, block.functions] for block in plan.blocks]
         own = np.diagonal(A, axis1=1, axis2=2)
-        return projected_out(blocks, plan, by_functions(group, C)), (U.T @ b).T.reshape(-1), (own.T @ (U * U)).reshape(-1)
+        products = A.reshape(len(A), -1).T @ self.design_blocks.layout.pairs[g]
+        return (U.T @ b).T.reshape(-1), (own.T @ (U * U)).reshape(-1), by_functions(group, C, projected.stations), products
 
-    def _whitened(self, group: BlockGroup) -> np.ndarray:
-        key = id(group)
-        if key not in self.whitened:
-            rows, functions = np.arange(group.components), np.arange(group.functions.shape[1])
-            # With the group itself, so that no other one gets its identity.
-            _, columns = self.projected.linear.computed_once(("group", key), lambda: (group, self._columns(group, rows, functions)))
-            self.whitened[key] = self.projected.whiten(columns)
-        return self.whitened[key]
+    def _unit(self, g: int) -> np.ndarray:
+        """(M, R, c) change of the prediction by each component of a group."""
+        linear, group = self.projected.linear, self.design_blocks.groups[g]
+        return linear.computed_once(
+            (group.keys, group.mix.tobytes()), lambda: np.stack([linear.unit(*key) for key in group.keys], axis=2) @ group.mix.T
+        )
+
+    def _by_centre(self, g: int, whitened: np.ndarray) -> np.ndarray:
+        """(k, z): products of the columns of a group of functions of the centre with whitened ones (rows, z)."""
+        group = self.design_blocks.groups[g]
+        back = np.swapaxes(self._unit(g), 1, 2) @ self.projected.whiten.transpose(whitened)
+        return np.tensordot(group.functions, back, axes=(0, 0)).transpose(1, 0, 2).reshape(-1, whitened.shape[1])
 
     def _columns(self, group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(M, R, rows x index), component-major."""
@@ -107,93 +136,76 @@ class EvidenceMap:
         F = F[linear.obs.pose] if group.per_pose else F
         return (unit[:, :, :, None] * F[:, None, None, :]).reshape(*unit.shape[:2], -1)
 
-    def evaluate(self, projected: CandidateScoring) -> MapEvidence:
-        """projected: this map's problem, possibly conditioned on effects and groups."""
-        cells: dict[tuple[str, str], MapCell] = {}
-        by_location: dict[str, list[float]] = {}
-        for number, (group, plan) in enumerate(zip(self.design_blocks.groups, self.design_blocks.plans, strict=True)):
-            S, b, raw = self.normal[number]
-            if projected.conditioned.shape[1]:
-                absorbed = self._conditioned(group, projected)
-                S, b = projected_out(S, plan, absorbed), b - absorbed @ projected.along
-            self._add_evidence(number, (S, b, raw), cells, by_location)
-        count = np.log(len(by_location))
-        mean = {location: log_mean(np.array(logs)) for location, logs in by_location.items()}
-        ranked = dict(sorted(mean.items(), key=lambda item: -item[1]))
-        total = float(np.logaddexp.reduce(list(mean.values())) - count)
-        return MapEvidence(sorted(cells.values(), key=lambda c: -c.log_bayes_factor), ranked, total)
+    def evaluate(self, projected: CandidateScoring, least: float = -np.inf) -> MapEvidence:
+        """projected: this map's problem, possibly conditioned on effects and groups. least: log Bayes factor below which that of a block
+        need not be known; blocks that cannot reach it have none (-inf).
+        """
+        layout, b, absorbed = self.design_blocks.layout, self.b, None
+        if projected.conditioned.shape[1]:
+            absorbed = np.concatenate([self._conditioned(g, projected) for g in range(len(self.design_blocks.groups))])
+            b = b - absorbed @ projected.along
+        found = []
+        for sized, S in zip(layout.sizes, self.S, strict=True):
+            beyond = S if absorbed is None else projected_out(S, absorbed[sized.index])
+            found.append(log_bayes_factor(beyond, b[sized.index], self.raw[sized.index], sized.weight, least))
+        log, gain, used = (np.concatenate([one[j] for one in found]) for j in range(3))
+        means = [log_mean(log[layout.location == j]) for j in range(len(layout.locations))]
+        ranked = {layout.locations[j]: means[j] for j in np.argsort(-np.array(means), kind="stable")}
+        total = float(np.logaddexp.reduce(means) - np.log(len(means)))
+        return MapEvidence(self.design_blocks, log, gain, used, ranked, total)
 
     def entry_evidence(self, projected: CandidateScoring) -> list[np.ndarray]:
         """Of each group, the log Bayes factor of every entry beyond what a problem is conditioned on."""
-        out = []
-        for group, plan, (S, b, raw) in zip(self.design_blocks.groups, self.design_blocks.plans, self.normal, strict=True):
-            if projected.conditioned.shape[1]:
-                absorbed = self._conditioned(group, projected)
-                S, b = projected_out(S, plan, absorbed), b - absorbed @ projected.along
-            logs = np.zeros(len(group.entries))
-            for block, own in zip(plan.blocks, S, strict=True):
-                logs[block.entries] = log_bayes_factor(own, b[block.index], raw[block.index], block.weight)[0]
-            out.append(logs)
+        out = [np.zeros(len(group.entries)) for group in self.design_blocks.groups]
+        for (g, e), log in zip(self.design_blocks.layout.members, self.evaluate(projected).log_bayes_factor, strict=True):
+            out[g][e] = log
         return out
 
-    def _conditioned(self, group: BlockGroup, projected: CandidateScoring) -> np.ndarray:
-        """(k, a) products of the group's columns with the basis of what the problem is conditioned on."""
+    def _conditioned(self, g: int, projected: CandidateScoring) -> np.ndarray:
+        """(k, a) products of a group's columns with the basis of what the problem is conditioned on."""
+        group = self.design_blocks.groups[g]
         if not group.per_pose:
-            return self._whitened(group).T @ projected.conditioned
+            return self._by_centre(g, projected.conditioned)
         return by_functions(group, projected.conditioned_pose_products(group.keys))
 
-    def _add_evidence(
-        self, number: int, normal: Normal, cells: dict[tuple[str, str], MapCell], by_location: dict[str, list[float]]
-    ) -> None:
-        """Bayes factors of all blocks of a group: all of them by location, and the best cell of each location and covariate."""
-        group, (S, b, raw) = self.design_blocks.groups[number], normal
-        for block, own in zip(self.design_blocks.plans[number].blocks, S, strict=True):
-            logs, gains, used = log_bayes_factor(own, b[block.index], raw[block.index], block.weight)
-            names = [group.entries[e][0] for e in block.entries]
-            for name in dict.fromkeys(names):
-                by_location.setdefault(name, []).extend(logs[[j for j, other in enumerate(names) if other == name]])
-            for j in best_entries(group, block.entries, logs):
-                location, rows, shape = group.entries[block.entries[j]]
-                log, key = float(logs[j]), (location, shape.depends_on)
-                posterior = log - self.design_blocks.log_prior_shares[location]
-                if key not in cells or log > cells[key].log_bayes_factor:
-                    cells[key] = MapCell(*key, log, posterior, float(gains[j]), float(used[j]), number, rows, shape)
+    def raw_of(self, cell: MapCell) -> np.ndarray:
+        """(k,) squares of a cell's columns before any projection."""
+        f = self.design_blocks.groups[cell.group].functions.shape[1]
+        own = (np.array(cell.rows)[:, None] * f + cell.shape.index).reshape(-1)
+        return self.raw[self.design_blocks.layout.start[cell.group] + own]
 
     def random_effect(self, cell: MapCell) -> RandomEffect:
         """The cell's columns, each of unit size (or zero, where these data do not determine it), as a random effect."""
-        group = self.design_blocks.groups[cell.group]
-        f, rows = group.functions.shape[1], np.array(cell.rows)
-        columns = self._columns(group, rows, cell.shape.index)
-        raw = self.normal[cell.group][2][(rows[:, None] * f + cell.shape.index).reshape(-1)]
-        weight = np.tile(cell.shape.weight, len(rows))
-        return RandomEffect(cell.location, cell.depends_on, columns / np.sqrt(np.maximum(raw, 1e-200)), weight)
+        columns = self._columns(self.design_blocks.groups[cell.group], np.array(cell.rows), cell.shape.index)
+        weight = np.tile(cell.shape.weight, len(cell.rows))
+        return RandomEffect(cell.location, cell.depends_on, columns / np.sqrt(np.maximum(self.raw_of(cell), 1e-200)), weight)
 
 
-def best_entries(group: BlockGroup, entries: list[int], logs: np.ndarray) -> list[int]:
-    """Of the entries of a block, the numbers of those with the largest log Bayes factor at each location and covariate."""
-    best: dict[tuple[str, str], int] = {}
-    for j, e in enumerate(entries):
-        key = group.entries[e][0], group.entries[e][2].depends_on
-        if key not in best or logs[j] > logs[best[key]]:
-            best[key] = j
-    return list(best.values())
+def last_of_each(group: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Of each group (B,), the index of the largest value (B,)."""
+    order = np.lexsort((value, group))
+    return order[np.r_[np.flatnonzero(np.diff(group[order])), len(order) - 1]]
 
 
-def by_functions(group: BlockGroup, C: np.ndarray) -> np.ndarray:
-    """(columns of the group, z): sums over the poses of its functions times C (P, c, z)."""
+def projected_out(S: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
+    """Blocks (H, k, k) less what a projection absorbs of their columns (H, k, z)."""
+    return S - absorbed @ np.swapaxes(absorbed, 1, 2)
+
+
+def by_functions(group: BlockGroup, C: np.ndarray, stations: Sequence[np.ndarray] = ()) -> np.ndarray:
+    """(columns of the group, z): sums over the poses of its functions times C (P, c, z).
+
+    stations: the poses of each, where the first columns of C, six of each station, vanish at the poses of all others.
+    """
     C = group.mix @ C
-    P, c, z = C.shape
-    f = group.functions.shape[1]
-    return (group.functions.T @ C.reshape(P, -1)).reshape(f, c, z).transpose(1, 0, 2).reshape(c * f, z)
-
-
-def projected_out(blocks: list[np.ndarray], plan: BlockPlan, absorbed: np.ndarray) -> list[np.ndarray]:
-    """Blocks (H, k, k) less what a projection absorbs: absorbed (columns, z)."""
-    out = []
-    for S, block in zip(blocks, plan.blocks, strict=True):
-        T = absorbed[block.index]
-        out.append(S - T @ np.swapaxes(T, 1, 2))
-    return out
+    c, z = C.shape[1:]
+    functions, f, first = group.functions, group.functions.shape[1], 6 * len(stations)
+    out = np.empty((c, f, z))
+    out[:, :, first:] = np.tensordot(functions, C[:, :, first:], axes=(0, 0)).transpose(1, 0, 2)
+    for j, poses in enumerate(stations):
+        own = slice(6 * j, 6 * j + 6)
+        out[:, :, own] = np.tensordot(functions[poses], C[poses, :, own], axes=(0, 0)).transpose(1, 0, 2)
+    return out.reshape(c * f, z)
 
 
 def map_entries(projected: CandidateScoring, design_blocks: DesignBlocks) -> list[MapEntry]:

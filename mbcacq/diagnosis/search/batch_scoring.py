@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,11 +51,18 @@ class BatchScoring:
     blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
     @classmethod
-    def of(cls, candidates: list[Candidate], linear: LinearProblem, whiten: CentreWhitening, Q: np.ndarray, r: np.ndarray) -> BatchScoring:
-        """Q (rows, z): basis of what geometry absorbs; r (rows,): residual beyond it."""
+    def of(
+        cls,
+        candidates: list[Candidate],
+        linear: LinearProblem,
+        whiten: CentreWhitening,
+        absorbed_of: Callable[[np.ndarray], np.ndarray],
+        r: np.ndarray,
+    ) -> BatchScoring:
+        """absorbed_of: products (z, k) of whitened columns with the basis of what geometry absorbs; r (rows,): residual beyond it."""
         fixed = FixedBlocks.of(candidates, linear)
         X = whiten(fixed.columns)
-        absorbed, raw, b = Q.T @ X, np.sum(X * X, axis=0), X.T @ r
+        absorbed, raw, b = absorbed_of(X), np.sum(X * X, axis=0), X.T @ r
         blocks = []
         for _, columns, _ in fixed.sizes:
             own, gone = X.T[columns], absorbed.T[columns]

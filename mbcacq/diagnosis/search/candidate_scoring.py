@@ -16,12 +16,14 @@ from mbcacq.diagnosis.search.projection import inverse_of_lower, ridge_projectio
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
 
 UnitKey = tuple[str, int, int]  # location, index, component
 PER_CHUNK = 2e6  # numbers of functions of one product of a scan: bounds its memory
 MOST_KEPT = 3000  # candidates whose products are kept
 LARGEST_KEPT = 1e6  # functions of a scan that are kept
+ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,15 @@ class ProductStore:
     pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
     beyond_geometry: list[np.ndarray] = field(default_factory=list)
+    moved: list[np.ndarray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateScoring:
     """The projected problem under one noise model, and what it is conditioned on.
 
-    whiten: to rows of unit variance. Q (rows, z): basis of what geometry absorbs, log_det its log determinant. r0, r (rows,): whitened
+    whiten: to rows of unit variance. Q (rows, z): basis of what geometry absorbs, log_det its log determinant; its first columns are of
+    the stations, six of each, and vanish at all others. r0, r (rows,): whitened
     residual before and after all projections. dof: degrees of freedom with geometry alone. conditioned (rows, a): basis of what is
     projected out besides geometry; along (a,): the residual along it.
     """
@@ -101,6 +105,30 @@ class CandidateScoring:
         r = self.beyond_geometry() - basis @ along
         return replace(self, conditioned=basis, along=along, r=r, conditioned_products={})
 
+    def absorbed(self, X: np.ndarray) -> np.ndarray:
+        """Q'X (z, k) of whitened columns (rows, k), each station's columns of Q by its own rows."""
+        first = 6 * len(self.linear.rows.stations)
+        out = np.empty((self.Q.shape[1], X.shape[1]))
+        out[first:] = self.Q[:, first:].T @ X
+        for j, rows in enumerate(self.rows_of_stations):
+            out[6 * j : 6 * j + 6] = self.Q[rows, 6 * j : 6 * j + 6].T @ X[rows]
+        return out
+
+    @property
+    def rows_of_stations(self) -> list[slice | np.ndarray]:
+        """The rows of each station, in the order of the columns of Q; slices where they follow each other."""
+        return self.linear.computed_once("rows of stations", self._rows_of_stations)
+
+    def _rows_of_stations(self) -> list[slice | np.ndarray]:
+        station = np.repeat(self.linear.obs.station[self.linear.obs.pose], self.linear.width)
+        return [as_slice(np.flatnonzero(station == s)) for s in self.linear.rows.stations]
+
+    @property
+    def stations(self) -> list[np.ndarray]:
+        """The poses of each station, in the order of the columns of Q."""
+        station = self.linear.obs.station
+        return [np.flatnonzero(station == s) for s in self.linear.rows.stations]
+
     def beyond_geometry(self) -> np.ndarray:
         """(rows,) whitened residual with geometry alone projected out."""
         if not self.store.beyond_geometry:
@@ -125,7 +153,7 @@ class CandidateScoring:
         key, kept = (candidate.key, hyper), self.store.candidates
         if key not in kept:
             X = self.whiten(self.linear.columns(candidate.build(hyper)))
-            absorbed = self.Q.T @ X
+            absorbed = self.absorbed(X)
             kept[key] = X, X.T @ X - absorbed.T @ absorbed, X.T @ self.beyond_geometry()
             if len(kept) > MOST_KEPT:
                 kept.pop(next(iter(kept)))
@@ -144,7 +172,7 @@ class CandidateScoring:
         """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
         key, kept = candidate_keys(candidates), self.store.batches
         if key not in kept:
-            kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.Q, self.beyond_geometry())
+            kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.absorbed, self.beyond_geometry())
         return kept[key].best(self.conditioned, self.along)
 
     # Scans --------------------------------------------------------------------------------------------------------
@@ -155,21 +183,65 @@ class CandidateScoring:
             self.store.units[key] = self.whiten(self.linear.unit(*key)[:, :, None])[:, 0]
         return self.store.units[key]
 
+    def twists(self, components: tuple[UnitKey, ...]) -> np.ndarray | None:
+        """(P, c, 6) by which components of the arm or of the stations move each pose; None where one moves single centres."""
+        if any(place not in PER_POSE for place, _, _ in components):
+            return None
+        return self.linear.computed_once(("twists", components), lambda: self._twists(components))
+
+    def _twists(self, components: tuple[UnitKey, ...]) -> np.ndarray:
+        out = np.stack([self.linear.twist(*key) for key in components], axis=1)
+        # A turn about the line of two balls moves neither of them: what remains of it is rounding.
+        rows = self.linear.rows
+        gradient = rows.pad(self.linear.prediction.gradient)
+        square = rows.per_pose(np.swapaxes(gradient, 1, 2) @ gradient)
+        moved = np.einsum("pci,pij,pcj->pc", out, square, out)
+        cancelled = moved < ROUNDING * np.einsum("pci,pii->pc", out**2, square)
+        return np.where(cancelled[:, :, None], 0.0, out)
+
+    def _sums(self, E: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums over each pose of products of whitened columns E (rows, c): with the residual, with each other, with Q."""
+        products = self.whiten.pose_products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
+        z = self.Q.shape[1]
+        return products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
+
+    def _moved(self) -> np.ndarray:
+        """(rows, 6) whitened columns of a spatial twist of each pose by itself."""
+        if not self.store.moved:
+            self.store.moved.append(self.whiten(self.linear.prediction.gradient))
+        return self.store.moved[0]
+
+    def _units(self, components: tuple[UnitKey, ...]) -> np.ndarray:
+        return np.stack([self.unit(key) for key in components], axis=1)
+
     def pose_products(self, components: tuple[UnitKey, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components, with geometry alone."""
+        """Sums over each pose: b (P, c), A (P, c, c), C (P, c, z) of the unit columns of some components, with geometry alone.
+
+        What moves a pose as a whole is a combination of the sums of a twist.
+        """
         kept = self.store.pose_products
         if components not in kept:
-            E = np.stack([self.unit(key) for key in components], axis=1)
-            products = self.whiten.pose_products(E, np.concatenate([self.Q, E, self.beyond_geometry()[:, None]], axis=1))
-            z = self.Q.shape[1]
-            kept[components] = products[:, :, -1], products[:, :, z:-1], products[:, :, :z]
+            twists = self.twists(components)
+            if twists is None:
+                kept[components] = self._sums(self._units(components))
+            else:
+                if () not in kept:
+                    kept[()] = self._sums(self._moved())
+                b, A, C = kept[()]
+                kept[components] = (twists @ b[:, :, None])[:, :, 0], twists @ A @ np.swapaxes(twists, 1, 2), twists @ C
         return kept[components]
 
     def conditioned_pose_products(self, components: tuple[UnitKey, ...]) -> np.ndarray:
         """(P, c, a): the same with the basis of what the problem is conditioned on."""
         kept = self.conditioned_products
         if components not in kept:
-            kept[components] = self.whiten.pose_products(np.stack([self.unit(key) for key in components], axis=1), self.conditioned)
+            twists = self.twists(components)
+            if twists is None:
+                kept[components] = self.whiten.pose_products(self._units(components), self.conditioned)
+            else:
+                if () not in kept:
+                    kept[()] = self.whiten.pose_products(self._moved(), self.conditioned)
+                kept[components] = twists @ kept[()]
         return kept[components]
 
     def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
@@ -240,3 +312,8 @@ class CandidateScoring:
         if key is not None and flat.size < LARGEST_KEPT:
             self.store.scans[key] = result
         return result
+
+
+def as_slice(index: np.ndarray) -> slice | np.ndarray:
+    """Indices that follow each other as a slice, others as they are."""
+    return slice(index[0], index[-1] + 1) if index[-1] - index[0] == len(index) - 1 else index

@@ -62,10 +62,11 @@ def import_robot(
         remarks = [r for r in remarks if "--speed" not in r]
     if (silent := np.isnan(speed) | (speed <= 0)).any() and not any("speed" in r for r in remarks):
         remarks.append(
-            f"the file states no speed of {', '.join(np.array(source.joints)[silent])}; an arm that is to move needs all of them"
+            f"the file states no speed of {', '.join(np.array(source.joints)[silent])}; an arm that is to move needs all of them: "
+            "--speed gives one for all, or add speed_deg_s of each"
         )
     if np.isnan(source.limits).any():
-        remarks.append("the file states no limits of some joints; an arm that is to move needs all of them (limits_deg)")
+        remarks.append("the file states no limits of some joints; an arm that is to move needs all of them: add limits_deg of each")
     if not source.mass.any():
         remarks.append("the file states no masses; effects of gravity are then less well predicted")
     text = _text(path, source, rows, speed, name or source.name, remarks)

@@ -14,11 +14,8 @@ from mbcacq.model.robot_import.source import ArmSource
 
 
 def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
-    """Raises ConfigError where MuJoCo is missing or refuses the file, or no serial arm of hinges leads to the flange."""
-    try:
-        mujoco: Any = import_module("mujoco")
-    except ImportError:
-        raise ConfigError(f"{path}: reading MJCF needs MuJoCo; pip install 'mbcacq[mjcf]', or import a URDF") from None
+    """Raises ConfigError where MuJoCo refuses the file, or no serial arm of hinges leads to the flange."""
+    mujoco: Any = import_module("mujoco")
     try:
         model: Any = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:
@@ -76,11 +73,12 @@ def _hinges(path: Path, mujoco: Any, model: Any, base: str | None, flange: str |
         body = _named(path, mujoco, model, flange)[0]
     stop = None if base is None else _named(path, mujoco, model, base)[0]
     chain: list[int] = []
+    tied = {int(model.eq_obj1id[e]) for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT}
     for b in _ancestors(model, body):
         if b == stop:
             break
         own = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
-        chain[:0] = [j for j in own if len(own) == 1 or not is_gear_spring(mujoco, model, j)]
+        chain[:0] = [j for j in own if len(own) == 1 or not (is_gear_spring(mujoco, model, j) or j in tied)]
     odd = [model.joint(j).name for j in chain if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE]
     if odd:
         raise ConfigError(f"{path}: joint '{odd[0]}' is no hinge; an arm of hinges is needed, name its --base and --flange")

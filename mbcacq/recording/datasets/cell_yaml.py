@@ -49,7 +49,7 @@ def _repeated_ids(spec: CellSpec) -> Iterator[Fault]:
     for i, artefact in enumerate(spec.artefacts):
         for k, ball in enumerate(artefact.balls):
             if ball.id in balls:
-                yield ("artefacts", i, "balls", k), f"ball id {ball.id} is used twice; ids must be unique over all artefacts"
+                yield ("artefacts", i, "balls", k), f"ball id {ball.id} is used twice; number the balls of all artefacts once"
             balls.add(ball.id)
 
 
@@ -58,7 +58,8 @@ def _unknown_artefacts(spec: CellSpec) -> Iterator[Fault]:
     for i, station in enumerate(spec.stations):
         if station.artefact not in artefacts:
             known = ", ".join(artefacts)
-            yield ("stations", i), f"station '{station.id}' names the artefact '{station.artefact}', which is not among: {known}"
+            sentence = f"station '{station.id}' names the artefact '{station.artefact}', which is not among: {known}"
+            yield ("stations", i), f"{sentence}; name one of these, or add the artefact"
 
 
 def _zero_gravity(spec: CellSpec) -> Iterator[Fault]:

@@ -89,7 +89,9 @@ class Chart:
             grid.append(np.array([at, [right, at[1]]]))
         if names is None:
             x_step = round_step(self._x[1] - self._x[0], 8)
-            marks = [(v, f"{v:.6g}") for v in np.arange(np.ceil(self._x[0] / x_step), np.floor(self._x[1] / x_step + 1e-9) + 1) * x_step]
+            marks = [
+                (v, f"{v + 0.0:.6g}") for v in np.arange(np.ceil(self._x[0] / x_step), np.floor(self._x[1] / x_step + 1e-9) + 1) * x_step
+            ]
         else:
             every = len(names) // 16 + 1
             marks = [(float(k), name) for k, name in enumerate(names) if k % every == 0]

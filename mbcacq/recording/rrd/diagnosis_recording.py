@@ -16,7 +16,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.chart import GRID, Chart
-from mbcacq.recording.rrd.new_stream import new_stream
+from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
@@ -43,8 +43,9 @@ def write_diagnosis(
     stream = new_stream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
     try:
         viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
-        stream.save(rerun_path(partial), default_blueprint=alone(viewpoint, scale, len(curves)) if run is None else None)
+        stream.save(rerun_path(partial))
         if run is None:
+            send_default_blueprint(stream, alone(viewpoint, scale, len(curves)))
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
         stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=float(len(curves))), static=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import rerun as rr
+import rerun.blueprint as rrb
 import rerun_bindings
 
 
@@ -16,3 +17,21 @@ def new_stream(application: str, recording_id: str | None = None, **options: Any
     """
     rerun_bindings.flush_and_cleanup_orphaned_recordings()
     return rr.RecordingStream(application, recording_id=recording_id, **options)
+
+
+def send_default_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+    """Write ``blueprint`` into ``stream`` as what a viewer shows at first. The stream must have its sinks already.
+
+    As ``RecordingStream.send_blueprint``, which holds the blueprint in a stream of its own whose memory refers back to that stream: the
+    two keep each other, and two threads, until the program ends. To disconnect that stream ends the circle.
+    """
+    application = stream.get_application_id()
+    assert application is not None  # every stream of new_stream has one
+    native = rerun_bindings.new_blueprint(application_id=application, make_default=False, make_thread_default=False, default_enabled=True)
+    inner = rr.RecordingStream._from_native(native)
+    inner.set_time("blueprint", sequence=0)
+    blueprint._log_to_stream(inner)
+    try:
+        rerun_bindings.send_blueprint(inner.memory_recording().storage, False, True, recording=stream.to_native())
+    finally:
+        inner.disconnect()

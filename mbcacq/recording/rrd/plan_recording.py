@@ -26,7 +26,7 @@ def write_plan_recording(
 
     from mbcacq.recording.rrd import layout, scene
     from mbcacq.recording.rrd.blueprint import place_camera
-    from mbcacq.recording.rrd.new_stream import new_stream
+    from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 
     cell = loaded.cell
     rec = new_stream("mbcacq_plan")
@@ -38,9 +38,8 @@ def write_plan_recording(
         eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
     try:
-        rec.save(
-            rerun_path(file), default_blueprint=rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1]))
-        )
+        rec.save(rerun_path(file))
+        send_default_blueprint(rec, rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1])))
     except (OSError, RuntimeError) as error:
         raise RecordingError(f"{file} cannot be written ({error}); give another --rrd") from None
     scene.log_static(rec, cell, loaded.text)

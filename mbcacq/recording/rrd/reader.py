@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +22,7 @@ from mbcacq.recording.rrd.checksums import digest_of_values
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 Row = dict[str, Any]
+_OPEN: ContextVar[dict[tuple[str, int, int], Recording] | None] = ContextVar("_OPEN", default=None)
 COPIES = {layout.CELL: (layout.CELL_COPY,)}
 
 
@@ -162,7 +165,28 @@ def open_recordings(path: Path | str) -> list[Recording]:
     files = layout.parts(path) if path.is_dir() else [path]
     if not files:
         raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run")
-    return [Recording(file) for file in files]
+    return [_opened(file) for file in files]
+
+
+@contextmanager
+def opened_once() -> Iterator[None]:
+    """Inside, a file that has not changed is opened once, whoever asks for it: opening reads its whole index."""
+    token = _OPEN.set({})
+    try:
+        yield
+    finally:
+        _OPEN.reset(token)
+
+
+def _opened(file: Path) -> Recording:
+    known = _OPEN.get()
+    if known is None or not file.is_file():
+        return Recording(file)
+    state = file.stat()
+    key = (str(file.absolute()), state.st_mtime_ns, state.st_size)
+    if key not in known:
+        known[key] = Recording(file)
+    return known[key]
 
 
 def read_observations(path: Path | str) -> Observations:

@@ -17,7 +17,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.chart import Chart
-from mbcacq.recording.rrd.new_stream import new_stream
+from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
@@ -63,7 +63,8 @@ def log_result(
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
         scale = replace(_scales(observations, after, errors, shown), lengths=judgement is not None and len(judgement.error) > 0)
-        stream.save(rerun_path(partial), default_blueprint=for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
+        stream.save(rerun_path(partial))
+        send_default_blueprint(stream, for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
         _log_static(stream, scale)
         for k, number in enumerate(observations.pose_id.tolist()):
             if number not in times or not known[observations.station[k]]:

@@ -18,7 +18,7 @@ from mbcacq.errors import RecordingError
 from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, note_stretch
-from mbcacq.recording.rrd.new_stream import new_stream
+from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 STALLED_S = 5  # without one byte more in the file, while there is something to write
@@ -29,7 +29,7 @@ TICK_S = 0.04
 class Sink:
     """One recording file. ``stream`` is the rerun stream; it must not be used after ``close`` or a RecordingError."""
 
-    def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: rrb.BlueprintLike) -> None:
+    def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: rrb.Blueprint) -> None:
         rerun_path(path)  # what is written could not be read
         self.path = path
         self._alive = True
@@ -44,7 +44,8 @@ class Sink:
                 server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=_free_port(port), server_memory_limit="512MB")
                 self.live_url = server.uri
                 sinks.append(server)
-            self.stream.set_sinks(*sinks, default_blueprint=blueprint)
+            self.stream.set_sinks(*sinks)
+            send_default_blueprint(self.stream, blueprint)
         except (RuntimeError, ValueError, OSError) as error:
             raise RecordingError(f"the recording {path} cannot be opened: {error}; choose another folder (or live port)") from error
         sync_folder(path.parent)

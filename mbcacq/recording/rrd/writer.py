@@ -22,6 +22,7 @@ from mbcacq.recording.rrd.blueprint import blueprint, for_cell
 from mbcacq.recording.rrd.cycles import CycleWriter
 from mbcacq.recording.rrd.drawing import Drawing
 from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
+from mbcacq.recording.rrd.new_stream import send_default_blueprint
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.rrd.sink import Sink
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -151,7 +152,7 @@ class Recorder:
         if event.simulated:
             rec.log(layout.LOG, rr.TextLog(f"mbcacq: {SIMULATED}", level="WARN"))
         shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
-        rec.send_blueprint(shown, make_active=False, make_default=True)
+        send_default_blueprint(rec, shown)
         self._draw_from_urdf(event.urdf, self._cell)
         scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
         self._log_arm(self._cell, scene.home(event.plan_yaml, self._cell.robot.n))

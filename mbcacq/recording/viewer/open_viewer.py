@@ -126,7 +126,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
 
     from mbcacq.recording.datasets.cell_yaml import parse_cell
     from mbcacq.recording.rrd.blueprint import for_cell
-    from mbcacq.recording.rrd.new_stream import new_stream
+    from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
     from mbcacq.recording.rrd.reader import Recording
     from mbcacq.recording.rrd.scene import log_axes_key
 
@@ -137,7 +137,8 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
         return list(sources)
     path = folder / "layout.rrd"
     stream = new_stream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
-    stream.save(rerun_path(path), default_blueprint=for_cell(cell, plan, enlarged(sources)))
+    stream.save(rerun_path(path))
+    send_default_blueprint(stream, for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
     log_axes_key(stream, cell.robot.n)  # an older recording has none
     stream.flush(timeout_sec=10.0)

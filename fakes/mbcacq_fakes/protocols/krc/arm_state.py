@@ -31,7 +31,7 @@ _SLOT_AT = (64, 64 + 256)  # two slots on cache lines of their own; the one not 
 _SIZE = 64 + 2 * 256
 
 LINUX = Path("/dev/shm")  # where Linux has shared memory as files
-_NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some in /dev/shm"
+_NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some in /dev/shm, which must be writable"
 
 
 @dataclass(frozen=True)

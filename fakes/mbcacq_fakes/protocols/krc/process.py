@@ -22,7 +22,10 @@ from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
-_IDLE = ((1.0, 0.004), (0.5, 0.001))  # lock-step: after standing still so long (robot s), sleep so long a cycle; a scan needs the processor
+_IDLE = (
+    (1.0, 0.004),
+    (0.35, 0.002),
+)  # lock-step: after standing still so long (robot s), sleep so long a cycle; a scan needs the processor
 
 
 def _zero() -> Sequence[float]:

@@ -1,0 +1,171 @@
+"""The calibrated arm for MuJoCo: bodies with hinges, and the effects that springs, masses and constraints between hinges can express.
+
+A compliance is a second hinge about the joint's axis, held by a spring, so that weight winds it up; a pedestal that tilts stands on three
+of them. What is proportional to a joint angle is a hinge that a constraint ties to that angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import EffectTerm, is_angle
+from mbcacq.effects.functions import Column
+from mbcacq.exports.joint_frames import behind_joints, joint_frames
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+
+DAMPING_S = 1e-3  # of a spring: its damping by its stiffness
+RADIUS_OF_GYRATION_M = 0.05  # inertia tensors are not known; weight alone counts at standstill
+UNIT_MASS_KG = 1.0  # of links whose masses are not known
+
+
+@dataclass
+class ExpressedEffects:
+    """compliance: of an axis (0: the first), rad/(N m); base: of the pedestal, rad/(N m); ratio: (axis, axis whose angle moves it) -> rad
+    by rad; payload: kg and centre (3,) mm in the flange frame; left: names of the effects that bodies and hinges cannot express."""
+
+    payload: tuple[float, np.ndarray]
+    compliance: dict[int, float] = field(default_factory=dict)
+    base: float = 0.0
+    ratio: dict[tuple[int, int], float] = field(default_factory=dict)
+    left: list[str] = field(default_factory=list)
+
+
+def expressed_effects(effects: EffectModel) -> ExpressedEffects:
+    """The effects of a result, sorted by whether a MuJoCo model can hold them."""
+    robot = effects.robot
+    out = ExpressedEffects((float(np.mean(robot.payload_mass)), np.asarray(robot.payload_com, float)))
+    for term in effects.terms:
+        if not _express(term, out, bool(robot.mass.any())):
+            out.left.append(f"{term.name} at {'+'.join(term.where)}")
+    return out
+
+
+def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool) -> bool:
+    """Whether a term could be entered. weighed: the masses of the links are known, without which nothing winds up."""
+    c = term.coefficients
+    causes = {(p.place, p.index, p.component): _cause(p.columns[0]) for p in term.parts if len(p.columns) == 1}
+    if term.name == "payload" and len(c) == 4:
+        return _express_payload(c, out)
+    if len(causes) != len(term.parts) or len(c) != 1:
+        return False
+    (place, axis, _), cause = next(iter(causes.items()))
+    single, winds_up = place == "joint" and len(causes) == 1, weighed and float(c[0]) > 0
+    if causes == {("frame", 0, 3 + k): f"gravity_moment_0_{'xyz'[k]}" for k in range(3)} and winds_up:
+        out.base += float(c[0])
+    elif single and cause == f"gravity_torque_{axis + 1}" and winds_up:
+        out.compliance[axis] = out.compliance.get(axis, 0.0) + float(c[0])
+    elif single and cause is not None and is_angle(cause):
+        key = axis, int(cause[1:]) - 1
+        out.ratio[key] = out.ratio.get(key, 0.0) + float(c[0])
+    else:
+        return False
+    return True
+
+
+def _express_payload(c: np.ndarray, out: ExpressedEffects) -> bool:
+    """c: (4,) kg and kg mm that the tool has beyond what was declared."""
+    mass, com = out.payload
+    heavier = mass + float(c[0])
+    if heavier > 0:
+        out.payload = heavier, (mass * com + c[1:4]) / heavier
+    return heavier > 0
+
+
+def _cause(column: Column) -> str | None:
+    """The covariate to which a column is equal, None for other functions."""
+    if len(column) == 1 and column[0].factor == 1.0 and len(column[0].functions) == 1:
+        function = column[0].functions[0]
+        if function.kind == "power" and function.numbers == (1.0,):
+            return function.covariate
+    return None
+
+
+def mjcf(
+    chain: Chain, T_flange_scanner: np.ndarray, robot: str = "arm", comments: Sequence[str] = (), effects: EffectModel | None = None
+) -> str:
+    """The arm for MuJoCo, sites at flange and scanner. Without effects, what the calibration knows is geometry; ranges, inertia tensors and
+    drives are of another file always. comments: put in front."""
+    found = expressed_effects(effects) if effects else ExpressedEffects((0.0, np.zeros(3)))
+    frames, flange = joint_frames(chain)
+    weights = _weights(chain, effects)
+    lines = [
+        *(f"<!-- {line.replace('--', '-')} -->" for line in comments),
+        f"<mujoco model={quoteattr(robot)}>",
+        '  <compiler angle="radian"/>',
+        f'  <option gravity="{_numbers(9.80665 * _down(effects))}"/>',
+        "  <worldbody>",
+        '    <body name="base">',
+        *(_spring(f"base_tilt_{a}", found.base, np.eye(3)[k], "      ") for k, a in enumerate("xyz") if found.base > 0),
+        '      <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>',
+    ]
+    for i, T in enumerate(frames):
+        indent = "  " * (i + 3)
+        lines += [f'{indent}<body name="link_{i + 1}" {_place(T)}>', f'{indent}  <joint name="joint_{i + 1}" type="hinge" axis="0 0 1"/>']
+        if found.compliance.get(i, 0.0) > 0:
+            lines.append(_spring(f"joint_{i + 1}_gear", found.compliance[i], np.array([0.0, 0, 1]), indent + "  "))
+        tied = [(axis, by) for axis, by in found.ratio if axis == i]
+        lines += [f'{indent}  <joint name="{_tied(axis, by)}" type="hinge" axis="0 0 1" armature="0.01"/>' for axis, by in tied]
+        lines.append(f"{indent}  {weights[i]}")
+    indent = "  " * (chain.n + 3)
+    lines += [f'{indent}<site name="flange" {_place(flange)}/>', f'{indent}<site name="scanner" {_place(flange @ T_flange_scanner)}/>']
+    mass, com = found.payload
+    if mass > 0:
+        place = _numbers(1e-3 * se3.apply(flange, com))
+        lines.append(f'{indent}<body name="payload" pos="{place}">{_inertial(mass, np.zeros(3))}</body>')
+    lines += ["  " * (i + 2) + "</body>" for i in reversed(range(chain.n + 1))]
+    lines.append("  </worldbody>")
+    if found.ratio:
+        lines += ["  <equality>", *(_tie(key, ratio) for key, ratio in found.ratio.items()), "  </equality>"]
+    return "\n".join([*lines, "</mujoco>"]) + "\n"
+
+
+def _weights(chain: Chain, effects: EffectModel | None) -> list[str]:
+    """The <inertial> of each link."""
+    if effects is None or not effects.robot.mass.any():
+        return [_inertial(UNIT_MASS_KG, np.zeros(3))] * chain.n
+    centres = [se3.apply(T, c) for T, c in zip(behind_joints(chain), effects.robot.com, strict=True)]
+    return [_inertial(max(float(m), 1e-3), 1e-3 * c) for m, c in zip(effects.robot.mass, centres, strict=True)]
+
+
+def _inertial(mass: float, centre_m: np.ndarray) -> str:
+    inertia = f"{mass * RADIUS_OF_GYRATION_M**2:.6g}"
+    return f'<inertial pos="{_numbers(centre_m)}" mass="{mass:.9g}" diaginertia="{inertia} {inertia} {inertia}"/>'
+
+
+def _down(effects: EffectModel | None) -> np.ndarray:
+    return np.array([0.0, 0.0, -1.0]) if effects is None else np.asarray(effects.robot.gravity, float)
+
+
+def _spring(name: str, compliance: float, axis: np.ndarray, indent: str) -> str:
+    stiffness = 1.0 / compliance
+    about = " ".join(f"{v:g}" for v in axis)
+    return (
+        f'{indent}<joint name="{name}" type="hinge" axis="{about}" stiffness="{stiffness:.9g}" damping="{DAMPING_S * stiffness:.6g}" '
+        'armature="0.01"/>'
+    )
+
+
+def _tied(axis: int, by: int) -> str:
+    return f"joint_{axis + 1}_by_joint_{by + 1}"
+
+
+def _tie(key: tuple[int, int], ratio: float) -> str:
+    axis, by = key
+    return f'    <joint joint1="{_tied(axis, by)}" joint2="joint_{by + 1}" polycoef="0 {ratio:.12g} 0 0 0"/>'
+
+
+def _place(T: np.ndarray) -> str:
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+    return f'pos="{_numbers(1e-3 * T[:3, 3])}" quat="{w:.15g} {x:.15g} {y:.15g} {z:.15g}"'
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{v + 0.0:.12g}" for v in values)
