@@ -63,7 +63,7 @@ def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
     out = []
     for p in proposals:
         smooth = "" if p.smooth_chi2_dof == p.held_out_before_chi2_dof else f" (a smooth model: {p.smooth_chi2_dof:.2f})"
-        out.append(f"Proposed at {', '.join(p.where)}: {p.formula}")
+        out.append(f"Proposed: {p.formula}")
         out.append(
             f"  log Bayes factor {p.log_bayes_factor:.1f}, odds {'1 : 1' if p.odds == 1.0 else f'1 : {1 / max(p.odds, 1e-9):.3g}'}; "
             f"held-out chi2/dof {p.held_out_before_chi2_dof:.2f} -> {p.held_out_chi2_dof:.2f}{smooth}; "
