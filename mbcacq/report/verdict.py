@@ -50,7 +50,7 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: 
         return ReportVerdict("none", "Calibrated and verified", f"{errors}. The plan sets no limit.")
     U = 2 * certificate
     against = (
-        f"{errors}; limit {spacing.limit:.3f} mm, expanded uncertainty U = {U:.4f} mm (k = 2). "
+        f"{errors}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified length U = {U:.4f} mm (k = 2). "
         "Decision rule of ISO 14253-1: passed up to the limit minus U, not passed beyond the limit plus U."
     )
     if after.max() + U <= spacing.limit:
@@ -95,7 +95,7 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[
         before, after = np.abs(spacing.before).max(), np.abs(spacing.after)
         worst = int(after.argmax())
         sigma = "" if spacing.sigma is None else f" ± {2 * spacing.sigma[worst]:.3f}"
-        out.append(("largest sphere spacing error", f"{after.max():.3f}{sigma} mm", f"before {before:.3f} mm; ± is k = 2"))
+        out.append(("largest sphere spacing error", f"{after.max():.3f}{sigma} mm", f"before {before:.3f} mm; ± is what the calibration leaves open (k = 2)"))
     if fit.get("expected_accuracy_mm") is not None:
         out.append(("expected accuracy of a point", f"{2e3 * fit['expected_accuracy_mm']:.0f} µm", "in the workspace, 3D, U (k = 2)"))
     out.append(("residual", f"{1e3 * fit['rms_mm']:.1f} µm", f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
