@@ -66,8 +66,10 @@ def valid_points(raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, every: 
 
 
 def picked(grey: np.ndarray, pixel: np.ndarray) -> np.ndarray:
-    """(N,) uint8: the grey value of each pixel, copied. grey: (L, W) uint8."""
+    """(N,) uint8: the grey value of each pixel, copied. grey: (L, W) uint8; pixel: ascending. Raises IndexError for one outside."""
     flat, loop = np.ascontiguousarray(grey, np.uint8).reshape(-1), compiled()
+    if len(pixel) and not 0 <= pixel[0] <= pixel[-1] < flat.size:
+        raise IndexError(f"pixel {pixel[-1]} of an image of {flat.size}")
     if len(pixel) == flat.size:  # the pixels are in order, each once
         return flat.copy()
     if loop is None:

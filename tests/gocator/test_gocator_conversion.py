@@ -69,3 +69,8 @@ def test_a_source_that_does_not_compile_is_no_error(tmp_path, compiled_loop):
     broken = tmp_path / "surface_loop.c"
     broken.write_text("int main(void { return 0; }")
     assert build(broken, tmp_path) is None
+
+
+def test_a_pixel_outside_of_the_image_is_refused():
+    with pytest.raises(IndexError):
+        picked(np.zeros((3, 4), np.uint8), np.array([0, 5, 12], np.int32))
