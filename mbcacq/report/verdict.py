@@ -95,7 +95,13 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[
         before, after = np.abs(spacing.before).max(), np.abs(spacing.after)
         worst = int(after.argmax())
         sigma = "" if spacing.sigma is None else f" ± {2 * spacing.sigma[worst]:.3f}"
-        out.append(("largest sphere spacing error", f"{after.max():.3f}{sigma} mm", f"before {before:.3f} mm; ± is what the calibration leaves open (k = 2)"))
+        out.append(
+            (
+                "largest sphere spacing error",
+                f"{after.max():.3f}{sigma} mm",
+                f"before {before:.3f} mm; ± is what the calibration leaves open (k = 2)",
+            )
+        )
     if fit.get("expected_accuracy_mm") is not None:
         out.append(("expected accuracy of a point", f"{2e3 * fit['expected_accuracy_mm']:.0f} µm", "in the workspace, 3D, U (k = 2)"))
     out.append(("residual", f"{1e3 * fit['rms_mm']:.1f} µm", f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))

@@ -35,7 +35,7 @@ class EvidenceSearch:
     def run(self, start: NoisePoint, begin: Hypothesis | None = None) -> list[Hypothesis]:
         """All hypotheses that were compared, the most probable first; the empty set is one of them.
 
-        begin: a set, of another linearisation, from which the search goes on. What else an effect could be is asked by ``exchange``.
+        begin: a set, of another linearisation, from which the search goes on.
         """
         none = estimated((), start, 0.0, MOST_ROUNDS)
         self.known = {none.key: none}
@@ -48,6 +48,8 @@ class EvidenceSearch:
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
             best = beam[0]
+        if self.beam > 1:
+            self.exchange(best)
         return self.ranked()
 
     def ranked(self) -> list[Hypothesis]:
@@ -115,9 +117,8 @@ class EvidenceSearch:
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
-    def exchange(self) -> list[Hypothesis]:
-        """All hypotheses, with sets that have another effect in the place of one of the best set's: what else it could be."""
-        best = next((h for h in self.ranked() if h.members), self.known[()])
+    def exchange(self, best: Hypothesis) -> None:
+        """Sets with another effect in the place of one of the best set's: what else it could be."""
         for j in range(len(best.members)):
             rest = best.members[:j] + best.members[j + 1 :]
             node = first_order(rest, best.point, self.log_prior(rest))
@@ -128,7 +129,6 @@ class EvidenceSearch:
                     other = first_order(members, best.point, self.log_prior(members))
                     near = other.log_posterior > best.log_posterior - OPTIONS.reach
                     self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other
-        return self.ranked()
 
 
 def log_e_value(ranked: Sequence[Hypothesis]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,12 +29,6 @@ class EvidenceFit:
     linear: LinearProblem
     log_e_value: float
 
-    @classmethod
-    def of(cls, search: EvidenceSearch, linear: LinearProblem) -> EvidenceFit:
-        """What a search has compared so far."""
-        ranked = search.ranked()
-        return cls(tuple(ranked), search.known[()], linear, log_e_value(ranked))
-
     @property
     def significant(self) -> bool:
         return self.log_e_value > -np.log(OPTIONS.alpha)
@@ -54,17 +48,14 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
 
     effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
 
-    def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceSearch:
+    def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
         """none: a noise, to begin with, of the empty set."""
         search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort)
-        search.run(NoisePoint(linear, prior, none), from_set)
-        return search
+        ranked = search.run(NoisePoint(linear, prior, none), from_set)
+        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
 
-    search = searched(linear, pack(problem.noise))
-    fit = EvidenceFit.of(search, linear)
-    if keep is not None:
-        return fit
-    for _ in range(OPTIONS.relinearizations):
+    fit = searched(linear, pack(problem.noise))
+    for _ in range(OPTIONS.relinearizations if keep is None else 0):
         before = fit.best.key
         kept = judged_centres(fit)
         if not fit.best.members and np.array_equal(kept, linear.keep):
@@ -72,12 +63,10 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
         displaced = displacements(fit.best)
         linear = relinearized(linear, fit.best).restricted(kept) if fit.best.members else linear.restricted(kept)
         wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
-        search = searched(wide, fit.none.point.theta, fit.best)
-        fit = EvidenceFit.of(search, linear)
+        fit = replace(searched(wide, fit.none.point.theta, fit.best), linear=linear)
         if fit.best.key == before:
             break
-    search.exchange()
-    return EvidenceFit.of(search, linear)
+    return fit
 
 
 def judged_centres(fit: EvidenceFit) -> np.ndarray:
