@@ -24,7 +24,7 @@ CHOSEN = [
     ("gopxl", Case("data", "device", 1, "duplicate"), {RECOVERED}),
     ("gopxl", Case("data", "device", 2, "close"), {RECOVERED}),
     ("kuka_rsi", Case("rsi", "device", 40, "duplicate"), {RECOVERED}),
-    ("kuka_rsi", Case("rsi", "device", 40, "garbage"), {NAMED}),
+    ("kuka_rsi", Case("rsi", "device", 40, "garbage"), {NAMED, RECOVERED}),  # recovered where the datagram was one that is repeated
     ("kuka_rsi", Case("rsi", "driver", 30, "drop"), {NAMED, RECOVERED}),
     ("kuka_rsi", Case("rsi", "device", 30, "delay"), {NAMED, RECOVERED}),
     ("kuka_eki", Case("eki", "device", 5, "close"), {NAMED, RECOVERED}),

@@ -28,8 +28,8 @@ class SessionFault(Exception):
 
 @dataclass(frozen=True)
 class Layout:
-    """What one session's telegrams look like. reference: axis angles (6,) deg at RSI_ON; planned: where ASPos stands in a row, or None;
-    step: of IPOC; tick_s: seconds of one count of IPOC."""
+    """What one session's telegrams look like. reference: axis angles (6,) deg without correction; planned: where ASPos stands in a row, or
+    None; step: of IPOC; tick_s: seconds of one count of IPOC."""
 
     source: Any
     parser: Parser
@@ -95,8 +95,10 @@ class Handshake:
         layout = Layout(
             source, parser, axes, axes(row), None if planned is None else itemgetter(*planned), None if delay is None else delay[0]
         )
-        if self._settings["check_set_point"]:
+        if planned is not None and self._settings["check_set_point"]:
             _refuse_correction(layout, row)
+            # A small correction may still be applied, of a program that was not restarted: ASPos is where the arm goes without it.
+            layout = replace(layout, reference=itemgetter(*planned)(row))
         self.layout = layout
         return self._learn(digits)
 
