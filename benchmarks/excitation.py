@@ -47,7 +47,7 @@ def recording(loaded: LoadedPlan, motion: FourierMotion, seed: int, number: int)
     return Trajectory(loaded.cell.robot, r.time_s, r.q, q_set=r.q_set, torque=r.torque)
 
 
-def told(found: MotionDiagnosis) -> str:
+def outcome_of(found: MotionDiagnosis) -> str:
     names = [f"{e.name} at {'+'.join(e.where)}" for e in found.named_effects]
     return f"{found.verdict}: {', '.join(names) or 'nothing'}"
 
@@ -63,8 +63,8 @@ def measured(seed: int) -> dict[str, Any]:
     after = diagnose_trajectories([first, *twice], cross_validation=False)
     return {
         "seed": seed,
-        "before": told(before),
-        "after": told(after),
+        "before": outcome_of(before),
+        "after": outcome_of(after),
         "seconds": seconds,
         "std": {n: (float(b), float(a)) for n, b, a in zip(designed.names, designed.before, designed.after, strict=True)},
     }
@@ -75,7 +75,7 @@ INTRODUCTION = """# A motion that tells a balancer from masses
 Made by `python benchmarks/excitation.py --write`. A KR 10 (MuJoCo, the cell of `plans/seeing.yaml`) with a balancer at A2 that nobody
 described, friction at A2, and masses 2 % off their description, recorded for 20 s over 27 deg to either side of A2's home, then twice
 along the motion of `mbcacq plan design --motion`. Expected standard deviations are those that the command prints, for the recording alone
-and with the motion once. A load on the flange and the mass of the last link are told apart by no motion, only by a known weight.
+and with the motion once. A load on the flange and the mass of the last link are separated by no motion, only by a known weight.
 
 | arm | diagnosed from the recording | with the motion as well | preload, N m | growth with its stretch, N m | turned, N m/rad | design, s |
 |---|---|---|---|---|---|---|"""

@@ -44,7 +44,7 @@ class TorqueInformation:
     the flange, a balancer.
 
     normal (P, P): of the recordings, with the priors. weights (J,): of a sample at each joint; step_s: between two of them. named:
-    positions of the parameters that are to be told apart, names: with their unit; scale (P,): from coefficients to these units. arm:
+    positions of the parameters that are to be separated, names: with their unit; scale (P,): from coefficients to these units. arm:
     positions of the links' inertial parameters.
     """
 

@@ -63,28 +63,8 @@ class BlockLayout:
     cell: np.ndarray
 
 
-@dataclass(frozen=True)
-class DesignBlocks:
-    """All design blocks of one recording, each part made when it is first asked for."""
-
-    context: Context
-
-    @cached_property
-    def groups(self) -> list[BlockGroup]:
-        return block_groups(self.context)
-
-    @cached_property
-    def log_prior_shares(self) -> dict[str, float]:
-        return log_prior_shares(self.groups)
-
-    @cached_property
-    def layout(self) -> BlockLayout:
-        return block_layout(self.groups)
-
-
-@dataclass(frozen=True)
-class GivenBlocks:
-    """Blocks that somebody else laid out, with the same fields as ``DesignBlocks``."""
+class _LaidOut:
+    """What follows from groups of blocks."""
 
     groups: list[BlockGroup]
 
@@ -95,6 +75,24 @@ class GivenBlocks:
     @cached_property
     def layout(self) -> BlockLayout:
         return block_layout(self.groups)
+
+
+@dataclass(frozen=True)
+class DesignBlocks(_LaidOut):
+    """All design blocks of one recording, each part made when it is first asked for."""
+
+    context: Context
+
+    @cached_property
+    def groups(self) -> list[BlockGroup]:  # pyright: ignore[reportIncompatibleVariableOverride] -- read only, as all of it
+        return block_groups(self.context)
+
+
+@dataclass(frozen=True)
+class GivenBlocks(_LaidOut):
+    """Blocks that somebody else laid out, with the same fields as ``DesignBlocks``."""
+
+    groups: list[BlockGroup]
 
 
 def block_layout(groups: list[BlockGroup]) -> BlockLayout:
