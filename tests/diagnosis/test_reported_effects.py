@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-import simulated
 
-from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.beam_search import BeamSearch
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.verdict import reportable
 
 
@@ -46,13 +43,3 @@ def test_a_long_recording_counts_all_directions_alike(setup):
     assert np.ptp(long.information) == 0 < np.ptp(short.information)
     assert long.detection_statistic[1] == pytest.approx(6)
     assert short.detection_statistic[1] < 4
-
-
-def test_a_column_that_vanishes_in_these_data_makes_no_random_effect(plan):
-    setup = prepare(simulated.observe(plan, 17, [("joint_compliance", ("A2",), [2e-5], None)]))
-    projected = CandidateScoring.of(setup.linear, setup.noise)
-    cell = EvidenceMap(projected, setup.design_blocks).evaluate(projected).best()
-    for group in setup.design_blocks.groups:
-        group.functions[:] = 0.0
-
-    assert np.all(EvidenceMap(projected, setup.design_blocks).random_effect(cell).columns == 0.0)

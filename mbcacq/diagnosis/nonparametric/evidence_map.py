@@ -17,7 +17,6 @@ from scipy.stats import chi2
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, GivenBlocks
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 
 
@@ -128,14 +127,6 @@ class EvidenceMap:
         back = np.swapaxes(self._unit(g), 1, 2) @ self.projected.whiten.transpose(whitened)
         return np.tensordot(group.functions, back, axes=(0, 0)).transpose(1, 0, 2).reshape(-1, whitened.shape[1])
 
-    def _columns(self, group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """(M, R, rows x index), component-major."""
-        linear = self.projected.linear
-        unit = np.stack([linear.unit(*key) for key in group.keys], axis=2) @ group.mix[rows].T
-        F = group.functions[:, index]
-        F = F[linear.obs.pose] if group.per_pose else F
-        return (unit[:, :, :, None] * F[:, None, None, :]).reshape(*unit.shape[:2], -1)
-
     def evaluate(self, projected: CandidateScoring, least: float = -np.inf) -> MapEvidence:
         """projected: this map's problem, possibly conditioned on effects and groups. least: log Bayes factor below which that of a block
         need not be known; blocks that cannot reach it have none (-inf).
@@ -173,12 +164,6 @@ class EvidenceMap:
         f = self.design_blocks.groups[cell.group].functions.shape[1]
         own = (np.array(cell.rows)[:, None] * f + cell.shape.index).reshape(-1)
         return self.raw[self.design_blocks.layout.start[cell.group] + own]
-
-    def random_effect(self, cell: MapCell) -> RandomEffect:
-        """The cell's columns, each of unit size (or zero, where these data do not determine it), as a random effect."""
-        columns = self._columns(self.design_blocks.groups[cell.group], np.array(cell.rows), cell.shape.index)
-        weight = np.tile(cell.shape.weight, len(cell.rows))
-        return RandomEffect(cell.location, cell.depends_on, columns / np.sqrt(np.maximum(self.raw_of(cell), 1e-200)), weight)
 
 
 def last_of_each(group: np.ndarray, value: np.ndarray) -> np.ndarray:
