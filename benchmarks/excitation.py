@@ -19,7 +19,7 @@ import numpy as np
 from mbcacq_fakes.dynamics.recorded import recorded
 
 from mbcacq.design.excitation import Excitation, FourierMotion, at_rest, design_excitation
-from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, load

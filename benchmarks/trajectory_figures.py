@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.diagnosis.motion import explain_trajectories
+from mbcacq.diagnosis.motion.diagnose import explain_trajectories
 from mbcacq.recording import read_trajectory_set
 
 WIDTH, HEIGHT, LEFT, TOP = 430, 110, 56, 34

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.challenge.motion_score import MotionScore, score_motion
-from mbcacq.diagnosis.motion import base_alone, diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import base_alone, diagnose_trajectories
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2, norm
+from scipy.special import chdtri, chndtr, ndtr, ndtri
 
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.oracle import true_members
@@ -35,8 +35,8 @@ WANTED_POWER = 0.9  # share of the cells in which an effect has to be found
 
 def least_gain(k: int, level: float = INFORMED_LEVEL) -> float:
     """Non-centrality at which a test of this level finds an effect of k coefficients nine times in ten."""
-    limit = chi2.isf(level, k)
-    root = brentq(lambda gain: ncx2.sf(limit, k, gain) - WANTED_POWER, 1e-3, 1e4)
+    limit = chdtri(k, level)
+    root = brentq(lambda gain: 1.0 - chndtr(limit, k, gain) - WANTED_POWER, 1e-3, 1e4)
     return float(root)  # pyright: ignore[reportArgumentType]  # the stubs do not know that the full output was not asked for
 
 
@@ -82,9 +82,9 @@ def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[f
         found.append(bool(reports(diagnose(observations).to_json(), truth)))
         setup = prepare(observations)
         model = EffectSet(tuple(true_members(setup, truth)))
-        informed.append(bool(likelihood_ratio(setup, model) > chi2.isf(INFORMED_LEVEL, k)))
+        informed.append(bool(likelihood_ratio(setup, model) > chdtri(k, INFORMED_LEVEL)))
         best, values = with_estimated_hypers(setup, model)
-        estimating.append(bool(likelihood_ratio(setup, best) > chi2.isf(INFORMED_LEVEL / values, k)))
+        estimating.append(bool(likelihood_ratio(setup, best) > chdtri(k, INFORMED_LEVEL / values)))
     return PowerCell(found, informed, estimating, search_multiple(k, share))
 
 
@@ -146,10 +146,10 @@ def ninety_percent_point(multiples: Sequence[float], found: np.ndarray) -> float
     """The multiple at which nine in ten are found: the most likely cumulative normal through found (cells, multiples), bool."""
     rate, count = np.mean(found, axis=0, dtype=float), len(found)
     middle, width = np.meshgrid(np.linspace(0.3, 2.5, 221), np.geomspace(0.05, 0.6, 40), indexing="ij")
-    p = np.clip(norm.cdf((np.asarray(multiples) - middle[..., None]) / width[..., None]), 1e-6, 1 - 1e-6)
+    p = np.clip(ndtr((np.asarray(multiples) - middle[..., None]) / width[..., None]), 1e-6, 1 - 1e-6)
     score = np.sum(count * (rate * np.log(p) + (1 - rate) * np.log(1 - p)), axis=-1)
     best = np.unravel_index(np.argmax(score), score.shape)
-    return float(middle[best] + norm.isf(1 - WANTED_POWER) * width[best])
+    return float(middle[best] + ndtri(WANTED_POWER) * width[best])
 
 
 def with_interval(figure: Callable[[np.ndarray], float], cells: int, draws: int = 200) -> tuple[float, float, float]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
 
@@ -31,7 +31,7 @@ def random_effect(values: np.ndarray, std: np.ndarray) -> CommonValue:
     between = between_std(values, std)
     common, own = weighted_mean(values, std**2 + between**2)
     fixed, _ = weighted_mean(values, std**2)
-    p_value = float(chi2.sf(np.sum((values - fixed) ** 2 / std**2), len(values) - 1))
+    p_value = float(chdtrc(len(values) - 1, np.sum((values - fixed) ** 2 / std**2)))
     return CommonValue(common, own, between, p_value)
 
 

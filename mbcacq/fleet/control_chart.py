@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import EVALUATED
@@ -158,7 +158,7 @@ def half_width(share: float, variance: np.ndarray, estimated: float, count: int)
     if not np.isfinite(estimated):
         return np.full(len(variance), np.nan)
     dof = EFFICIENCY * count * (variance / estimated) ** 2 if estimated > 0 else np.full(len(variance), np.inf)
-    return student.isf(share / 2, dof) * np.sqrt(variance)
+    return -stdtrit(dof, share / 2) * np.sqrt(variance)
 
 
 def weighted_median(value: np.ndarray, weight: np.ndarray) -> float:

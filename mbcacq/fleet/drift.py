@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 FEWEST = 4  # recordings of an arm without which there is no line
 FALSE_ALARMS = 0.0027  # of an arm
@@ -53,7 +53,7 @@ def drifts(rows: Sequence[Mapping[str, Any]]) -> list[Drift]:
     scale = float(np.sqrt(max(np.median(squares) / MEDIAN_SQUARE, 1.0)))
     out = []
     for t in trends:
-        limit = scale * norm.isf(FALSE_ALARMS / 2 / len(t.names)) * t.sigma
+        limit = -scale * ndtri(FALSE_ALARMS / 2 / len(t.names)) * t.sigma
         best = int(np.argmax(np.abs(t.change) / limit))
         if abs(t.change[best]) > limit[best]:
             out.append(Drift(t.arm, t.names[best], float(t.change[best]), float(limit[best])))

@@ -42,36 +42,45 @@ class Clearance:
     def __init__(self, loaded: LoadedPlan) -> None:
         self._loaded, self._chain = loaded, loaded.cell.robot.chain
         self._pairs: dict[str | None, list[Pair]] = {}
+        self._spheres: dict[str | None, EnclosingSpheres] = {}
 
     def at(self, q: np.ndarray, station: str | None) -> Closest:
         """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away). Two that are as far apart as can be asked of
         them do not count."""
-        posture = Posture(self._chain.frames(q[None])[0])
-        distances = [(posture.distance(p), p) for p in self.pairs(station)]
-        distance, pair = min(((d, p) for d, p in distances if d < p.most), key=lambda found: found[0], default=(np.inf, None))
-        return Closest(distance, "" if pair is None else pair.a.name, "" if pair is None else pair.b.name)
+        pairs, frames = self.pairs(station), self._chain.frames(q[None])
+        posture, bound = Posture(frames[0]), self._spheres[station].gaps(frames)[0]
+        closest = Closest(np.inf, "", "")
+        for k in np.argsort(bound):
+            if bound[k] >= closest.distance:
+                break
+            distance = posture.distance(pairs[k])
+            if distance < min(pairs[k].most, closest.distance):
+                closest = Closest(distance, pairs[k].a.name, pairs[k].b.name)
+        return closest
 
     def along_segment(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
         """A pair of bodies closer than ``needed`` mm somewhere on the straight joint motion, or None if all of it is free.
 
         The motion is halved until the distance at the middle exceeds what the halves can at most take away, so nothing slips through
-        between two examined postures, except within the last ``finest_travel_mm``.
+        between two examined postures, except within the last ``finest_travel_mm``. The gap of two spheres around the bodies is no more
+        than their distance, and is enough for most pairs.
         """
-        travel, finest = np.abs(end - start), self._loaded.planning.finest_travel_mm
-        stack = [(0.0, 1.0, [(p, float(p.lever @ travel) / 2) for p in self.pairs(station)])]
-        while stack:
-            low, high, suspects = stack.pop()
-            posture = Posture(self._chain.frames((start + (low + high) / 2 * (end - start))[None])[0])
-            share, close = high - low, []
-            for pair, sweep in suspects:
-                distance, asked = posture.distance(pair), min(needed, pair.most)
-                if distance < asked:
-                    return Closest(distance, pair.a.name, pair.b.name)
-                if distance - share * sweep < asked and share * sweep > finest / 2:
-                    close.append((pair, sweep))
-            if close:
-                middle = (low + high) / 2
-                stack += [(middle, high, close), (low, middle, close)]
+        pairs = self.pairs(station)
+        sweep = np.array([p.lever for p in pairs]) @ np.abs(end - start) / 2  # mm that half of the motion can at most take away
+        asked = np.minimum(needed, [p.most for p in pairs])
+        step, middles, suspects = 0.5, np.array([0.5]), np.ones((1, len(pairs)), dtype=bool)
+        while len(middles):
+            frames = self._chain.frames(start + middles[:, None] * (end - start))
+            suspects &= self._spheres[station].gaps(frames) < asked + sweep
+            postures = [Posture(f) for f in frames]
+            for i, k in np.argwhere(suspects):
+                distance = postures[i].distance(pairs[k])
+                if distance < asked[k]:
+                    return Closest(distance, pairs[k].a.name, pairs[k].b.name)
+                suspects[i, k] = distance < asked[k] + sweep[k] and sweep[k] > self._loaded.planning.finest_travel_mm / 2
+            left, step, sweep = suspects.any(axis=1), step / 2, sweep / 2
+            middles = np.concatenate([middles[left] - step, middles[left] + step])
+            suspects = np.tile(suspects[left], (2, 1))
         return None
 
     def pairs(self, station: str | None) -> list[Pair]:
@@ -83,6 +92,7 @@ class Clearance:
             else:
                 standing = station_bodies(self._loaded, station)
                 self._pairs[station] = self.pairs(None) + [p for body in standing for p in self._against(body)]
+            self._spheres[station] = EnclosingSpheres(self._pairs[station])
         return self._pairs[station]
 
     @cached_property
@@ -130,6 +140,20 @@ class Clearance:
         for joint in range(behind, body.link):
             lever[joint] = steps[joint : body.link].sum() + np.linalg.norm(body.pose[:3, 3]) + body.radius
         return lever
+
+
+class EnclosingSpheres:
+    """The spheres around the bodies of K pairs: how far apart the bodies of a pair at least are, for many postures at once."""
+
+    def __init__(self, pairs: Sequence[Pair]) -> None:
+        self._links = np.array([[p.a.link, p.b.link] for p in pairs], dtype=int).reshape(-1, 2)
+        self._centres = np.array([[p.a.pose[:, 3], p.b.pose[:, 3]] for p in pairs]).reshape(-1, 2, 4)
+        self._radii = np.array([p.a.radius + p.b.radius for p in pairs])
+
+    def gaps(self, frames: np.ndarray) -> np.ndarray:
+        """mm (P, K), negative: overlap of the spheres. frames: (P, n + 1, 4, 4)."""
+        centres = np.einsum("pkbij,kbj->pkbi", frames[:, self._links], self._centres)
+        return np.linalg.norm(centres[:, :, 1] - centres[:, :, 0], axis=-1) - self._radii
 
 
 class Posture:

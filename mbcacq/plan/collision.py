@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,10 +28,15 @@ class Body:
     rounding: float = 0.0
     carried: bool = False
 
-    @property
+    @cached_property
     def length(self) -> float:
         """mm, of its longest side; of a capsule, of the line in it."""
         return float(np.max(self.sides))
+
+    @cached_property
+    def extent_m(self) -> np.ndarray:
+        """(3,) m: half the sides of a box; radius, half of the line and 0 of a capsule."""
+        return np.array([self.rounding, self.length / 2, 0.0] if self.rounding > 0 else self.sides / 2) / 1e3
 
 
 def halves(body: Body) -> tuple[Body, Body]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.options import DEFAULTS
@@ -229,7 +229,7 @@ class RollOutFit:
             # What was absent is compared with none: a gear's compliance with zero.
             known = x[:1] if block.absent else x - block.start
             wald = float(known @ np.linalg.solve(C[: len(known), : len(known)], known))
-            out.append(FittedBlock(block, x, C, float(chi2.sf(wald, len(known))), block.key in self.named))
+            out.append(FittedBlock(block, x, C, float(chdtrc(len(known), wald)), block.key in self.named))
         return out
 
     # held-out parts
@@ -340,7 +340,7 @@ def _gain(halves: list[np.ndarray], chosen: list[int], own: np.ndarray) -> tuple
     both = one + other
     held = sum(_remaining(fit, rest, chosen) - _remaining(fit, rest, ids) for fit, rest in ((one, other), (other, one)))
     gain = _remaining(both, both, chosen) - _remaining(both, both, ids)
-    return held, float(chi2.sf(max(gain, 0.0), len(own)))
+    return held, float(chdtrc(len(own), max(gain, 0.0)))
 
 
 def _remaining(fit: np.ndarray, rest: np.ndarray, ids: list[int]) -> float:

@@ -114,7 +114,7 @@ def _hashed(source: Path) -> list[dict[str, Any]]:
 
 def diagnose_motion(trajectories: Sequence[Trajectory | Path | str]) -> DiagnosisResult:
     """The diagnosis of trajectories of one robot, together. Raises ConfigError where they do not fit together."""
-    from mbcacq.diagnosis.motion import diagnose_trajectories
+    from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 
     return DiagnosisResult(motion=diagnose_trajectories(as_trajectories(trajectories)))
 
@@ -154,7 +154,7 @@ def with_fitted_model(found: Diagnosis, observations: Observations, progress: Ca
 
 def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:
     """The diagnosis of the poses with that of the motion between them, where a run recorded torques or joint-side angles."""
-    from mbcacq.diagnosis.motion import diagnose_trajectories
+    from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 
     if not (is_run_folder(recording) or recording.suffix == ".rrd"):
         return found

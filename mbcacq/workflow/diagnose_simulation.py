@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mbcacq.diagnosis.motion import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -81,6 +80,7 @@ def _motion_against_model(recorded: Sequence[Data], model: Path, how: Question) 
 
 
 def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], how: Question) -> DiagnosisResult:
+    from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
     from mbcacq.simulation.simulated_sets import trajectory_against
 
     if how.check:

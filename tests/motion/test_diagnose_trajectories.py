@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel

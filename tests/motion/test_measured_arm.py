@@ -6,7 +6,7 @@ The recordings do not describe the payload and the gas balancer of A2, and the m
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.recording import read_trajectory_set
 
 pytestmark = pytest.mark.timeout(300)

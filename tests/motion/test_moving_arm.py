@@ -10,7 +10,7 @@ from mbcacq_fakes.dynamics.bodies import Bodies
 from mbcacq_fakes.dynamics.recorded import recorded
 
 from mbcacq.challenge.motion_score import score_motion
-from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.gravity import gravity_torque
 from mbcacq.model import shipped

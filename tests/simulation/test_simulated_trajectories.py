@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.motion import diagnose_trajectories
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool, all_candidates
 from mbcacq.diagnosis.motion.determination import UndeterminedEffect, resemblance
@@ -235,7 +235,7 @@ class ForwardSelection:
         values, vectors = np.linalg.eigh(v / np.outer(d, d))
         good = values > SMALLEST_EIGENVALUE
         wald = float((((vectors[:, good].T @ (c / d)) ** 2) / values[good]).sum())
-        return float(f_distribution.sf(wald / k, k, max(len(self.model.store.segments) - k, 1)))
+        return float(fdtrc(k, max(len(self.model.store.segments) - k, 1), wald / k))
 
     def _alternatives(self, best: HeldOutTrial, trials: list[HeldOutTrial]) -> list[AlternativeEffect]:
         """Other effects on the same joints that would have gained a good part of what the best one gains."""

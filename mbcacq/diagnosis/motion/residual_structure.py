@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as t_distribution
+from scipy.special import chdtrc, stdtr
 
 from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.options import MotionOptions
@@ -44,7 +43,7 @@ def residual_structure(
     axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
     if best is None or best.share < options.least_residual_share:
         segments = options.residual_segments
-        return MotionMismatch(axis, channel, "time", weight, float(chi2.sf(segments * mean_square / floor**2, segments))), None
+        return MotionMismatch(axis, channel, "time", weight, float(chdtrc(segments, segments * mean_square / floor**2))), None
     share = best.share * weight
     effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, best.x, best.y)
     return MotionMismatch(axis, channel, best.covariate, share, best.p_value), effect
@@ -112,4 +111,4 @@ def improvement_p_value(before: np.ndarray, after: np.ndarray) -> float:
     """One-sided p-value that the squared error of blocks (B,) became smaller: paired t-test of its square root."""
     gain = np.sqrt(before) - np.sqrt(after)
     spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
-    return float(t_distribution.sf(gain.mean() / max(spread, 1e-300), len(gain) - 1))
+    return float(stdtr(len(gain) - 1, -gain.mean() / max(spread, 1e-300)))

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import gammaln
-from scipy.stats import chi2
+from scipy.special import chdtrc, gammaln
 
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
@@ -202,7 +201,6 @@ def map_entries(projected: CandidateScoring, design_blocks: DesignBlocks) -> lis
 
 def log10_tail(gain: float, k: int) -> float:
     """log10 of the probability that noise alone gains as much with k coefficients."""
-    tail = chi2.logsf(max(gain, 0.0), k)
-    if not np.isfinite(tail):  # first term of the asymptotic series
-        tail = (k / 2 - 1) * np.log(gain / 2) - gain / 2 - gammaln(k / 2)
-    return float(tail / np.log(10))
+    tail = chdtrc(k, max(gain, 0.0))
+    log = np.log(tail) if tail > 0 else (k / 2 - 1) * np.log(gain / 2) - gain / 2 - gammaln(k / 2)  # first term of the asymptotic series
+    return float(log / np.log(10))

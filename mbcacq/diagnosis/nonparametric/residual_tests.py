@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell, MapEvidence
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -67,4 +67,4 @@ def neighbour_dependence(projected: CandidateScoring, s: Context) -> float:
         return 1.0
     product = (z[i[apart]] * z[j[apart]]).sum(axis=0)
     strongest = np.max(product / np.sqrt(apart.sum()))
-    return float(min(1.0, s.n * norm.sf(strongest)))
+    return float(min(1.0, s.n * ndtr(-strongest)))

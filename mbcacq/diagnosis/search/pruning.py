@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -48,4 +48,4 @@ def required(search: BeamSearch, model: EffectSet, rest: EffectSet) -> float:
 
 def p_value(model: EffectSet, rest: EffectSet, j: int) -> float:
     """Of effect j among the others: by the chi2 that is lost without it."""
-    return float(chi2.sf(max(model.gain - rest.gain, 0.0), model.effects[j][0].k))
+    return float(chdtrc(model.effects[j][0].k, max(model.gain - rest.gain, 0.0)))

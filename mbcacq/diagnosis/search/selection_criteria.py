@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from mbcacq.diagnosis.search.effect_prior import EffectPrior
 from mbcacq.diagnosis.search.effect_set import SelectedEffects
@@ -115,4 +115,4 @@ def further_effect_penalty(candidate: Candidate, present: Collection[Candidate])
 
 @lru_cache(maxsize=10000)
 def _threshold(dof: float, log_trials: float, rate: float) -> float:
-    return float(chi2.isf(min(rate / np.exp(log_trials), 0.2), dof))
+    return float(chdtri(dof, min(rate / np.exp(log_trials), 0.2)))
