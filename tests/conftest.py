@@ -13,6 +13,8 @@ from hypothesis import HealthCheck, settings
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start here; without compiled files each compiles the program anew
+
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a suite started in the background: what it starts would ignore Ctrl-C, too
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
