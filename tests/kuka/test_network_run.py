@@ -24,7 +24,7 @@ def two_poses(folder):
     """Lock-step; the controller waits 60 ms for an answer and counts those that are missing in a row, as RSI can be configured."""
     plan = yaml.safe_load((PLANS / "quick.yaml").read_text())
     plan["robot"] |= {"model": str(PLANS / plan["robot"]["model"]), "speed": 1.0}
-    plan["robot"]["options"] |= {"late_limit": 1000}
+    plan["robot"]["options"] |= {"late_limit": 1000, "cycle_ms": 4}
     plan["artefacts"] = [str(PLANS / name) for name in plan["artefacts"]]
     plan["exposures"] = 1
     plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:2]}]
