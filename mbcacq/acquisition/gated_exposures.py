@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +19,7 @@ from mbcacq.acquisition.placement import PlacementCheck
 from mbcacq.acquisition.reconnect_policy import ReconnectingScanner
 from mbcacq.acquisition.view_prediction import ViewPrediction
 from mbcacq.devices import DeviceFault
+from mbcacq.devices.protocols import Scan
 from mbcacq.model.cell import Artefact
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.field_of_view import margin
@@ -64,10 +67,9 @@ class GatedExposures:
         if first:
             self._prediction.new_station()
             taken, number = self._placed(pose, q)
-        for exposure in range(number, pose.exposures + self.options.repeated_exposures):
-            if self._complete(pose, taken):
-                break
-            found = self._expose(pose, exposure)
+        again = range(max(number, pose.exposures), pose.exposures + self.options.repeated_exposures)
+        exposures = chain(self._needed(pose, range(number, pose.exposures)), (self._expose(pose, k) for k in again))
+        while not self._complete(pose, taken) and (found := next(exposures, None)) is not None:
             if why := self._contradiction(pose, found, first):
                 contradiction = why
                 self.bus.gap("exposure", f"pose {pose.number}: {why}; the exposure was left out", pose.number)
@@ -101,15 +103,41 @@ class GatedExposures:
         return self.placement.fault(pose, q, found.ball, found.xyz)
 
     def _expose(self, pose: PlannedPose, exposure: int) -> Centres:
-        scan = self.scanner.capture(self.loaded.plan.scanner.exposure_us)
+        scan = self._capture()
+        self._report_scan(pose, exposure, scan)
+        return self._report_centres(pose, exposure, self._balls(pose, scan))
+
+    def _needed(self, pose: PlannedPose, exposures: Sequence[int]) -> Iterator[Centres]:
+        """Exposures that are taken whatever they show: the balls of one are looked for while the scanner takes the next."""
+        pending: tuple[int, Future[Centres]] | None = None
+        with ThreadPoolExecutor(1) as worker:
+            for exposure in exposures:
+                try:
+                    scan = self._capture()
+                finally:  # what was taken before is not lost where the scanner fails
+                    found = None if pending is None else self._report_centres(pose, pending[0], pending[1].result())
+                if found is not None:
+                    yield found
+                self._report_scan(pose, exposure, scan)
+                pending = exposure, worker.submit(self._balls, pose, scan)
+            if pending is not None:
+                yield self._report_centres(pose, pending[0], pending[1].result())
+
+    def _capture(self) -> Scan:
+        return self.scanner.capture(self.loaded.plan.scanner.exposure_us)
+
+    def _balls(self, pose: PlannedPose, scan: Scan) -> Centres:
+        cell = self.loaded.cell
+        return self.find_balls(scan.points, cell.artefact(pose.artefact), expected=pose.balls, predicted=predicted_centres(cell, pose))
+
+    def _report_scan(self, pose: PlannedPose, exposure: int, scan: Scan) -> None:
         self.bus.emit(events.ScanTaken, pose.number, exposure, scan)
         if scan.health:
             self.bus.emit(events.HealthReceived, "scanner", dict(scan.health))
         for warning in scan.warnings:
             self.bus.message("warning", f"pose {pose.number}: {warning}")
-        artefact = self.loaded.cell.artefact(pose.artefact)
-        predicted = predicted_centres(self.loaded.cell, pose)
-        found = self.find_balls(scan.points, artefact, expected=pose.balls, predicted=predicted)
+
+    def _report_centres(self, pose: PlannedPose, exposure: int, found: Centres) -> Centres:
         self.bus.emit(events.CentresFound, pose.number, exposure, found.ball, found.xyz, found.n_points, found.rms_mm)
         return found
 

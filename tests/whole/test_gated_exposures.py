@@ -23,7 +23,7 @@ def test_an_artefact_bumped_between_two_exposures_is_named(tmp_path):
     def bump(cell):
         cell.faults.mishap("bumped_tripod", station="p1", shift_mm=(0.5, 0, 0), rotation_deg=(0, 0, 0))
 
-    error, folder = run_with(tmp_path, bump, at=(events.CentresFound, 2))
+    error, folder = run_with(tmp_path, bump, at=(events.ScanTaken, 2))
     assert error is None
     gaps = "; ".join(find_gaps(folder))
     assert "pose 2: its exposures differ by 0.5" in gaps
