@@ -180,12 +180,14 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
     from mbcacq.recording.rrd.reader import Recording
 
     found: dict[str, Any] = {}
+    responses: tuple[str, ...] = ()
     for source in sources:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
-                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths", "responses") if name in row}
-    lengths, responses = bool(found.pop("lengths", 0.0)), int(found.pop("responses", 0.0))
-    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), lengths, responses)
+                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths") if name in row}
+                if isinstance(titles := row.get("responses"), list):
+                    responses = tuple(titles)
+    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), bool(found.get("lengths")), responses)
 
 
 @contextmanager
@@ -249,8 +251,9 @@ def _load(client: Any, sources: Sequence[Path | str]) -> None:
 
 
 def _go_to(client: Any, tab: str, moment: tuple[int, float] | None) -> None:
-    """To the pose, on the timeline on which the tab is best read."""
+    """To the pose, on the timeline on which the tab is best read. Without a pose the time stands still: a film is no picture."""
     if moment is None:
+        client.set_time(play_state="paused")
         return
     number, time_s = moment
     if tab in ("Cell", "Motion"):
