@@ -79,13 +79,17 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
-    poses = expand(loaded)
-    routes = find_paths(loaded, poses)
-    content = summary(loaded, poses, routes)
-    if rrd is not None:
-        from mbcacq.recording.rrd.plan_recording import write_plan_recording
+    with StepProgress() as steps:
+        steps.begin("looking for postures that reach every pose")
+        poses = expand(loaded)
+        steps.begin("looking for free paths between them")
+        routes = find_paths(loaded, poses)
+        content = summary(loaded, poses, routes)
+        if rrd is not None:
+            from mbcacq.recording.rrd.plan_recording import write_plan_recording
 
-        write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
+            steps.begin("drawing the arm on its path")
+            write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     if as_json:
         echo(json.dumps(content))
         return
