@@ -53,9 +53,9 @@ def new(
 
     wanted: dict[str, str] = {}
     for kind, given in (("robots", robot), ("scanners", scanner), ("artefacts", artefact)):
-        if given is None and not sys.stdin.isatty():
-            raise ConfigError(f"which of the {kind}? say --{kind[:-1]} NAME or FILE")
         choices = ", ".join(p.stem for p in sorted((shipped.folder() / kind).glob("*.yaml")))
+        if given is None and not sys.stdin.isatty():
+            raise ConfigError(f"the {kind[:-1]} is not given; add --{kind[:-1]} with a file or one of the tool's own: {choices}")
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
     options = NewPlanOptions(driver, stations, count, seed)
     with StepProgress() as steps:
@@ -144,7 +144,8 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         echo(_time_sentence(content))
         for axis in content["axes"]:
             echo(_axis_sentence(axis))
-        echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
+        warnings = sum(f.level == "warning" for f in findings)
+        echo(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
     if errors:
         sys.exit(ExitCode.USAGE)
 

@@ -36,13 +36,16 @@ def files(path: Path | str) -> list[Path]:
     if not path.is_file():
         raise ConfigError(f"{path} does not exist; give the folder of a run, or a .rrd file")
     refuse_plan(path)
+    if path.suffix not in (".rrd", ".rbl"):
+        raise ConfigError(f"{path} is no recording; give the folder of a run, or a .rrd file")
     return [path]
 
 
-def view(sources: Sequence[Path | str]) -> None:
-    """Open files or addresses in the viewer and wait until it is closed. Raises RecordingError if it cannot start."""
+def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: None) -> None:
+    """Open files or addresses in the viewer and wait until it is closed; opening: called before. Raises RecordingError if it cannot start."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
+    opening()
     with quiet_environment() as environment, tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
         command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]  # it would listen everywhere
