@@ -126,7 +126,7 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
         findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
-        steps.begin("computing what the poses can tell")
+        steps.begin("computing what the poses determine")
         more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
         findings += more
         findings += reach_findings(loaded)
@@ -220,7 +220,7 @@ def design(
     for sentence in repairs:
         echo(sentence, err=True)
     with StepProgress() as steps:
-        steps.begin("choosing views by what they tell")
+        steps.begin("choosing views by what the calibration learns from them")
         result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
         target.write_text(result.text, encoding="utf-8")
         new = load(target)

@@ -42,7 +42,7 @@ def files(path: Path | str) -> list[Path]:
 
 
 def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: None) -> None:
-    """Open files or addresses in the viewer and wait until it is closed; opening: called before. Raises RecordingError if it cannot start."""
+    """Open files or addresses in the viewer and wait until it is closed. opening: called before. Raises RecordingError where it cannot."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
     opening()
