@@ -338,17 +338,19 @@ def _print_steps(content: dict[str, Any]) -> None:
 
 
 def _print_poses(content: dict[str, Any]) -> None:
-    """Plain lines: a table fitted to a narrow terminal would cut the angles."""
+    """Plain lines, below the name of each step: a table fitted to a narrow terminal would cut the angles."""
     poses = content["poses"]
     if not poses:
         return
-    wide = {key: max(len(key), *(len(p[key]) for p in poses)) for key in ("step", "station")}
-    axes = "".join(f"{f'A{i + 1}':>8}" for i in range(len(poses[0]["q_deg"])))
-    echo(f"{'pose':>4} {'at s':>5}  {'step':{wide['step']}}  {'station':{wide['station']}} {'balls':>5}{axes}  via")
-    for p in poses:
-        angles = "".join(f"{a:8.2f}" for a in p["q_deg"])
-        where = f"{p['step']:{wide['step']}}  {p['station']:{wide['station']}}"
-        echo(f"{p['pose']:4} {p['start_s']:5.0f}  {where} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
+    station = max(len("station"), *(len(p["station"]) for p in poses))
+    wide, digits = (8, 2) if len(poses[0]["q_deg"]) <= 6 else (7, 1)
+    axes = "".join(f"{f'A{i + 1}':>{wide}}" for i in range(len(poses[0]["q_deg"])))
+    echo(f"{'pose':>4} {'at s':>5}  {'station':{station}} {'balls':>5}{axes}  via")
+    for before, p in zip([None, *poses], poses, strict=False):
+        if before is None or p["step"] != before["step"]:
+            echo(f"{p['step']}:")
+        angles = "".join(f"{a:{wide}.{digits}f}" for a in p["q_deg"])
+        echo(f"{p['pose']:4} {p['start_s']:5.0f}  {p['station']:{station}} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
 
 
 def _time_sentence(content: dict[str, Any]) -> str:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
 from mbcacq.acquisition import events
 from mbcacq.cli import step_progress
+from mbcacq.cli.plan import _print_poses
 from mbcacq.cli.progress import RunProgress
 from mbcacq.cli.step_progress import StepProgress
 
@@ -34,3 +37,20 @@ def test_what_a_run_waits_for_is_named_where_there_is_no_bar(capsys):
     for state in ("connecting", "moving"):
         progress(events.StateChanged(time.monotonic(), state))
     assert named == ["connecting to the devices", ""]
+
+
+@pytest.mark.parametrize("axes", [6, 7])
+def test_the_poses_of_a_plan_fit_eighty_columns(axes, capsys):
+    pose = {
+        "pose": 123,
+        "start_s": 4321.0,
+        "step": "orientations",
+        "station": "p10",
+        "balls": [1],
+        "q_deg": [-174.03] * axes,
+        "waypoints": 2,
+    }
+    _print_poses({"poses": [pose, pose | {"step": "bar"}]})
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert [line for line in lines if line.endswith(":")] == ["orientations:", "bar:"]
