@@ -44,7 +44,9 @@ def overview(kind: ArmTypeContent) -> go.Figure:
     )
     figure.update_xaxes(tickangle=-60, tickfont={"size": 10}, showgrid=False, dtick=1)
     figure.update_yaxes(autorange="reversed", title="arm", tickfont={"size": 10}, showgrid=False, dtick=1, type="category")
-    return styled(figure, int(240 + 16 * len(shown)))
+    height = int(240 + 16 * len(shown))
+    figure.update_layout(meta={"narrow": {"height": height, "tick": 7, "angle": -90}})
+    return styled(figure, height)
 
 
 def drift(kind: ArmTypeContent) -> go.Figure:
