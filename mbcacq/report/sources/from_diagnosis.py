@@ -124,7 +124,10 @@ def _likelihood(alternative: Mapping[str, Any]) -> str:
     odds = alternative.get("odds")
     if odds is None:
         return f"would remove {alternative['held_out_gain']:.0%}"
-    return f"odds 1 : {float(f'{1 / odds:.2g}'):.0f}" if odds > EXCLUDED_ODDS else "excluded"
+    if odds <= EXCLUDED_ODDS:
+        return "excluded"
+    against = float(f"{1 / odds:.2g}")  # without an exponent
+    return f"odds 1 : {against:.0f}" if against >= 10 else f"odds 1 : {against:g}"
 
 
 def _is_vector(key: str, entry: Mapping[str, Any]) -> bool:
