@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -42,13 +43,16 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     except ValueError:
         raise ConfigError(f"--joints '{joints}' is not a list of numbers; give degrees with commas, such as 0,-90,90,0,30,0") from None
     known = load_result(result)
-    points, more = read(cloud)
-    moved, placed = place_scan(known, q, points)
-    write(out, moved, more, placed.T_base_scanner)
+    with StepProgress() as steps:
+        steps.begin("bringing the scan into the base frame")
+        points, more = read(cloud)
+        moved, placed = place_scan(known, q, points)
+        write(out, moved, more, placed.T_base_scanner)
     if as_json:
         echo(
             json.dumps(
                 {
+                    "format": "mbcacq-apply/1",
                     "output": str(out),
                     "points": len(moved),
                     **({"simulated": True} if known.get("simulated") else {}),

@@ -28,7 +28,7 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
     for warning in files.get("WARNINGS.txt", "").splitlines():
         echo(f"warning: {warning}", err=True)
     if as_json:
-        echo(json.dumps({"files": [str(path) for path in written]}))
+        echo(json.dumps({"format": "mbcacq-controller-files/1", "files": [str(path) for path in written]}))
         return
     for path in written:
         echo(str(path))

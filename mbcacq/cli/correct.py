@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 MOST_LINES = 20
@@ -35,7 +36,9 @@ def command(program: Path, result: Path, out: Path | None, force: bool, as_json:
     from mbcacq.workflow.correct import LARGE_CHANGE
     from mbcacq.workflow.load import as_result
 
-    done = mbcacq.correct(program, result, out, force=force)
+    with StepProgress() as steps:
+        steps.begin("looking for joint angles that reach the nominal places")
+        done = mbcacq.correct(program, result, out, force=force)
     if as_json:
         echo(json.dumps(done.to_dict()))
         return

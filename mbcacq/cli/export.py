@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 _OPTIONS = (
@@ -67,12 +68,14 @@ def command(
     results, artefact, output = (others.pop(name) for name in ("results", "artefact", "output"))
     wanted = {"observations": observations, "trajectory": trajectory, "results": results}
     written = []
-    if artefact is None or any(wanted.values()):
-        written += mbcacq.export(
-            run, scans=scans, targets=mbcacq.Targets(**others), force=force, simulated_anyway=simulated_anyway, **wanted
-        )
-    if artefact is not None:
-        written.append(export_artefact(run, artefact, output, force=force))
+    with StepProgress() as steps:
+        steps.begin("reading and writing")
+        if artefact is None or any(wanted.values()):
+            written += mbcacq.export(
+                run, scans=scans, targets=mbcacq.Targets(**others), force=force, simulated_anyway=simulated_anyway, **wanted
+            )
+        if artefact is not None:
+            written.append(export_artefact(run, artefact, output, force=force))
     if as_json:
         echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
         return

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -21,10 +22,13 @@ def command(plan: Path, fast: bool, seed: int) -> None:
     from mbcacq.plan import expand, load
 
     loaded = load(plan)
+    with StepProgress() as steps:
+        steps.begin("looking for postures that reach every pose")
+        poses = expand(loaded)
     quit_event = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: quit_event.set())
-    with load_driver("fakes", "cell")(loaded, expand(loaded), realtime=not fast, seed=seed, ports="plan") as cell:
+    with load_driver("fakes", "cell")(loaded, poses, realtime=not fast, seed=seed, ports="plan") as cell:
         echo(f"fake cell of '{loaded.plan.name}' is up:")
         for role, options in cell.overrides().items():
             if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None)):

@@ -53,9 +53,9 @@ def new(
 
     wanted: dict[str, str] = {}
     for kind, given in (("robots", robot), ("scanners", scanner), ("artefacts", artefact)):
-        if given is None and not sys.stdin.isatty():
-            raise ConfigError(f"which of the {kind}? say --{kind[:-1]} NAME or FILE")
         choices = ", ".join(p.stem for p in sorted((shipped.folder() / kind).glob("*.yaml")))
+        if given is None and not sys.stdin.isatty():
+            raise ConfigError(f"the {kind[:-1]} is not given; add --{kind[:-1]} with a file or one of the tool's own: {choices}")
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
     options = NewPlanOptions(driver, stations, count, seed)
     with StepProgress() as steps:
@@ -79,13 +79,17 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
-    poses = expand(loaded)
-    routes = find_paths(loaded, poses)
-    content = summary(loaded, poses, routes)
-    if rrd is not None:
-        from mbcacq.recording.rrd.plan_recording import write_plan_recording
+    with StepProgress() as steps:
+        steps.begin("looking for postures that reach every pose")
+        poses = expand(loaded)
+        steps.begin("looking for free paths between them")
+        routes = find_paths(loaded, poses)
+        content = summary(loaded, poses, routes)
+        if rrd is not None:
+            from mbcacq.recording.rrd.plan_recording import write_plan_recording
 
-        write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
+            steps.begin("drawing the arm on its path")
+            write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     if as_json:
         echo(json.dumps(content))
         return
@@ -122,7 +126,7 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
         findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
-        steps.begin("computing what the poses can tell")
+        steps.begin("computing what the poses determine")
         more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
         findings += more
         findings += reach_findings(loaded)
@@ -140,7 +144,8 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         echo(_time_sentence(content))
         for axis in content["axes"]:
             echo(_axis_sentence(axis))
-        echo(f"{errors} errors, {sum(f.level == 'warning' for f in findings)} warnings")
+        warnings = sum(f.level == "warning" for f in findings)
+        echo(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
     if errors:
         sys.exit(ExitCode.USAGE)
 
@@ -215,7 +220,7 @@ def design(
     for sentence in repairs:
         echo(sentence, err=True)
     with StepProgress() as steps:
-        steps.begin("choosing views by what they tell")
+        steps.begin("choosing views by what the calibration learns from them")
         result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
         target.write_text(result.text, encoding="utf-8")
         new = load(target)
@@ -333,17 +338,19 @@ def _print_steps(content: dict[str, Any]) -> None:
 
 
 def _print_poses(content: dict[str, Any]) -> None:
-    """Plain lines: a table fitted to a narrow terminal would cut the angles."""
+    """Plain lines, below the name of each step: a table fitted to a narrow terminal would cut the angles."""
     poses = content["poses"]
     if not poses:
         return
-    wide = {key: max(len(key), *(len(p[key]) for p in poses)) for key in ("step", "station")}
-    axes = "".join(f"{f'A{i + 1}':>8}" for i in range(len(poses[0]["q_deg"])))
-    echo(f"{'pose':>4} {'at s':>5}  {'step':{wide['step']}}  {'station':{wide['station']}} {'balls':>5}{axes}  via")
-    for p in poses:
-        angles = "".join(f"{a:8.2f}" for a in p["q_deg"])
-        where = f"{p['step']:{wide['step']}}  {p['station']:{wide['station']}}"
-        echo(f"{p['pose']:4} {p['start_s']:5.0f}  {where} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
+    station = max(len("station"), *(len(p["station"]) for p in poses))
+    wide, digits = (8, 2) if len(poses[0]["q_deg"]) <= 6 else (7, 1)
+    axes = "".join(f"{f'A{i + 1}':>{wide}}" for i in range(len(poses[0]["q_deg"])))
+    echo(f"{'pose':>4} {'at s':>5}  {'station':{station}} {'balls':>5}{axes}  via")
+    for before, p in zip([None, *poses], poses, strict=False):
+        if before is None or p["step"] != before["step"]:
+            echo(f"{p['step']}:")
+        angles = "".join(f"{a:{wide}.{digits}f}" for a in p["q_deg"])
+        echo(f"{p['pose']:4} {p['start_s']:5.0f}  {p['station']:{station}} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
 
 
 def _time_sentence(content: dict[str, Any]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mbcacq.acquisition import events
@@ -10,10 +12,11 @@ from mbcacq.model.cell import SIMULATED
 
 
 class RunProgress:
-    """Subscriber that shows step, pose k of n, station, balls found and remaining time."""
+    """Subscriber that shows step, pose k of n, station, balls found and remaining time. begin: gets what is waited for where there is no
+    bar, and an empty text at the end of that."""
 
-    def __init__(self, quiet: bool = False) -> None:
-        self._console = terminal_console(stderr=True, quiet=quiet)
+    def __init__(self, begin: Callable[[str], None] = lambda text: None) -> None:
+        self._console, self._begin = terminal_console(stderr=True), begin
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -22,7 +25,7 @@ class RunProgress:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self._console,
-            disable=quiet or not self._console.is_terminal,
+            disable=not self._console.is_terminal,
         )
         self._task: TaskID | None = None
         self._step, self._station, self._balls, self._done, self._total, self._stepped = "", "-", 0, 0, 0, False
@@ -37,6 +40,8 @@ class RunProgress:
 
     def _frame(self, event: events.RunStarted | events.RunStopped | events.StateChanged) -> None:
         """Begin and end of the bar; it rests while a question stands on the terminal."""
+        waiting = isinstance(event, events.StateChanged) and event.state == "connecting" and not self._console.is_terminal
+        self._begin("connecting to the devices" if waiting else "")
         match event:
             case events.RunStarted():
                 self._total = event.n_poses

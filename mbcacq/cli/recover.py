@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -31,11 +32,14 @@ def command(recording: Path, check: bool, as_json: bool) -> None:
     if check:
         print_check(recording, as_json)
         return
-    found = recover(recording)
+    with StepProgress() as steps:
+        steps.begin("reading what is whole")
+        found = recover(recording)
     if as_json:
         echo(
             json.dumps(
                 {
+                    "format": "mbcacq-recovery/1",
                     "recordings": [
                         {
                             "source": str(item.source),
@@ -46,7 +50,7 @@ def command(recording: Path, check: bool, as_json: bool) -> None:
                             "complete": item.complete,
                         }
                         for item in found
-                    ]
+                    ],
                 }
             )
         )
@@ -65,10 +69,12 @@ def print_check(recording: Path, as_json: bool) -> None:
     from mbcacq.errors import RecordingError
     from mbcacq.recording.run_folder.check import check
 
-    found = check(recording)
+    with StepProgress() as steps:
+        steps.begin("comparing the recording with its checksums")
+        found = check(recording)
     if as_json:
         files = [{"file": str(f.path), "bytes": f.size, "unverified": f.unverified, "faults": list(f.faults)} for f in found]
-        echo(json.dumps({"files": files}))
+        echo(json.dumps({"format": "mbcacq-checksums/1", "files": files}))
     else:
         for file in found:
             unverified = f", {file.unverified} of them without a checksum" if file.unverified else ""

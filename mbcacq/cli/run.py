@@ -48,18 +48,22 @@ def command(
     from mbcacq.cli.arming import ask_before_motion
     from mbcacq.cli.progress import RunProgress
     from mbcacq.cli.signals import end_in_order_on_signals
+    from mbcacq.cli.step_progress import StepProgress
     from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
+    steps = StepProgress()
     operator = mbcacq.Operator(
         allow_motion=lambda loaded, poses, sweep: ask_before_motion(loaded, poses, sweep, arm),
         artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
         pause=KeyPause() if step else None,
         message=lambda sentence: echo(sentence, err=True),
-        subscribers=(RunProgress(quiet=as_json),),
+        progress=steps.begin,
+        subscribers=(RunProgress(steps.begin),),
         assume_yes=yes,
     )
-    done = mbcacq.run(plan, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
+    with steps:
+        done = mbcacq.run(plan, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
     if as_json:
         echo(json.dumps(done.to_dict()))
     else:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
 
@@ -41,12 +42,16 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
     if is_trajectory_set(plan):
         if result is not None or noise:
             raise ConfigError(f"{plan} is a trajectory set: --cell and --noise are for plans; leave them out")
-        samples = write_motion(plan, out)
+        with StepProgress() as steps:
+            steps.begin("computing what would be recorded")
+            samples = write_motion(plan, out)
         written = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
         echo(json.dumps(written) if as_json else f"{samples} samples written to {out}")
         return
-    observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
-    write_observation_set(observations, out)
+    with StepProgress() as steps:
+        steps.begin("computing what would be recorded")
+        observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
+        write_observation_set(observations, out)
     poses, centres = observations.n_poses, observations.n_centres
     written = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
     echo(json.dumps(written) if as_json else f"{poses} poses, {centres} ball centres written to {out}")

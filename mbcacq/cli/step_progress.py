@@ -20,7 +20,8 @@ COUNTED = re.compile(r"(\d+) of (\d+)$")
 
 class StepProgress:
     """Call it with a sentence at the begin of each step; use it as a context. A sentence that ends with 'k of n' is counted: the time
-    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each message is a line."""
+    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each message is a line. An empty
+    sentence ends the steps: the terminal belongs to somebody else, and no signal comes."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet, self._terminal = quiet, sys.stderr.isatty()
@@ -31,7 +32,8 @@ class StepProgress:
 
     def __call__(self, text: str) -> None:
         self.begin(text)
-        self._say(f"{text}{self._left(self._began)} ...")
+        if text:
+            self._say(f"{text}{self._left(self._began)} ...")
 
     def begin(self, text: str) -> None:
         """A step whose begin is not worth a line: it is named only when it takes long."""
@@ -40,7 +42,11 @@ class StepProgress:
         count = (int(found[1]), int(found[2])) if found else None
         if count is None or self._count is None or count[0] <= self._count[0]:
             self._counting_since = now
+        if bool(text) != bool(self._text) and self._timed:
+            self._tick_every(EVERY_S if text else 0.0)
         self._text, self._began, self._count = text, now, count
+        if not text:
+            self.clear()
 
     def __enter__(self) -> StepProgress:
         in_main = threading.current_thread() is threading.main_thread()
@@ -49,14 +55,17 @@ class StepProgress:
         if self._timed:
             signal.signal(signal.SIGALRM, lambda *_: self._tick())
             signal.siginterrupt(signal.SIGALRM, False)
-            signal.setitimer(signal.ITIMER_REAL, EVERY_S, EVERY_S)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._timed:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            self._tick_every(0.0)
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
         self.clear()
+
+    @staticmethod
+    def _tick_every(seconds: float) -> None:
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
 
     def _tick(self) -> None:
         now = time.monotonic()

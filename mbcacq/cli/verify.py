@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -32,7 +33,11 @@ def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) ->
     """
     import mbcacq
 
-    found = [mbcacq.verify_elsewhere(path, result, place=place) for path in other]
+    found = []
+    with StepProgress() as steps:
+        for number, path in enumerate(other, 1):
+            steps.begin(f"trying the arm on recording {number} of {len(other)}")
+            found.append(mbcacq.verify_elsewhere(path, result, place=place))
     if as_json:
         echo(json.dumps({"format": "mbcacq-transfer/1", "transfers": [one.to_dict() for one in found]}))
         return

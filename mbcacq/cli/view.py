@@ -40,8 +40,7 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     end_in_order_on_signals("the viewer")
     sources = open_viewer.files(run)
     if screenshot is None:
-        echo("opening the viewer; close its window to end", err=True)
-        open_viewer.view(sources)
+        open_viewer.view(sources, lambda: echo("opening the viewer; close its window to end", err=True))
         return
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):

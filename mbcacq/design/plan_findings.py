@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -71,7 +72,7 @@ def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
     hidden: dict[str, list[str]] = {}
     for effect in found.effects:
         if not effect.detectable:
-            hidden.setdefault(effect.name, []).append(effect.location)
+            hidden.setdefault(effect.name, []).append(re.sub(r"^(ball|station)(?=\S)", r"\1 ", effect.location))
     if not hidden:
         return []
     listed = "; ".join(f"{name} ({', '.join(sorted(locations))})" for name, locations in hidden.items())

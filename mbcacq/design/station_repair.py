@@ -64,8 +64,9 @@ def station_moves(loaded: LoadedPlan) -> list[StationMove]:
 
 
 def _nearest_offset(loaded: LoadedPlan, own: list[Target]) -> np.ndarray | None:
-    """The shortest of the offsets (3,) mm tried by which all targets of a station can be reached."""
-    solver = router_of(loaded).solver
+    """The shortest of the offsets (3,) mm tried by which all targets of a station can be reached with nothing too close to the arm; where
+    there is none, the shortest by which they can be reached."""
+    solver, clearance, reached = router_of(loaded).solver, router_of(loaded).clearance, None
     wrist = loaded.cell.robot.n - 2
     T = np.stack([t.T_base_flange for t in own if t.T_base_flange is not None])
     signs = [{"any": 0, "positive": 1, "negative": -1}[t.wrist] for t in own]
@@ -78,9 +79,13 @@ def _nearest_offset(loaded: LoadedPlan, own: list[Target]) -> np.ndarray | None:
             # One view tells most places that will not do; the others are asked for the rest.
             if not _any(solver.solutions(moved[:1])[0], signs[0], wrist):
                 continue
-            if all(_any(q, sign, wrist) for q, sign in zip(solver.solutions(moved), signs, strict=True)):
+            found = [q[sign * q[:, wrist] >= 0] for q, sign in zip(solver.solutions(moved), signs, strict=True) if len(q)]
+            if len(found) < len(signs) or not all(map(len, found)):
+                continue
+            if all(any(clearance.at(q, None).distance >= loaded.plan.clearance_mm for q in of) for of in found):
                 return np.round(distance * direction)
-    return None
+            reached = np.round(distance * direction) if reached is None else reached
+    return reached
 
 
 def _any(q: np.ndarray, sign: int, wrist: int) -> bool:

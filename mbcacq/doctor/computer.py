@@ -18,7 +18,7 @@ LIBRARIES = {  # distribution: module; None: only its presence is asked for
     "scipy": "scipy",
     "pydantic": "pydantic",
     "rerun-sdk": "rerun",
-    "mujoco": "mujoco",
+    "mujoco-core": "mujoco",
     "ruckig": "ruckig",
     "pymodbus": "pymodbus",
     "pyserial": "serial",

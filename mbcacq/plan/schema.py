@@ -153,4 +153,4 @@ class Plan(Strict):
     tripod_radius_mm: float = Field(default=40.0, ge=0)  # of the stand below each station, down to the lowest obstacle; 0: none
     steps: tuple[AnyStep, ...] = Field(min_length=1)
     accept: Acceptance = Acceptance()
-    fake: dict[str, Any] = {}  # what the fake cell conceals; a real run ignores it
+    fake: dict[str, Any] = {}  # errors injected into the fake cell; a real run ignores it

@@ -96,12 +96,13 @@ def number(value: float | None, digits: int = 3) -> str:
     """Fixed point with a typographic minus; a dash where there is no value."""
     if value is None or not np.isfinite(value):
         return "–"
-    return f"{value:.{digits}f}".replace("-", "−")
+    rounded = round(float(value), digits) + 0.0  # a zero has no sign
+    return f"{rounded:.{digits}f}".replace("-", "−")
 
 
 def signed(value: float | None, digits: int = 3) -> str:
     text = number(value, digits)
-    return text if text in "–" or text.startswith("−") else f"+{text}"
+    return text if text == "–" or text.startswith("−") or not text.strip("0.") else f"+{text}"
 
 
 def curve_title(effect: str, location: str) -> str:

@@ -277,7 +277,7 @@ def _delay(
 
 def _needs_delays(element: Any) -> None:
     if not hasattr(element, "delay"):
-        raise ConfigError("this version of MuJoCo has no delays of sensors and actuators; pip install --upgrade mujoco")
+        raise ConfigError("this version of MuJoCo has no delays of sensors and actuators; pip install --upgrade mujoco-core")
 
 
 def _block(

@@ -41,13 +41,15 @@ class Operator:
 
     allow_motion: called with plan, remaining poses and swept space before a real arm moves; raises Aborted or ConfigError to refuse.
     artefact_moved: of a resumed run, whether the artefact of this station was touched since. pause: asked before each pose.
-    message: gets sentences for people. subscribers: get every event. assume_yes: answer the positioner's prompts with yes.
+    message: gets sentences for people. progress: gets a sentence at the begin of each step that takes long, and an empty one where the
+    terminal is needed otherwise. subscribers: get every event. assume_yes: answer the positioner's prompts with yes.
     """
 
     allow_motion: Callable[[LoadedPlan, Sequence[PlannedPose], Swept], None] = refuse_motion
     artefact_moved: Callable[[str], bool] = lambda station: False
     pause: Pause | None = None
     message: Callable[[str], None] = lambda sentence: None
+    progress: Callable[[str], None] = lambda sentence: None
     subscribers: tuple[Subscriber, ...] = ()
     assume_yes: bool = False
 
@@ -77,9 +79,12 @@ def run(
     from mbcacq.recording.run_folder.lock import write_lock
 
     refuse_small_address_space()
-    operator, loaded = operator or Operator(), as_plan(plan)
+    operator = operator or Operator()
+    operator.progress("checking that every pose can be reached and seen")
+    loaded = as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
+    operator.progress("")
     if sentence := scope_sentence(loaded, poses):
         operator.message(sentence)
     cell, folder = name_of(dry_run, seed), None if resume is None else Path(resume)
@@ -92,21 +97,24 @@ def run(
         done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)
         if folder is not None and all(pose.number in done for pose in poses):
             operator.message(f"all {len(poses)} poses were measured already; nothing moves")
-            return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.message)
+            return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
+        operator.progress("checking every motion between the poses")
         acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
         acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
+        operator.progress("")
         if not dry_run:
             operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
         if folder is None:
             folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
             held.enter_context(write_lock(folder, "run"))
         acquisition.folder = folder
+        operator.progress("starting the fake cell" if dry_run else "")
         try:
             with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
                 acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error
-        return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.message)
+        return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
 
 
 def _with_fakes_named(error: ConnectError, loaded: LoadedPlan, dry_run: bool) -> ConnectError:

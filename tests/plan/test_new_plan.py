@@ -1,11 +1,17 @@
 """A plan from nothing, and a plan that is out of reach brought back into it."""
 
+import json
+import re
+import shlex
+from pathlib import Path
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mbcacq.cli.app import app
 from mbcacq.cli.plan import command
-from mbcacq.design.new_plan import NewPlan, NewPlanOptions, write_new_plan
+from mbcacq.design.new_plan import NewPlan, write_new_plan
 from mbcacq.design.station_repair import repaired, station_moves
 from mbcacq.errors import ConfigError
 from mbcacq.model import shipped
@@ -23,14 +29,32 @@ balls:
 """
 
 
-def test_a_new_plan_has_no_errors_and_spreads_its_stations(tmp_path):
-    artefact = tmp_path / "four.yaml"
-    artefact.write_text(FOUR_BALLS)
-    out = tmp_path / "plan.yaml"
-    options = NewPlanOptions(stations=4, poses=14)
-    request = NewPlan(shipped.robot_file("kr6_r900_2"), shipped.named_file("scanners", "gocator-3210"), artefact, out, options)
-    list(write_new_plan(request))
-    loaded = load(out)
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "plan-from-nothing.md"
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """A folder with what the page "A plan from nothing" makes: its artefact, and the plan of its command with fewer poses."""
+    folder, text = tmp_path_factory.mktemp("walk"), PAGE.read_text(encoding="utf-8")
+    (folder / "four.yaml").write_text(re.search(r"cat > four.yaml <<'END'\n(.*?)END\n", text, re.DOTALL)[1])
+    typed = shlex.split(re.search(r"^mbcacq (plan new .*)$", text, re.MULTILINE)[1])
+    typed = [str(folder / word) if word in ("four.yaml", "plan.yaml") else word for word in typed]
+    done = CliRunner().invoke(app, [*typed, "--stations", "3", "--poses", "10"], catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    return folder
+
+
+def test_a_plan_from_nothing_runs_dry_to_a_calibration(walk):
+    run = walk / "run"
+    done = CliRunner().invoke(app, ["run", str(walk / "plan.yaml"), "--dry-run", "--out", str(run)], catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    result = json.loads((run / "result.json").read_text())
+    assert result["verification"]["after"]["max_mm"] < result["verification"]["before"]["max_mm"]
+    assert (run / "report.html").stat().st_size > 1_000_000
+
+
+def test_a_new_plan_has_no_errors_and_spreads_its_stations(walk):
+    loaded = load(walk / "plan.yaml")
     poses = expand(loaded)
     assert [str(f) for f in check(loaded, poses) if f.level == "error"] == []
     assert sum(p.phase == "position" for p in poses) >= 8
@@ -66,6 +90,13 @@ def test_a_station_out_of_reach_is_told_the_nearest_place_and_moved_there(folder
     again = load(path)
     assert again.cell.station("1").planned_pose[:3, 3] == pytest.approx(move.place)
     assert expand_reachable(again)[1] == []
+
+
+def test_a_station_is_not_moved_to_where_the_scanner_is_at_the_forearm(folder):
+    """The nearest place in reach of these views is 120 mm nearer to the arm's limit, where the scanner stands 3 mm beside link 4."""
+    path = folder.plan(("[600, 0, 150]", "[1250, 0, 150]"), ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 30, azimuth_deg: 0}"))
+    fixed, _ = repaired(load(path))
+    assert [str(f) for f in check(fixed, expand(fixed)) if f.level == "error"] == []
 
 
 def test_a_view_that_no_place_helps_is_left_out_and_the_others_stay(folder):

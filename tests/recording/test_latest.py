@@ -47,7 +47,7 @@ def test_latest_names_the_newest_of_several_runs(desk, monkeypatch, links, name)
 
 def test_view_of_latest_opens_the_newest_run(desk, monkeypatch):
     opened = []
-    monkeypatch.setattr(open_viewer, "view", opened.extend)
+    monkeypatch.setattr(open_viewer, "view", lambda sources, opening: opened.extend(sources))
     for folder in ("runs/1_kuka", "runs/2_kuka"):
         new_run(folder)
     assert CliRunner().invoke(app, ["view", "latest"], standalone_mode=False).exception is None

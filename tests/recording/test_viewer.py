@@ -66,7 +66,10 @@ class StandIn:
     """A viewer that shows one picture."""
 
     def __init__(self):
-        self.opened = []
+        self.opened, self.play_state = [], "playing"
+
+    def set_time(self, *, play_state):
+        self.play_state = play_state
 
     def open(self, files):
         self.opened += files
@@ -90,7 +93,7 @@ def test_a_picture_of_a_drawn_plan_needs_no_measured_pose(tmp_path, monkeypatch)
     done = CliRunner().invoke(app, ["view", str(drawn), "--screenshot", str(tmp_path / "pictures")])
     assert done.exit_code == 0, done.stderr
     assert done.stdout.strip() == str(tmp_path / "pictures" / "view.png")
-    assert viewer.opened == [str(drawn)]
+    assert (viewer.opened, viewer.play_state) == ([str(drawn)], "paused")
     done = CliRunner().invoke(app, ["view", str(drawn), "--screenshot", str(tmp_path / "pictures"), "--pose", "3"])
     assert done.exit_code == 2
     assert "holds no measured poses to choose from; leave --pose out" in done.stderr

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from made_up import diagnosis
 
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.geometry import se3
@@ -15,6 +16,9 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
 from mbcacq.report import read_run_identity, report_from_result
+from mbcacq.report.page import number as fixed_point
+from mbcacq.report.page import signed
+from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
 CHAIN = Chain(
@@ -333,3 +337,26 @@ def test_many_stations_share_one_limit_line(tmp_path):
     result = make_result()
     result["verification"]["limit_mm"] = 0.3
     assert "limit ±0.300 mm" in page(tmp_path, result).words
+
+
+def test_an_alternative_is_stated_by_its_odds():
+    content = diagnosis()
+    content["effects"][0]["alternatives"] = [
+        {"name": "unknown", "where": ["A1"], "held_out_gain": 0.0, "odds": 1 / 652},
+        {"name": "joint_step", "where": ["A2"], "held_out_gain": 0.0, "odds": 0.0},
+    ]
+    effect = diagnosis_content(content, None).effects[0]
+    assert effect.alternatives == ["an unmodelled effect at A1 (odds 1 : 650)", "joint step at A2 (excluded)"]
+
+
+def test_components_of_a_vector_are_no_harmonics():
+    content = diagnosis()
+    content["effects"][0]["parameters"] = {"offset_mm": {"value": [0.0098, -0.003, 0.0102], "std": [0.0033, 0.0033, 0.0048]}}
+    effect = diagnosis_content(content, None).effects[0]
+    assert [(name, unit) for name, _, _, unit in effect.parameters] == [("offset x", "mm"), ("offset y", "mm"), ("offset z", "mm")]
+    assert effect.harmonics is None
+
+
+def test_what_rounds_to_zero_has_no_sign():
+    assert [fixed_point(v) for v in (-0.0004, -0.0, -0.0006)] == ["0.000", "0.000", "−0.001"]
+    assert [signed(v) for v in (-0.0004, 0.0, 0.02, -0.02, None)] == ["0.000", "0.000", "+0.020", "−0.020", "–"]

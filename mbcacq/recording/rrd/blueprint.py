@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +14,14 @@ from rerun.blueprint import encodings
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
-from mbcacq.recording.rrd.chart import SHEET
+from mbcacq.recording.rrd.chart import SHEET_HEIGHT, SHEET_WIDTH, sheet_height
 from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
 WHOLE = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 NIGHT, GRID = [18, 21, 27], [70, 78, 92, 90]
-LOG_COLUMNS = rrb.TextLogColumns(
-    timeline_columns=[encodings.TimelineColumn(layout.TIME)],
+LOG_COLUMNS = rrb.TextLogColumns(  # without the column of the time, which is too narrow to be read: it is part of the text
+    timeline_columns=[encodings.TimelineColumn(layout.TIME, visible=False)],
     text_log_columns=[encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")],
 )
 ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white 0, orange +{1e3 * RANGE_MM:.0f} um"
@@ -34,7 +35,7 @@ class Enlarged:
     all: float | None = None  # of all poses, before and after
     diagnosis: float | None = None
     lengths: bool = False  # whether lengths were verified
-    responses: int = 0  # charts of the diagnosis
+    responses: tuple[str, ...] = ()  # titles of the charts of the diagnosis
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         visual_bounds=rrb.VisualBounds2D(x_range=(-30.0, 60.0), y_range=(-20.0, 420.0)),
     )
     return rrb.Vertical(
-        rrb.Horizontal(axes, names, column_shares=[14, 1]),
+        rrb.Horizontal(axes, names, column_shares=[12, 1]),
         rrb.Horizontal(
             _curves("Cycle period, ms", [layout.PERIOD], whole=True),
             _curves("Answers late, count", [layout.DELAY], legend=False, whole=True),
@@ -120,12 +121,14 @@ def _spheres(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         ),
         rrb.Vertical(
             _curves("Fit residual of each ball (rms) and its limit, um", [layout.BALL_RMS, f"{layout.LIMITS}/rms"], from_zero=True),
-            _curves("Form of each ball (95 % of the points within), um", [layout.BALL_FORM], legend=False, from_zero=True),
-            _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE, f"{layout.LIMITS}/zero"], legend=False),
+            rrb.Horizontal(
+                _curves("Form of each ball (95 % of the points), um", [layout.BALL_FORM], legend=False, from_zero=True),
+                _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE, f"{layout.LIMITS}/zero"], legend=False),
+            ),
             _curves(
                 "Points on each ball and the fewest accepted", [layout.BALL_POINTS, f"{layout.LIMITS}/points"], legend=False, from_zero=True
             ),
-            row_shares=[6, 3, 3, 3],
+            row_shares=[6, 5, 5],  # lower ones have too little height for more than the zero beside their axis
         ),
         column_shares=[2, 3],
         name="Spheres",
@@ -145,11 +148,13 @@ def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Vertical(errors, result, row_shares=[1, 1]),
         rrb.Vertical(
-            *((_chart("Length error at each place, with its uncertainty and the limit", layout.LENGTHS),) if enlarged.lengths else ()),
-            _curves("Residual of each pose, before and after (3D rms), um", [f"{layout.RMS_POSE}/**"], from_zero=True),
-            _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False, from_zero=True),
+            *((_chart("Length error at each place, mm, with its uncertainty and the limit", layout.LENGTHS),) if enlarged.lengths else ()),
+            rrb.Horizontal(
+                _curves("Residual of each pose (3D rms), um", [f"{layout.RMS_POSE}/**"], from_zero=True),
+                _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False, from_zero=True),
+            ),
             _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
-            row_shares=[6, 3, 3, 3] if enlarged.lengths else [4, 3, 4],
+            row_shares=[6, 5, 4] if enlarged.lengths else [1, 1],
         ),
         column_shares=[1, 1],
         name="Calibration",
@@ -166,15 +171,15 @@ def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     text = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
     if enlarged.diagnosis is None:
         return rrb.Horizontal(cell, text, column_shares=[2, 1], name="Diagnosis")
-    charts = [_chart("Displacement over the variable it depends on", f"{layout.RESPONSES}/{k}") for k in range(enlarged.responses)]
+    height = sheet_height(len(enlarged.responses))
+    charts = [_chart(title, f"{layout.RESPONSES}/{k}", height) for k, title in enumerate(enlarged.responses)]
     if not charts:
         charts = [_curves("Difference between model and data at each pose (3D rms), um", [f"{layout.MISFIT}/**"], from_zero=True)]
     return rrb.Horizontal(rrb.Vertical(text, cell, row_shares=[3, 3]), rrb.Vertical(*charts), column_shares=[1, 1], name="Diagnosis")
 
 
-def _chart(name: str, entity: str) -> rrb.Spatial2DView:
-    width, height = SHEET
-    bounds = rrb.VisualBounds2D(x_range=(0.0, width), y_range=(0.0, height))
+def _chart(name: str, entity: str, height: float = SHEET_HEIGHT) -> rrb.Spatial2DView:
+    bounds = rrb.VisualBounds2D(x_range=(0.0, SHEET_WIDTH), y_range=(0.0, height))
     return rrb.Spatial2DView(name=name, origin=f"/{entity}", background=rrb.Background(color=NIGHT), visual_bounds=bounds)
 
 
@@ -218,10 +223,10 @@ def _curves(
     )
 
 
-def alone(viewpoint: ViewerCamera, diagnosis: float, responses: int = 0) -> rrb.Blueprint:
+def alone(viewpoint: ViewerCamera, diagnosis: float, responses: Sequence[str] = ()) -> rrb.Blueprint:
     """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
     return rrb.Blueprint(
-        _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis, responses=responses)),
+        _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis, responses=tuple(responses))),
         rrb.TimePanel(state="collapsed", timeline=layout.POSE),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),

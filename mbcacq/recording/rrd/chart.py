@@ -1,6 +1,7 @@
 """A chart in a 2D view of the viewer, for what is no curve over time: bars with whiskers, points over a variable, limit lines.
 
-Drawn in points of a sheet of SHEET, x to the right and y downwards, as the viewer's 2D views count them.
+Drawn in points of a sheet of SHEET_WIDTH, x to the right and y downwards, as the viewer's 2D views count them. What the axes are is said
+by the name of the view: text in a picture is of one size however small the view is.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-SHEET = (900.0, 420.0)  # width and height of a chart with its labels
-LEFT, RIGHT, TOP, BOTTOM = 70.0, 20.0, 62.0, 62.0
+SHEET_WIDTH, SHEET_HEIGHT = 900.0, 420.0  # of a chart with its labels
+ROOM, FLATTEST = 860.0, 200.0  # height for charts one below the other in half of a usual window; least height of one of them
+LEFT, RIGHT, TOP, BOTTOM = 70.0, 20.0, 42.0, 34.0
+LETTER = 11.0  # width of a letter of a label, about
 INK, GRID, LIMIT = (190, 198, 210), (58, 64, 76), (235, 96, 60)
 Colour = tuple[int, ...]
 
@@ -20,6 +23,11 @@ def round_step(span: float, most: int) -> float:
     """The smallest of 1, 2, 5 times a power of ten that divides ``span`` (above zero) into at most ``most`` parts."""
     power = 10.0 ** np.floor(np.log10(span / most))
     return float(next(f * power for f in (1.0, 2.0, 5.0, 10.0) if span / (f * power) <= most + 1e-9))
+
+
+def sheet_height(charts: int) -> float:
+    """Height of the sheet of each of several charts that stand one below the other."""
+    return float(np.clip(ROOM / max(charts, 1), FLATTEST, SHEET_HEIGHT))
 
 
 class Chart:
@@ -31,18 +39,18 @@ class Chart:
         entity: str,
         x: tuple[float, float],
         y: tuple[float, float],
-        labels: tuple[str, str],
         names: Sequence[str] | None = None,
+        height: float = SHEET_HEIGHT,
     ) -> None:
-        """x, y: ranges of the axes; labels: of the x and the y axis; names: of the places 0, 1, .. on the x axis instead of numbers."""
-        self._rec, self._entity, self._x, self._y, self._keys = stream, entity, x, y, 0
-        self._axes(labels, names)
+        """x, y: ranges of the axes; names: of the places 0, 1, .. on the x axis instead of numbers; height: of the sheet."""
+        self._rec, self._entity, self._x, self._y, self._height, self._key_end = stream, entity, x, y, height, LEFT
+        self._axes(names)
 
     def at(self, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
         """(k, 2) points of the sheet of values in the axes; what lies outside stands at the edge."""
         (x0, x1), (y0, y1) = self._x, self._y
-        column = LEFT + (np.clip(np.asarray(x, float), x0, x1) - x0) / (x1 - x0) * (SHEET[0] - LEFT - RIGHT)
-        row = SHEET[1] - BOTTOM - (np.clip(np.asarray(y, float), y0, y1) - y0) / (y1 - y0) * (SHEET[1] - TOP - BOTTOM)
+        column = LEFT + (np.clip(np.asarray(x, float), x0, x1) - x0) / (x1 - x0) * (SHEET_WIDTH - LEFT - RIGHT)
+        row = self._height - BOTTOM - (np.clip(np.asarray(y, float), y0, y1) - y0) / (y1 - y0) * (self._height - TOP - BOTTOM)
         return np.stack(np.broadcast_arrays(column, row), axis=-1).reshape(-1, 2)
 
     def bars(self, name: str, x: np.ndarray, y: np.ndarray, width: float, colour: Colour) -> None:
@@ -74,14 +82,14 @@ class Chart:
         self._strips(name, [self.at(x, y)], colour, 1.2)
         self._key(name, colour)
 
-    def _axes(self, labels: tuple[str, str], names: Sequence[str] | None) -> None:
-        left, right, top, bottom = LEFT, SHEET[0] - RIGHT, TOP, SHEET[1] - BOTTOM
+    def _axes(self, names: Sequence[str] | None) -> None:
+        left, right, top, bottom = LEFT, SHEET_WIDTH - RIGHT, TOP, self._height - BOTTOM
         frame = np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
         self._rec.log(f"{self._entity}/frame", rr.LineStrips2D([frame], colors=[GRID], radii=0.6), static=True)
         places: list[np.ndarray] = []
         texts: list[str] = []
         grid: list[np.ndarray] = []
-        y_step = round_step(self._y[1] - self._y[0], 6)
+        y_step = round_step(self._y[1] - self._y[0], 6 if self._height > 1.5 * FLATTEST else 3)
         for v in np.arange(np.ceil(self._y[0] / y_step), np.floor(self._y[1] / y_step + 1e-9) + 1) * y_step:
             at = self.at(self._x[0], v)[0]
             places.append(at - [34.0, 9.0])
@@ -98,16 +106,16 @@ class Chart:
         for v, text in marks:
             places.append(self.at(v, self._y[0])[0] + [0.0, 4.0])
             texts.append(text)
-        places += [np.array([(left + right) / 2, SHEET[1] - 32.0]), np.array([(left + right) / 2, 2.0])]
         self._rec.log(f"{self._entity}/grid", rr.LineStrips2D(grid, colors=[GRID], radii=0.4), static=True)
-        self._labels("ticks", places, [*texts, *labels])
+        self._labels("ticks", places, texts)
 
     def _key(self, name: str, colour: Colour) -> None:
         """The entry of the legend, above the chart."""
-        at = np.array([170.0 + 150.0 * self._keys, 40.0])
-        self._keys += 1
-        self._rec.log(f"{self._entity}/key/{_part(name)}", rr.Points2D([at - [62.0, 0.0]], colors=[colour], radii=5.0), static=True)
-        self._labels(f"key/{_part(name)}/text", [at - [0.0, 10.0]], [name])
+        half = LETTER * len(name) / 2 + 12.0
+        at = np.array([self._key_end + 22.0 + half, TOP / 2])
+        self._key_end = at[0] + half + 14.0
+        self._rec.log(f"{self._entity}/key/{_part(name)}", rr.Points2D([at - [half + 8.0, 0.0]], colors=[colour], radii=5.0), static=True)
+        self._labels(f"key/{_part(name)}/text", [at - [0.0, 12.0]], [name])
 
     def _labels(self, part: str, places: Sequence[np.ndarray], texts: Sequence[str]) -> None:
         self._rec.log(

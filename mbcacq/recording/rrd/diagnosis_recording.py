@@ -15,7 +15,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
-from mbcacq.recording.rrd.chart import GRID, Chart
+from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
@@ -38,6 +38,7 @@ def write_diagnosis(
     centres = {name: np.asarray(values, float) for name, values in pictures["centres"].items() if isinstance(values, list)}
     point, before, after = (centres[name].reshape(-1, 3) for name in ("point_mm", "before_mm", "after_mm"))
     scale, curves = _scale(point, before), list(pictures.get("curves", ()))[:MOST_CHARTS]
+    titles, height = [_response_title(curve) for curve in curves], sheet_height(len(curves))
     times, recording_id = _of_run(run)
     partial = path.with_name(f".{path.stem}.part.rrd")
     stream = new_stream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
@@ -45,10 +46,10 @@ def write_diagnosis(
         viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
         stream.save(rerun_path(partial))
         if run is None:
-            send_default_blueprint(stream, alone(viewpoint, scale, len(curves)))
+            send_default_blueprint(stream, alone(viewpoint, scale, titles))
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
-        stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=float(len(curves))), static=True)
+        stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
         stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(cards or f"```\n{text}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
         for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
             stream.log(
@@ -63,7 +64,7 @@ def write_diagnosis(
             label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
             stream.log(entity, rr.SeriesPoints(names=[label], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
         for k, curve in enumerate(curves):
-            _log_response(stream, f"{layout.RESPONSES}/{k}", curve)
+            _log_response(stream, f"{layout.RESPONSES}/{k}", curve, height)
         _log_poses(stream, centres, before, after, pictures["causes"], times)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
@@ -75,7 +76,14 @@ def write_diagnosis(
     return path
 
 
-def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, Any]) -> None:
+def _response_title(curve: Mapping[str, Any]) -> str:
+    """What is drawn over what, with units, and which effect it is."""
+    unit = f", {curve['x_unit']}" if curve["x_unit"] else ""
+    name = "unmodelled effect" if curve["effect"] == "unknown" else str(curve["effect"]).replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]} at {curve['at']}: {curve['what']}, {curve['unit']}, over {curve['x_label']}{unit}"
+
+
+def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, Any], height: float) -> None:
     """The displacement of each pose over the variable that the effect depends on: before, the model, and what remains after."""
     x, model, before = (np.asarray(curve[name], float) for name in ("x", "y", "seen"))
     if len(x) == 0:
@@ -84,10 +92,7 @@ def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, A
     low, high = np.percentile(np.concatenate([before, after, model]), [1, 99])
     pad = 0.1 * max(high - low, 1e-9)
     span = max(float(np.ptp(x)), 1e-9)
-    unit = f", {curve['x_unit']}" if curve["x_unit"] else ""
-    name = "unmodelled effect" if curve["effect"] == "unknown" else str(curve["effect"]).replace("_", " ")
-    labels = f"{curve['x_label']}{unit}", f"{name} at {curve['at']}: {curve['what']}, {curve['unit']}"
-    chart = Chart(stream, entity, (x.min() - 0.03 * span, x.max() + 0.03 * span), (low - pad, high + pad), labels)
+    chart = Chart(stream, entity, (x.min() - 0.03 * span, x.max() + 0.03 * span), (low - pad, high + pad), height=height)
     chart.level("", (0.0,), GRID)
     chart.points("before", x, before, BEFORE)
     chart.points("after", x, after, AFTER)

@@ -25,21 +25,28 @@ def write_plan_recording(
     import rerun.blueprint as rrb
 
     from mbcacq.recording.rrd import layout, scene
-    from mbcacq.recording.rrd.blueprint import place_camera
+    from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, NIGHT, place_camera
     from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 
     cell = loaded.cell
     rec = new_stream("mbcacq_plan")
     viewpoint = place_camera(cell.robot.chain, np.array([_planned_pose(s)[:3, 3] for s in cell.stations]))
     view = rrb.Spatial3DView(
-        name="Plan",
+        name="Plan: the arm on its path, the artefacts at their stations, in mm",
         origin=layout.WORLD,
+        background=rrb.Background(color=NIGHT),
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
     try:
         rec.save(rerun_path(file))
-        send_default_blueprint(rec, rrb.Blueprint(rrb.Vertical(view, rrb.TextLogView(origin=layout.LOG), row_shares=[5, 1])))
+        log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
+        panels = (
+            rrb.TimePanel(state="collapsed", timeline=layout.TIME),
+            rrb.SelectionPanel(state="collapsed"),
+            rrb.BlueprintPanel(state="collapsed"),
+        )
+        send_default_blueprint(rec, rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *panels))
     except (OSError, RuntimeError) as error:
         raise RecordingError(f"{file} cannot be written ({error}); give another --rrd") from None
     scene.log_static(rec, cell, loaded.text)
@@ -69,8 +76,8 @@ def write_plan_recording(
         for k, q in enumerate(path):
             rec.set_time(layout.TIME, duration=start + 0.5 * (end - start) * k / (len(path) - 1))
             scene.log_arm(rec, cell, q)
-        balls = ", ".join(map(str, pose.balls))
-        rec.log(layout.LOG, rr.TextLog(f"pose {pose.number}: {pose.step_name}, station {pose.station}, balls {balls}"))
+        seen = f"{len(pose.balls)} ball{'' if len(pose.balls) == 1 else 's'}"
+        rec.log(layout.LOG, rr.TextLog(f"{start:.0f} s  pose {pose.number}: {pose.step_name}, station {pose.station}, {seen}"))
         last = pose.q
     rec.disconnect()
 

@@ -181,7 +181,7 @@ def _log_judgement(stream: rr.RecordingStream, judged: Judgement) -> None:
     uncertainty = np.zeros(len(judged.error)) if judged.sigma is None else 2 * judged.sigma
     top = 1.15 * max(float(np.max(np.abs(judged.error) + uncertainty)), judged.limit or 0.0, 1e-6)
     x = np.arange(len(judged.error), dtype=float)
-    chart = Chart(stream, layout.LENGTHS, (-0.6, len(x) - 0.4), (-top, top), ("place", "length error, mm"), [str(p) for p in judged.place])
+    chart = Chart(stream, layout.LENGTHS, (-0.6, len(x) - 0.4), (-top, top), [str(p) for p in judged.place])
     beyond = np.abs(judged.before) > top
     chart.points("before", x[~beyond], judged.before[~beyond], BEFORE, 5.0)
     if beyond.any():  # far above the limit, as before a calibration: marked at the edge with their value in the legend

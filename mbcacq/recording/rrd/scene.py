@@ -166,7 +166,7 @@ def fade_balls(rec: rr.RecordingStream, station: str, bright: bool) -> None:
 
 def log_limits(rec: rr.RecordingStream) -> None:
     """Names and colours of the limits that the spheres are judged by."""
-    for name, label in (("rms", "limit"), ("points", "fewest"), ("zero", "")):
+    for name, label in (("rms", "limit"), ("points", "fewest"), ("zero", "zero")):
         colour = BASE if name == "zero" else CURVES[3]
         rec.log(f"{layout.LIMITS}/{name}", rr.SeriesLines(names=[label], colors=[colour], widths=[1.5]), static=True)
 

@@ -150,23 +150,27 @@ class Recorder:
         )
         rec.log(layout.RUN, about, static=True)
         if event.simulated:
-            rec.log(layout.LOG, rr.TextLog(f"mbcacq: {SIMULATED}", level="WARN"))
+            self._say(event.time_s, SIMULATED, "WARN")
         shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
         send_default_blueprint(rec, shown)
-        self._draw_from_urdf(event.urdf, self._cell)
+        self._draw_from_urdf(event.urdf, self._cell, event.time_s)
         scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
         self._log_arm(self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
         self._drawing.start(self._cell, event)
         self._sink.flush()
 
-    def _draw_from_urdf(self, path: str, cell: Cell) -> None:
+    def _say(self, time_s: float, text: str, level: str) -> None:
+        """A line of the log. Its time is part of the text: the viewer's own column of it is too narrow to be read."""
+        self._rec.log(layout.LOG, rr.TextLog(f"{time_s:.1f} s  {text}", level=level))
+
+    def _draw_from_urdf(self, path: str, cell: Cell, time_s: float) -> None:
         """A URDF that does not fit is no reason not to measure: a warning is logged, and the arm is drawn from its links."""
         if path:
             try:
                 self._cycles.urdf = UrdfArm(path, cell)
                 self._cycles.urdf.start(self._rec)
             except ConfigError as error:
-                self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: {error}", level="WARN"))
+                self._say(time_s, str(error), "WARN")
 
     def _log_arm(self, cell: Cell, q: np.ndarray) -> None:
         scene.log_arm(self._rec, cell, q)
@@ -190,7 +194,8 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.Message) -> None:
-        self._rec.log(layout.LOG, rr.TextLog(f"{event.source}: {event.text}", level=LEVELS.get(event.level, event.level.upper())))
+        text = event.text if event.source == "mbcacq" else f"{event.source}: {event.text}"
+        self._say(event.time_s, text, LEVELS.get(event.level, event.level.upper()))
         self._sink.flush()
 
     @_write.register
@@ -248,5 +253,5 @@ class Recorder:
         self._cycles.show(self._cell)
         level = "INFO" if event.exit_status == "success" else "ERROR"
         self._rec.log(layout.RUN, rows.row(layout.RUN_ARCHETYPE, exit_status=event.exit_status, reason=event.reason))
-        self._rec.log(layout.LOG, rr.TextLog(f"mbcacq: run ended: {event.exit_status}: {event.reason}", level=level))
+        self._say(event.time_s, f"run ended: {event.exit_status}: {event.reason}", level)
         self._sink.flush()

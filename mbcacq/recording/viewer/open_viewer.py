@@ -36,13 +36,16 @@ def files(path: Path | str) -> list[Path]:
     if not path.is_file():
         raise ConfigError(f"{path} does not exist; give the folder of a run, or a .rrd file")
     refuse_plan(path)
+    if path.suffix not in (".rrd", ".rbl"):
+        raise ConfigError(f"{path} is no recording; give the folder of a run, or a .rrd file")
     return [path]
 
 
-def view(sources: Sequence[Path | str]) -> None:
-    """Open files or addresses in the viewer and wait until it is closed. Raises RecordingError if it cannot start."""
+def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: None) -> None:
+    """Open files or addresses in the viewer and wait until it is closed. opening: called before. Raises RecordingError where it cannot."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
+    opening()
     with quiet_environment() as environment, tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
         command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]  # it would listen everywhere
@@ -180,12 +183,14 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
     from mbcacq.recording.rrd.reader import Recording
 
     found: dict[str, Any] = {}
+    responses: tuple[str, ...] = ()
     for source in sources:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
-                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths", "responses") if name in row}
-    lengths, responses = bool(found.pop("lengths", 0.0)), int(found.pop("responses", 0.0))
-    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), lengths, responses)
+                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths") if name in row}
+                if isinstance(titles := row.get("responses"), list):
+                    responses = tuple(titles)
+    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), bool(found.get("lengths")), responses)
 
 
 @contextmanager
@@ -249,8 +254,9 @@ def _load(client: Any, sources: Sequence[Path | str]) -> None:
 
 
 def _go_to(client: Any, tab: str, moment: tuple[int, float] | None) -> None:
-    """To the pose, on the timeline on which the tab is best read."""
+    """To the pose, on the timeline on which the tab is best read. Without a pose the time stands still: a film is no picture."""
     if moment is None:
+        client.set_time(play_state="paused")
         return
     number, time_s = moment
     if tab in ("Cell", "Motion"):

@@ -51,7 +51,7 @@ def periods(period_ms: np.ndarray, nominal_ms: float | None) -> go.Figure:
             annotation={"text": f"controller {nominal_ms:.3g} ms", "font": {"size": 11}},
         )
     figure.update_xaxes(title="period on this computer / ms")
-    figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
+    figure.update_yaxes(title={"text": "cycles (log)", "standoff": 14}, type="log", dtick=1)
     return styled(figure, 270)
 
 

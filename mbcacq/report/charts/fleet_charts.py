@@ -26,7 +26,17 @@ def overview(kind: ArmTypeContent) -> go.Figure:
             zmin=0,
             zmax=2,
             colorscale=[(0.0, "#f3f5f6"), (0.499, "#a9c8dd"), (0.5, "#f2b26b"), (1.0, LIMIT)],
-            colorbar={"title": "limits", "thickness": 12, "outlinewidth": 0, "tickvals": [0, 1, 2], "ticktext": ["0", "1", "2 and more"]},
+            colorbar={
+                "title": "limits",
+                "thickness": 12,
+                "outlinewidth": 0,
+                "tickvals": [0, 1, 2],
+                "ticktext": ["0", "1", "2 and more"],
+                "lenmode": "pixels",
+                "len": 110,
+                "y": 1,
+                "yanchor": "top",
+            },
             xgap=1,
             ygap=1,
             hovertemplate="%{y}, %{x}: %{z:.2f} of the limit<extra></extra>",
@@ -34,7 +44,9 @@ def overview(kind: ArmTypeContent) -> go.Figure:
     )
     figure.update_xaxes(tickangle=-60, tickfont={"size": 10}, showgrid=False, dtick=1)
     figure.update_yaxes(autorange="reversed", title="arm", tickfont={"size": 10}, showgrid=False, dtick=1, type="category")
-    return styled(figure, int(170 + 16 * len(shown)))
+    height = int(240 + 16 * len(shown))
+    figure.update_layout(meta={"narrow": {"height": height, "tick": 7, "angle": -90}})
+    return styled(figure, height)
 
 
 def drift(kind: ArmTypeContent) -> go.Figure:

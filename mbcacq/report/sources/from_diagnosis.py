@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
+EXCLUDED_ODDS = 1e-6  # what is less probable is said to be excluded
 K = 2.0  # coverage factor of the uncertainties shown
 VERDICTS = {
     "none": ("pass", "No effect found", "The model explains the data down to the measured noise."),
@@ -50,7 +51,7 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         f"Not separable: {' and '.join(p['effects'])} (correlation {p['correlation']:.2f})." for p in diagnosis.get("not_separable", ())
     ]
     remarks += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
-    remarks += [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.get("notes", ())]
+    remarks += [f"{_note(note)}." for note in diagnosis.get("notes", ())]
     return DiagnosisContent(
         level,
         headline,
@@ -94,23 +95,48 @@ def _complete(pictures: Mapping[str, Any]) -> bool:
 
 
 def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
-    name = "an unmodelled effect" if effect["name"] == "unknown" else readable(effect["name"])
-    alternatives = [
-        f"{readable(a['name'])} at {', '.join(a['where'])} (would remove {a['held_out_gain']:.0%})" for a in effect["alternatives"]
-    ]
+    name = _effect_name(effect["name"])
+    alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
     return EffectContent(
         f"{name[0].upper()}{name[1:]} at {', '.join(effect['where'])}",
         axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
         "below 1e-12" if effect["p_value"] < 1e-12 else f"about {effect['p_value']:.1g}",
         _share(effect["held_out_gain"]),
-        [row for key, entry in effect["parameters"].items() if not _is_list(entry) for row in _parameter(key, entry)],
+        [row for key, entry in effect["parameters"].items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
         alternatives,
-        _harmonics({key: entry for key, entry in effect["parameters"].items() if _is_list(entry)}),
+        _harmonics({key: entry for key, entry in effect["parameters"].items() if _of_harmonics(key, entry)}),
     )
 
 
-def _is_list(entry: Mapping[str, Any]) -> bool:
-    return isinstance(entry["value"], list) and len(entry["value"]) > 1
+def _note(note: str) -> str:
+    """A note as a sentence; the name of an effect at its begin becomes words."""
+    first, space, rest = note.partition(" ")
+    first = readable(first)
+    return f"{first[:1].upper()}{first[1:]}{space}{rest}"
+
+
+def _effect_name(name: str) -> str:
+    return "an unmodelled effect" if name == "unknown" else readable(name)
+
+
+def _likelihood(alternative: Mapping[str, Any]) -> str:
+    """How probable an alternative is against what was selected; the share of the mismatch that it would remove where only that is known."""
+    odds = alternative.get("odds")
+    if odds is None:
+        return f"would remove {alternative['held_out_gain']:.0%}"
+    if odds <= EXCLUDED_ODDS:
+        return "excluded"
+    against = float(f"{1 / odds:.2g}")  # without an exponent
+    return f"odds 1 : {against:.0f}" if against >= 10 else f"odds 1 : {against:g}"
+
+
+def _is_vector(key: str, entry: Mapping[str, Any]) -> bool:
+    """Whether the values are components along x, y and z."""
+    return key.endswith("_mm") and isinstance(entry["value"], list) and len(entry["value"]) == 3
+
+
+def _of_harmonics(key: str, entry: Mapping[str, Any]) -> bool:
+    return isinstance(entry["value"], list) and len(entry["value"]) > 1 and not _is_vector(key, entry)
 
 
 def _harmonics(parameters: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]] | None:
@@ -133,7 +159,12 @@ def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, 
     listed = [v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"])]
     values, stds = ([None if x is None else factor * x for x in v] for v in listed)
     return [
-        (f"{name} [{k + 1}]" if len(values) > 1 else name, _number(v, s), _number(None if s is None else K * s, s), unit)
+        (
+            f"{name} {'xyz'[k] if _is_vector(key, entry) else f'[{k + 1}]'}" if len(values) > 1 else name,
+            _number(v, s),
+            _number(None if s is None else K * s, s),
+            unit,
+        )
         for k, (v, s) in enumerate(zip(values, stds, strict=False))
     ]
 

@@ -93,9 +93,9 @@ def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacin
     if verification.get("expected_mean_mm") is not None:
         more.append(("mean magnitude expected from the fit", f"{verification['expected_mean_mm']:.4f} mm"))
     more += [
-        (key.replace("_", " ").removesuffix(" mm"), f"{value:.4f} mm")
+        ("uncertainty of the mean error that all places share, U (k = 2)", f"{K * value:.4f} mm")
         for key, value in verification.items()
-        if key.endswith("_mm") and key not in ("limit_mm", "expected_mean_mm") and isinstance(value, float)
+        if key == "common_mm" and isinstance(value, float)
     ]
     return Spacing(
         [f"{p['station']}" + (f": {p['balls'][0]}–{p['balls'][1]}" if several else "") for p in places],
