@@ -213,8 +213,8 @@ def verification(v: dict[str, Any]) -> Table:
             str(p["station"]),
             f"{p['balls'][0]}-{p['balls'][1]}",
             f"{p['certified_mm']:.4f}",
-            f"{p['before_mm']:+.3f}",
-            f"{p['after_mm']:+.3f}",
+            f"{round(p['before_mm'], 3) + 0.0:+.3f}",
+            f"{round(p['after_mm'], 3) + 0.0:+.3f}",
             expected,
         )
     table.add_section()
