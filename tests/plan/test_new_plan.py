@@ -93,7 +93,7 @@ def test_a_station_out_of_reach_is_told_the_nearest_place_and_moved_there(folder
 
 
 def test_a_station_is_not_moved_to_where_the_scanner_is_at_the_forearm(folder):
-    """The nearest place in reach of these views is 120 mm nearer to the arm's limit, where the scanner stands 3 mm beside link 4."""
+    """The nearest place in reach of these views puts the scanner beside link 4, closer than the plan allows."""
     path = folder.plan(("[600, 0, 150]", "[1250, 0, 150]"), ("{tilt_deg: 20, azimuth_deg: 30}", "{tilt_deg: 30, azimuth_deg: 0}"))
     fixed, _ = repaired(load(path))
     assert [str(f) for f in check(fixed, expand(fixed)) if f.level == "error"] == []

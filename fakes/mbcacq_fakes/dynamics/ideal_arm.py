@@ -27,7 +27,7 @@ class IdealArm:
     def step(self, set_point: tuple[float, ...]) -> bool:
         """True if the arm moved."""
         if self._steady == set_point:  # everything downstream has settled
-            self.still_cycles += 1
+            self._settle(0.0)
             return False
         target = self._ahead[0]
         self._ahead.append(set_point)
