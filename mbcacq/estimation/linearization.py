@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.pose_information import PoseColumns
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -18,12 +20,19 @@ from mbcacq.model.observations import Observations
 @dataclass(frozen=True)
 class Linearization:
     """At one estimate. residual: (M, R). X: (P, B R, g + 7) columns of the g free parameters, of the pose's own station (6), and the
-    residual (1); J: (P, B R, n) of the joints."""
+    residual (1); J: (P, B R, n) of the joints; columns: the same without the products made."""
 
     prediction: forward_model.Prediction
     residual: np.ndarray
-    X: np.ndarray
-    J: np.ndarray
+    columns: PoseColumns
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        return self.columns.dense
+
+    @cached_property
+    def J(self) -> np.ndarray:
+        return self.columns.basis @ self.columns.joints
 
 
 class Lineariser:
@@ -51,30 +60,32 @@ class Lineariser:
 
     def at(self, chain: Chain, prediction: forward_model.Prediction, residual: np.ndarray) -> Linearization:
         """The columns at a prediction by an arm ``chain``, next to any residual (M, R)."""
-        obs, rows = self.obs, self.rows
+        rows = self.rows
         order = rows.order
-        G = rows.pad(prediction.gradient)
-        twists = chain.parameter_twists(prediction.frames, obs.q).reshape(obs.n_poses, -1, 6)
+        twists = chain.parameter_twists(prediction.frames, self.obs.q)
+        joints = twists[:, :, 0] * chain.sign[:, None]
         mount = np.swapaxes(se3.adjoint(prediction.T_base_scanner), 1, 2)
-        joints = chain.joint_twists(prediction.frames)
         station = np.swapaxes(-se3.adjoint(prediction.T_base_station), 1, 2)
         chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
-        # One product for everything that moves the arm or the artefact as a whole.
-        arm = np.concatenate([twists[:, chain_free], self._of_recordings(mount)[:, mount_free], station, joints], axis=1)[order]
-        columns = G @ np.swapaxes(arm, 1, 2)
-        n, g, free = joints.shape[1], self.layout.size, int(chain_free.sum() + mount_free.sum())
-        X = np.empty((*columns.shape[:2], g + 7))
-        X[..., :free] = columns[..., :free]
-        X[..., g : g + 6] = columns[..., free : free + 6]
-        X[..., g + 6] = rows.pad(residual)
-        if self.ball_columns is not None:
-            count = int(self.layout.blocks[2].free.sum())
-            X[..., free : free + count] = rows.pad(self._balls(prediction, self.ball_columns))
-            free += count
-        for one in self.options.terms:
-            X[..., free : free + one.size] = rows.pad(terms.columns(obs, prediction, one))
-            free += one.size
-        return Linearization(prediction, residual, X, columns[..., -n:])
+        moving = [twists.reshape(len(twists), -1, 6)[:, chain_free], self._of_recordings(mount)[:, mount_free], station]
+        moved, jointly = (np.ascontiguousarray(np.swapaxes(t[order], 1, 2)) for t in (np.concatenate(moving, axis=1), joints))
+        basis = rows.pad(prediction.gradient)
+        if basis.shape[1] < 6:
+            # Fewer rows than a twist has components: the rows themselves are the shorter basis.
+            moved, jointly, basis = (
+                basis @ moved,
+                basis @ jointly,
+                np.broadcast_to(np.eye(basis.shape[1]), (len(basis), *basis.shape[1:2] * 2)),
+            )
+        return Linearization(prediction, residual, PoseColumns(basis, moved, jointly, self._own(prediction), rows.pad(residual)))
+
+    def _own(self, prediction: forward_model.Prediction) -> np.ndarray:
+        """(P, B R, e) columns of the balls and of the terms."""
+        own = [] if self.ball_columns is None else [self.rows.pad(self._balls(prediction, self.ball_columns))]
+        own += [self.rows.pad(terms.columns(self.obs, prediction, one)) for one in self.options.terms]
+        if len(own) == 1:
+            return own[0]
+        return np.concatenate(own, axis=2) if own else np.zeros((self.rows.n_poses, self.rows.depth * self.rows.width, 0))
 
     def _of_recordings(self, mount: np.ndarray) -> np.ndarray:
         """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of the pose's own."""

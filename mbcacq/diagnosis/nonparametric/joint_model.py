@@ -11,6 +11,7 @@ from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
+from mbcacq.estimation.pose_information import PoseColumns, PoseInformation
 from mbcacq.estimation.solver import Weights
 from mbcacq.estimation.terms import term
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
@@ -62,7 +63,11 @@ def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
     pose = linear.obs.pose
     whole = np.bincount(pose, linear.keep, linear.obs.n_poses) > 0  # of the others the pose was rejected, not its centres
     weights = Weights((linear.keep | ~whole[pose]).astype(float), whole.astype(float))
-    judged = outlier_distances(linear.rows, linear.joint, residual, projected.noise, weights)
+    joint, rows = linear.joint, linear.rows
+    none, itself = np.zeros((*joint.shape[:2], 0)), np.broadcast_to(np.eye(joint.shape[2]), (len(joint), *joint.shape[2:] * 2))
+    by_joints = PoseColumns(joint, np.zeros((len(joint), joint.shape[2], 6)), itself, none, rows.pad(residual))
+    poses = PoseInformation(rows, by_joints, projected.noise, weights.centre, weights.pose)
+    judged = outlier_distances(poses, residual, projected.noise, weights)
     found = reject_outliers(judged, weights, pose)
     return (found.centre > 0) & (found.pose[pose] > 0)
 
