@@ -124,7 +124,7 @@ def base_columns(layout: ParameterLayout, state: CellState, q: np.ndarray, xyz: 
         ],
         axis=1,
     )
-    moved = twists[:, None, :, :3] + np.cross(twists[:, None, :, 3:], points[:, :, None, :])
+    moved = twists[:, None, :, :3] + se3.cross(twists[:, None, :, 3:], points[:, :, None, :])
     columns = np.zeros((*points.shape[:2], layout.size, 3))
     columns[:, :, : twists.shape[1]] = moved
     return np.swapaxes(columns, 2, 3).reshape(-1, 3, layout.size), points.reshape(-1, 3)

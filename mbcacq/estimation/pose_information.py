@@ -4,7 +4,7 @@ Every column of the arm, the hand-eye and the stations moves all centres of a po
 derivative of a pose's rows by that twist (u columns), scaled by the scanner's sigma, J = G T the columns of the joints times their
 repeatability, and S = I + J J' the covariance of the scaled rows, all that a solver asks for follows from a few u x u matrices of each
 pose: G' inv(S) G = F' G'G F + (K J'G)' (K J'G), with K = inv(I + J'J) and F = I - T K J'G. Sums of squares only, so that nothing cancels
-where the joint noise is far above the scanner's. Own columns (balls, effects) and the residual keep their rows.
+where the joint noise is far above the scanner's. Own columns (``OwnColumns``: balls, effects) and the residual keep their rows.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.whitening import PoseRows
 
 
@@ -22,40 +23,41 @@ from mbcacq.estimation.whitening import PoseRows
 class PoseColumns:
     """A linearised problem, pose by pose in the order of ``PoseRows``.
 
-    basis: (P, B R, u) derivative of a pose's rows by its twist. twists: (P, u, f + 6) of the first f parameters and of the pose's own
-    station; joints: (P, u, n) of the joints. own: (P, B R, e) columns of the other parameters. residual: (P, B R).
+    basis: (P, B R, u) derivative of a pose's rows by its twist. twists: (P, u, f) of the first f parameters; station: (P, u, 6) of the
+    pose's own station; joints: (P, u, n) of the joints. own: the e columns of the other parameters. residual: (P, B R).
     """
 
     basis: np.ndarray
     twists: np.ndarray
+    station: np.ndarray
     joints: np.ndarray
-    own: np.ndarray
+    own: OwnColumns
     residual: np.ndarray
 
     @property
     def size(self) -> int:
         """Number of parameters g = f + e."""
-        return self.twists.shape[2] - 6 + self.own.shape[2]
+        return self.twists.shape[2] + self.own.size
 
     @property
     def dense(self) -> np.ndarray:
         """(P, B R, g + 7) columns of the parameters, of the pose's own station (6), and the residual (1)."""
-        f = self.twists.shape[2] - 6
-        moved = self.basis @ self.twists
-        return np.concatenate([moved[..., :f], self.own, moved[..., f:], self.residual[..., None]], axis=2)
+        columns = [self.basis @ self.twists, self.own.dense, self.basis @ self.station, self.residual[..., None]]
+        return np.concatenate(columns, axis=2)
 
     def change(self, step: np.ndarray, station_step: np.ndarray) -> np.ndarray:
         """(P, B R): what a step (g,) of the parameters and twists (P, 6) of the poses' stations take off the residual."""
-        f = self.twists.shape[2] - 6
-        twist = self.twists[..., :f] @ step[:f] + (self.twists[..., f:] @ station_step[..., None])[..., 0]
-        return (self.basis @ twist[..., None])[..., 0] + self.own @ step[f:]
+        f = self.twists.shape[2]
+        twist = self.twists @ step[:f] + (self.station @ station_step[..., None])[..., 0]
+        return (self.basis @ twist[..., None])[..., 0] + self.own.change(step[f:])
 
 
 class PoseInformation:
     """The columns of every pose under a noise and weights.
 
-    G (P, B R, u), own (P, B R, e), residual (P, B R): scaled rows. L = G'G (P, u, u), JG = K J'G (P, n, u), F (P, u, u), K (P, n, n).
-    own_joint = K J' own (P, n, e) and white_own (P, B R, e) = inv(S) own; the same of the residual. share: (P,) weight of the pose.
+    G (P, B R, u), own (e columns), residual (P, B R): scaled rows. L = G'G (P, u, u), JG = K J'G (P, n, u), F (P, u, u), K (P, n, n).
+    N = T K T' (P, u, u): what the joint noise takes off L is L N L. own_twist = G' own (P, u, e). residual_joint = K J' residual (P, n),
+    white_residual = inv(S) residual (P, B R). share: (P,) weight of the pose.
     """
 
     def __init__(self, rows: PoseRows, columns: PoseColumns, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray):
@@ -75,10 +77,9 @@ class PoseInformation:
         self.K = np.linalg.inv(gram)
         self.JG = self.K @ JL
         self.F = np.eye(self.L.shape[1]) - self.joints @ self.JG
-        self.own = columns.own * self.scale[..., None]
-        self.own_twist = Gt @ self.own
-        self.own_joint = self._by_joints(self.own_twist)
-        self.white_own = self.own - self.G @ (self.joints @ self.own_joint) if self.own.shape[2] else self.own
+        self.N = self.joints @ self.K @ np.swapaxes(self.joints, 1, 2)
+        self.own = columns.own.scaled(self.scale)
+        self.own_twist = self.own.by_twist(self.G)
         self._set_residual(columns.residual)
 
     def _by_joints(self, twist: np.ndarray) -> np.ndarray:
@@ -117,27 +118,27 @@ class PoseInformation:
 
     def normal_equations(self) -> NormalBlocks:
         """Sums over all poses and over those of each station."""
-        rows, A, share = self.rows, self.columns.twists, self.share[:, None, None]
-        f, e = A.shape[2] - 6, self.own.shape[2]
-        Ft = np.swapaxes(self.F, 1, 2)
-        moved = self.twist_information @ A  # (P, u, f + 6)
-        other = np.concatenate([Ft @ self.own_twist, Ft @ self.residual_twist[..., None]], axis=2) * share  # (P, u, e + 1)
-        flat = A[..., :f].reshape(len(A) * A.shape[1], f)
+        A, S, share = self.columns.twists, self.columns.station, self.share[:, None, None]
+        f, e = A.shape[2], self.own.size
+        information, Ft = self.twist_information, np.swapaxes(self.F, 1, 2) * share
+        moved, own, rest = information @ A, Ft @ self.own_twist, Ft @ self.residual_twist[..., None]
         H, b = np.empty((f + e, f + e)), np.empty(f + e)
-        H[:f, :f] = flat.T @ moved[..., :f].reshape(len(flat), f)
-        cross = flat.T @ other.reshape(-1, e + 1)
-        H[:f, f:], b[:f] = cross[:, :e], cross[:, e]
-        H[f:, :f] = cross[:, :e].T
+        H[:f, :f], b[:f] = flat_product(A, moved), flat_product(A, rest)[:, 0]
+        H[:f, f:] = flat_product(A, own)
+        H[f:, :f] = H[:f, f:].T
         if e:
-            root = np.sqrt(share)
-            white, joint = ((x * root).reshape(-1, e) for x in (self.white_own, self.own_joint))
-            H[f:, f:] = white.T @ white + joint.T @ joint
-            b[f:] = (self.own * share).reshape(-1, e).T @ self.white_residual.reshape(-1)
-        St = np.swapaxes(A[..., f:], 1, 2)
-        station = rows.by_station(St @ np.concatenate([moved[..., :f], other, moved[..., f:]], axis=2))
-        Hsg, bs, Hss = station[..., : f + e], station[..., f + e], station[..., f + e + 1 :]
-        H = (H + H.T) / 2
-        return NormalBlocks(H, b, self._squares(self.white_residual, self.residual_joint), Hss, Hsg, bs)
+            H[f:, f:] = self.own.gram(self.share) - flat_product(self.own_twist, self.N @ self.own_twist * share)
+            b[f:] = self.own.product(self.white_residual[..., None] * share)[:, 0]
+        St, by_station = np.swapaxes(S, 1, 2), self.rows.by_station
+        Hsg = np.concatenate([by_station(St @ moved), by_station(St @ own)], axis=2)
+        chi2 = self._squares(self.white_residual, self.residual_joint)
+        return NormalBlocks((H + H.T) / 2, b, chi2, by_station(St @ (information @ S)), Hsg, by_station(St @ rest)[..., 0])
+
+
+def flat_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(k, m): sum over poses of left' right, left (P, u, k) and right (P, u, m)."""
+    rows = left.shape[0] * left.shape[1]
+    return left.reshape(rows, left.shape[2]).T @ right.reshape(rows, right.shape[2])
 
 
 @dataclass(frozen=True)

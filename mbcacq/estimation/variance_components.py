@@ -14,6 +14,7 @@ import numpy as np
 
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, WhitenedSystem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.pose_information import flat_product
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms.
@@ -155,14 +156,14 @@ def reml_score_by_pose(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np
     # Scanner: the rows of one axis each.
     r = poses.white_residual
     Jt = np.swapaxes(poses.joints, 1, 2)
-    absorbed = np.einsum("pmu,pmu->pm", poses.G @ (poses.joints @ (poses.K @ Jt)), poses.G)
-    lever = variance(poses.G @ poses.F, poses.white_own)
+    absorbed = np.einsum("pmu,pmu->pm", poses.G @ poses.N, poses.G)
+    lever = variance.of_rows()
     weight = share[:, None] * poses.centre_weight
     by_axis = (weight * (share[:, None] * (r**2 + lever) - 1 + absorbed)).sum(axis=0) @ axes
     # Joints: one column a pose.
     b = share[:, None] * poses.residual_joint
     diagonal = 1 - np.diagonal(poses.K, axis1=1, axis2=2)
-    by_joint = np.sum(b**2 + share[:, None] * (share[:, None] * variance(poses.JG, poses.own_joint) - diagonal), axis=0)
+    by_joint = np.sum(b**2 + share[:, None] * (share[:, None] * variance.of_joints() - diagonal), axis=0)
     score = np.concatenate([by_axis[:3], by_joint, by_axis[3:]])
     # Average information: Y' P Y of the images Y, one of each component, from products with the columns.
     image = (weight * r)[:, :, None] * axes
@@ -177,10 +178,9 @@ def reml_score_by_pose(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np
     square[3 : n + 3, order], square[order, 3 : n + 3] = mixed, mixed.T
     square[3 : n + 3, 3 : n + 3] = np.diag(np.einsum("p,pj,pj->j", share, b, b)) - np.einsum("p,pj,pk,pjk->jk", share, b, b, poses.K)
     twist = np.concatenate([np.swapaxes(poses.F, 1, 2) @ image_twist, np.swapaxes(poses.JG * b[..., None], 1, 2)], axis=2)
-    own = [
-        np.tensordot(poses.white_own, share[:, None, None] * image, axes=([0, 1], [0, 1])),
-        np.einsum("p,pj,pje->ej", share, b, poses.own_joint),
-    ]
+    own_joint = poses.K @ (Jt @ poses.own_twist)
+    by_image = poses.own.product(share[:, None, None] * image) - flat_product(poses.N @ poses.own_twist, share[:, None, None] * image_twist)
+    own = [by_image, np.einsum("p,pj,pje->ej", share, b, own_joint)]
     twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
     twist *= share[:, None, None]
     by_station, by_parameter = variance.projections(twist, own)
@@ -188,36 +188,43 @@ def reml_score_by_pose(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np
 
 
 class _PoseVariance:
-    """Covariance of what was estimated, as variances of the twist of each pose and of the own parameters."""
+    """Covariance of what was estimated: of the twist y of each pose and of the own parameters, where the whitened columns are G y and the
+    own columns."""
 
     def __init__(self, system: PoseSystem):
-        self.rows, self.normal, columns = system.poses.rows, system.normal, system.poses.columns
-        self.f = system.normal.size - columns.own.shape[2]
-        self.moved = columns.twists[..., : self.f]
-        self.station = columns.twists[..., self.f :]
+        self.poses, self.normal = system.poses, system.normal
+        poses, columns, run = system.poses, system.poses.columns, system.poses.rows.run
+        self.f = system.normal.size - columns.own.size
+        self.moved, self.station = columns.twists, columns.station
         self.root = _inverse_root(self.normal)
-        y = self.station @ self.normal.station_root[self.rows.run]
-        x = -y @ self.normal.reduced[self.rows.run]
+        y = self.station @ self.normal.station_root[run]
+        x = -y @ self.normal.reduced[run]
         x[..., : self.f] += self.moved
+        x, y = poses.F @ x, poses.F @ y
+        x[..., self.f :] -= poses.N @ poses.own_twist
         x = (x.reshape(-1, x.shape[2]) @ self.root.T).reshape(x.shape)
         own = self.root[:, self.f :]
         self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
         self.mixed, self.own = x @ own, own.T @ own
 
-    def __call__(self, by_twist: np.ndarray, by_own: np.ndarray) -> np.ndarray:
-        """Variance (P, m) of linear forms (P, m, u) of the poses' twists and (P, m, e) of the own parameters."""
-        out = np.einsum("pmu,pmu->pm", by_twist @ self.twist, by_twist)
-        if by_own.shape[2]:
-            against = 2 * (by_twist @ self.mixed) + (by_own.reshape(-1, by_own.shape[2]) @ self.own).reshape(by_own.shape)
-            out += np.einsum("pme,pme->pm", against, by_own)
-        return out
+    def of_rows(self) -> np.ndarray:
+        """(P, B R): variance of the rows."""
+        G = self.poses.G
+        return np.einsum("pmu,pmu->pm", G @ self.twist, G) + self.poses.own.variance(G, self.mixed, self.own)
+
+    def of_joints(self) -> np.ndarray:
+        """(P, n): variance of the joints' columns times the rows."""
+        T = np.swapaxes(self.poses.joints, 1, 2)
+        by_twist, by_own = T @ self.poses.L, T @ self.poses.own_twist
+        against = 2 * (by_twist @ self.mixed) + by_own @ self.own
+        return np.einsum("pmu,pmu->pm", by_twist @ self.twist, by_twist) + np.einsum("pme,pme->pm", against, by_own)
 
     def projections(self, twist: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Products of k images with what was estimated, of unit variance: (6 S', k) and (g, k). twist: (P, u, k) and own: (e, k) are
         their products with the columns."""
         k = twist.shape[2]
-        y = np.swapaxes(self.normal.station_root, 1, 2) @ self.rows.by_station(np.swapaxes(self.station, 1, 2) @ twist)
-        A = np.concatenate([self.moved.reshape(len(self.moved) * self.moved.shape[1], self.f).T @ twist.reshape(-1, k), own])
+        y = np.swapaxes(self.normal.station_root, 1, 2) @ self.poses.rows.by_station(np.swapaxes(self.station, 1, 2) @ twist)
+        A = np.concatenate([flat_product(self.moved, twist), own])
         flat = y.reshape(-1, k)
         return flat, self.root @ (A - self.normal.reduced.reshape(-1, len(A)).T @ flat)
 
