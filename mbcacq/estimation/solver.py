@@ -96,7 +96,7 @@ def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
     residual = columns.residual - columns.change(step, station_step[rows.run])
     linear = replace(at.linear, residual=rows.unpad(residual), columns=replace(columns, residual=residual))
     estimate = _moved(lineariser, at, step, station_step)
-    prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, rows.stations)
+    prior = replace(at.prior, offset=at.prior.offset + step, station_offset=at.prior.station_offset + station_step)
     poses, normal = at.poses.with_residual(linear.columns), at.normal.after(step)
     return replace(at, estimate=estimate, linear=linear, poses=poses, normal=normal, prior=prior, exact=False)
 
