@@ -99,7 +99,6 @@ class CalibrationFit:
         used = (weights.centre > 0) & (weights.pose[obs.pose] > 0)
         rank = layout.size + int(normal.station_rank.sum())
         dof = int(used.sum()) * rows.width + solution.prior.rows - rank
-        whitened = rows.unpad(solution.X[..., -1:])[..., 0]
         return cls(
             obs,
             options,
@@ -112,7 +111,7 @@ class CalibrationFit:
             noise,
             weights,
             solution.linear.residual,
-            whitened,
+            solution.whitened_residual,
             solution.cost,
             dof,
             rank,

@@ -13,7 +13,6 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.phases import select_phases
-from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -122,7 +121,8 @@ def orientation_range(obs: Observations) -> float:
     first = np.zeros(len(obs.cell.stations), int)
     first[obs.station[::-1]] = np.arange(obs.n_poses)[::-1]
     turn = np.swapaxes(R[first[obs.station]], 1, 2) @ R
-    return float(np.linalg.norm(se3.rotation_log(turn), axis=1).max())
+    cosine = (np.trace(turn, axis1=1, axis2=2) - 1) / 2
+    return float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
 
 
 def refuse_runaway(chain: Chain, nominal: Chain, options: CalibrationOptions) -> None:

@@ -18,7 +18,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, solve, system
+from mbcacq.estimation.solver import Solution, Weights, gauss_newton_step, solve, system
 from mbcacq.model.observations import Observations
 
 COARSE, FINE = 1e-2, 1e-7
@@ -86,7 +86,12 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         lineariser = Lineariser(obs, layout, options)
         solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
         solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
-    solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
+    exact = system(lineariser, solution.estimate, noise, weights)
+    if exact.normal.decrease(gauss_newton_step(exact.normal, layout.gather("scale"), 0.0)) > COARSE:
+        # The problem is less linear than its steps promised.
+        exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
+        exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options, NOISE_ROUNDS)
+    solution = solve(lineariser, exact, noise, weights, tolerance=FINE)
     return Adjustment(lineariser, solution, noise, weights, preliminary, found)
 
 
@@ -132,10 +137,13 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
 def robust_solve(
     lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions, tolerance: float
 ) -> tuple[Solution, Weights]:
-    """Solve and reject outliers by turns until no weight changes. Raises ContradictionError where more than REJECTED_SHARE would go."""
-    solution = solve(lineariser, start, noise, weights, tolerance=tolerance)
+    """Solve, the last step within the linear problem, and reject outliers by turns until no weight changes.
+
+    Raises ContradictionError where more than REJECTED_SHARE would go.
+    """
+    solution = solve(lineariser, start, noise, weights, tolerance=tolerance, within_linear=True)
     for _ in range(OUTLIER_ROUNDS if options.robust else 0):
-        d = outlier_distances(lineariser.rows, solution.linear.J, solution.linear.residual, noise, weights)
+        d = outlier_distances(solution.poses, solution.linear.residual, noise, weights)
         fresh = reject_outliers(d, weights, lineariser.obs.pose)
         if np.array_equal(fresh.centre, weights.centre) and np.array_equal(fresh.pose, weights.pose):
             break
@@ -144,12 +152,12 @@ def robust_solve(
             if not options.refuse:
                 # So many are structure, not outliers.
                 everything = Weights(np.ones_like(weights.centre), np.ones_like(weights.pose))
-                return solve(lineariser, solution, noise, everything, tolerance=tolerance), everything
+                return solve(lineariser, solution, noise, everything, tolerance=tolerance, within_linear=True), everything
             raise ContradictionError(
                 f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
                 "artefact, the stations, and that joint angles and scans belong together"
             )
-        solution = solve(lineariser, solution, noise, weights, tolerance=tolerance)
+        solution = solve(lineariser, solution, noise, weights, tolerance=tolerance, within_linear=True)
     return solution, weights
 
 

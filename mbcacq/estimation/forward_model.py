@@ -111,7 +111,7 @@ def _ball_in_scanner(obs, frames, T_base_scanner, T_base_station, ball):
     point = se3.apply(T_base_station[obs.pose], ball)
     T_scanner_base = se3.inverse(T_base_scanner)[obs.pose]
     R = T_scanner_base[:, :3, :3]
-    gradient = np.concatenate([-R, R @ se3.skew(point)], axis=-1)
+    gradient = np.concatenate([-R, se3.cross(R, point[:, None])], axis=-1)
     return Prediction(se3.apply(T_scanner_base, point), frames, T_base_scanner, T_base_station, ball, gradient)
 
 
@@ -119,7 +119,7 @@ def _target_in_instrument(obs, frames, T_base_target, T_base_station, ball):
     point = se3.apply(T_base_target[obs.pose], ball)
     T_station_base = se3.inverse(T_base_station)[obs.pose]
     R = T_station_base[:, :3, :3]
-    gradient = np.concatenate([R, -R @ se3.skew(point)], axis=-1)
+    gradient = np.concatenate([R, se3.cross(point[:, None], R)], axis=-1)
     rotation = None
     if obs.rotation is not None:
         rotation = R @ T_base_target[obs.pose, :3, :3]
@@ -140,6 +140,6 @@ def station_jacobian(observations: Observations, prediction: Prediction) -> np.n
 
 def ball_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
     """By a shift of the ball in its artefact's frame, or of a reflector in the target's: (M, 3, 3)."""
-    if observations.cell.measurement == TARGET_IN_BASE:
-        return prediction.gradient[:, :3, :3] @ prediction.T_base_scanner[observations.pose, :3, :3]
-    return -prediction.gradient[:, :3, :3] @ prediction.T_base_station[observations.pose, :3, :3]
+    scanner, station = prediction.T_base_scanner[:, :3, :3], prediction.T_base_station[:, :3, :3]
+    here, there = (station, scanner) if observations.cell.measurement == TARGET_IN_BASE else (scanner, station)
+    return (np.swapaxes(here, 1, 2) @ there)[observations.pose]

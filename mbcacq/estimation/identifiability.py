@@ -49,6 +49,8 @@ def hold_undetermined(
     H = scale[:, None] * information * scale
     reference = None
     kept = np.arange(len(names))
+    if _determines(H):
+        return layout, found
     while len(kept):
         value, vector = np.linalg.eigh(H[np.ix_(kept, kept)])
         if value[0] > 1 / LIMIT**2:
@@ -67,6 +69,15 @@ def hold_undetermined(
         layout = layout.hold(found[-1].name, found[-1].reason)
         kept = np.delete(kept, worst)
     return layout, found
+
+
+def _determines(H: np.ndarray) -> bool:
+    """Whether scaled information (g, g) determines every direction; as the smallest eigenvalue says, but cheaper."""
+    try:
+        np.linalg.cholesky(H - np.eye(len(H)) / LIMIT**2)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: CalibrationOptions) -> None:
@@ -98,7 +109,7 @@ def workspace_information(
     columns, points = base_columns(layout, state, q, typical_points(obs))
     rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points * 1e-3)], axis=2).reshape(-1, 6)
     flat = columns.reshape(-1, columns.shape[2])
-    flat = flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]
+    flat = flat - rigid @ np.linalg.pinv(rigid.T @ rigid, hermitian=True) @ (rigid.T @ flat)
     return flat.T @ flat / len(points)
 
 
@@ -124,7 +135,7 @@ def base_columns(layout: ParameterLayout, state: CellState, q: np.ndarray, xyz: 
         ],
         axis=1,
     )
-    moved = twists[:, None, :, :3] + np.cross(twists[:, None, :, 3:], points[:, :, None, :])
+    moved = twists[:, None, :, :3] + se3.cross(twists[:, None, :, 3:], points[:, :, None, :])
     columns = np.zeros((*points.shape[:2], layout.size, 3))
     columns[:, :, : twists.shape[1]] = moved
     return np.swapaxes(columns, 2, 3).reshape(-1, 3, layout.size), points.reshape(-1, 3)

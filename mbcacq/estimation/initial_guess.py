@@ -17,6 +17,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 ROUNDS = 6
+ALIKE = 10.0  # times the median distance: without an outlier beyond it, other weights would change little
 NEAR_MM = 3.0  # a given hand-eye that brings the points together this well needs no other start
 
 
@@ -113,6 +114,8 @@ def fit_rigid_transforms(a: np.ndarray, b: np.ndarray, group: np.ndarray, count:
     R, ca, cb = _kabsch(a, b, np.ones(len(a)), group, count)
     for _ in range(ROUNDS - 1):
         off = np.linalg.norm(b - cb[group] - np.einsum("mij,mj->mi", R[group], a - ca[group]), axis=1)
+        if off.max(initial=0.0) < ALIKE * np.median(off):
+            break
         R, ca, cb = _kabsch(a, b, 1.0 / np.maximum(off, 0.5 * np.median(off) + 1e-9), group, count)
     return se3.transform(R, cb - np.einsum("sij,sj->si", R, ca))
 

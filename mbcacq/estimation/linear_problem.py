@@ -205,7 +205,7 @@ class LinearProblem:
             if s in self.given_stations:
                 information[j] = _given(self.obs, self.state, int(s))[0]
         prior = Prior(widths, np.zeros(len(widths)), information, np.zeros((len(information), 6)))
-        return WhitenedSystem(whitening, X, Normal(self.rows, X, prior))
+        return WhitenedSystem(whitening, X, Normal.of_rows(self.rows, X, prior))
 
     # Adjustment with effects --------------------------------------------------------------------------------------
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.pose_information import PoseColumns
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -18,12 +21,19 @@ from mbcacq.model.observations import Observations
 @dataclass(frozen=True)
 class Linearization:
     """At one estimate. residual: (M, R). X: (P, B R, g + 7) columns of the g free parameters, of the pose's own station (6), and the
-    residual (1); J: (P, B R, n) of the joints."""
+    residual (1); J: (P, B R, n) of the joints; columns: the same without the products made."""
 
     prediction: forward_model.Prediction
     residual: np.ndarray
-    X: np.ndarray
-    J: np.ndarray
+    columns: PoseColumns
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        return self.columns.dense
+
+    @cached_property
+    def J(self) -> np.ndarray:
+        return self.columns.basis @ self.columns.joints
 
 
 class Lineariser:
@@ -33,7 +43,12 @@ class Lineariser:
         self.obs, self.layout, self.options = observations, layout, options
         width = 3 if observations.rotation is None else 6
         self.rows = PoseRows(observations, width)
-        self.ball_columns = self._ball_columns()
+        free = layout.blocks[2].free.reshape(-1, 3)
+        whole = free.all(axis=1)
+        # A ball of which some coordinates are held has no common pattern: then all columns are written out.
+        self.free_balls = int(whole.sum()) if np.array_equal(whole, free.any(axis=1)) else 0
+        number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(whole), int)
+        self.ball = self._in_slots(number, self.free_balls)
 
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
         """Prediction and residual (M, R) at an estimate."""
@@ -51,30 +66,42 @@ class Lineariser:
 
     def at(self, chain: Chain, prediction: forward_model.Prediction, residual: np.ndarray) -> Linearization:
         """The columns at a prediction by an arm ``chain``, next to any residual (M, R)."""
-        obs, rows = self.obs, self.rows
+        rows = self.rows
         order = rows.order
-        G = rows.pad(prediction.gradient)
-        twists = chain.parameter_twists(prediction.frames, obs.q).reshape(obs.n_poses, -1, 6)
+        twists = chain.parameter_twists(prediction.frames, self.obs.q)
+        joints = twists[:, :, 0] * chain.sign[:, None]
         mount = np.swapaxes(se3.adjoint(prediction.T_base_scanner), 1, 2)
-        joints = chain.joint_twists(prediction.frames)
         station = np.swapaxes(-se3.adjoint(prediction.T_base_station), 1, 2)
         chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
-        # One product for everything that moves the arm or the artefact as a whole.
-        arm = np.concatenate([twists[:, chain_free], self._of_recordings(mount)[:, mount_free], station, joints], axis=1)[order]
-        columns = G @ np.swapaxes(arm, 1, 2)
-        n, g, free = joints.shape[1], self.layout.size, int(chain_free.sum() + mount_free.sum())
-        X = np.empty((*columns.shape[:2], g + 7))
-        X[..., :free] = columns[..., :free]
-        X[..., g : g + 6] = columns[..., free : free + 6]
-        X[..., g + 6] = rows.pad(residual)
-        if self.ball_columns is not None:
-            count = int(self.layout.blocks[2].free.sum())
-            X[..., free : free + count] = rows.pad(self._balls(prediction, self.ball_columns))
-            free += count
-        for one in self.options.terms:
-            X[..., free : free + one.size] = rows.pad(terms.columns(obs, prediction, one))
-            free += one.size
-        return Linearization(prediction, residual, X, columns[..., -n:])
+        moving = np.concatenate([twists.reshape(len(twists), -1, 6)[:, chain_free], self._of_recordings(mount)[:, mount_free]], axis=1)
+        of_pose = [np.ascontiguousarray(np.swapaxes(t[order], 1, 2)) for t in (moving, station, joints)]
+        basis = rows.pad(prediction.gradient)
+        if basis.shape[1] < 6:
+            # Fewer rows than a twist has components: the rows themselves are the shorter basis.
+            of_pose = [basis @ twist for twist in of_pose]
+            basis = np.broadcast_to(np.eye(basis.shape[1]), (len(basis), *basis.shape[1:2] * 2))
+        return Linearization(prediction, residual, PoseColumns(basis, *of_pose, self._own(prediction), rows.pad(residual)))
+
+    def _own(self, prediction: forward_model.Prediction) -> OwnColumns:
+        rows, options = self.rows, self.options
+        width = rows.depth * rows.width
+        other = [rows.pad(terms.columns(self.obs, prediction, one)) for one in options.terms]
+        shift, free = np.zeros((rows.n_poses, width, 3)), self.layout.blocks[2].free
+        if free.any():
+            jacobian = forward_model.ball_jacobian(self.obs, prediction)
+            if rows.width > 3:  # a measured orientation does not depend on a reflector's place
+                jacobian = np.concatenate([jacobian, np.zeros((len(jacobian), rows.width - 3, 3))], axis=1)
+            shift = rows.pad(jacobian)
+            if not self.free_balls:
+                every = np.arange(len(free) // 3)
+                other = [OwnColumns(shift, self._in_slots(every, len(every)), len(every), shift[..., :0]).dense[..., free], *other]
+        return OwnColumns(shift, self.ball, self.free_balls, np.concatenate(other, axis=2) if other else shift[..., :0])
+
+    def _in_slots(self, number: np.ndarray, none: int) -> np.ndarray:
+        """(P, B): number (K,) of the ball of each centre, ``none`` where there is no centre."""
+        out = np.full(self.rows.n_poses * self.rows.depth, none)
+        out[self.rows.slot] = number[self.obs.ball]
+        return out.reshape(self.rows.n_poses, self.rows.depth)
 
     def _of_recordings(self, mount: np.ndarray) -> np.ndarray:
         """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of the pose's own."""
@@ -84,20 +111,3 @@ class Lineariser:
         out = np.zeros((len(mount), count, 6, 6))
         out[np.arange(len(mount)), which] = mount
         return out.reshape(len(mount), 6 * count, 6)
-
-    def _ball_columns(self) -> np.ndarray | None:
-        """(M, 3) column of each centre's ball coordinates among the free ball parameters (-1 where held), or None if all are held."""
-        free = self.layout.blocks[2].free
-        if not free.any():
-            return None
-        position = np.where(free, np.cumsum(free) - 1, -1).reshape(-1, 3)
-        return position[self.obs.ball]
-
-    def _balls(self, prediction: forward_model.Prediction, ball_columns: np.ndarray) -> np.ndarray:
-        count = int(self.layout.blocks[2].free.sum())
-        jacobian = forward_model.ball_jacobian(self.obs, prediction)
-        width = prediction.gradient.shape[1]  # a measured orientation does not depend on a reflector's place
-        out = np.zeros((self.obs.n_centres, width, count + 1))  # the last column takes what belongs to held balls
-        centre = np.arange(self.obs.n_centres)[:, None, None]
-        out[centre, np.arange(3)[None, :, None], ball_columns[:, None, :]] = jacobian
-        return out[..., :count]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.estimation.pose_information import NormalBlocks, PoseInformation
 from mbcacq.estimation.whitening import PoseRows, Whitening
 
 # Share of a station's largest information below which a direction is unobservable: balls on one line but for a lever 3000 times smaller.
@@ -41,20 +42,15 @@ class Normal:
     that its data do not determine (two balls leave the rotation about their line) are excluded by a pseudo-inverse; station_rank: (S',).
     """
 
-    def __init__(self, rows: PoseRows, X: np.ndarray, prior: Prior):
-        """X: whitened (P, B R, g + 7), as in ``mbcacq.estimation.linearization.Linearization``."""
-        self.rows, self.size = rows, X.shape[2] - 7
+    def __init__(self, rows: PoseRows, blocks: NormalBlocks, prior: Prior):
+        self.rows, self.size = rows, len(blocks.b)
         g = self.size
-        flat = X.reshape(-1, g + 7)
-        whole = flat.T @ flat
-        shared = rows.by_station(np.swapaxes(X[..., g : g + 6], 1, 2) @ X)
-        Hss = shared[..., g : g + 6] + prior.station_information
-        Hsg = shared[..., :g]
-        bs = shared[..., g + 6] - np.einsum("sij,sj->si", prior.station_information, prior.station_offset)
+        Hss, Hsg = blocks.Hss + prior.station_information, blocks.Hsg
+        bs = blocks.bs - np.einsum("sij,sj->si", prior.station_information, prior.station_offset)
         weight = 1.0 / prior.sigma**2
-        H = whole[:g, :g] + np.diag(weight)
-        b = whole[:g, -1] - weight * prior.offset
-        self.cost = float(whole[-1, -1]) + prior.cost
+        H = blocks.H + np.diag(weight)
+        b = blocks.b - weight * prior.offset
+        self.cost = blocks.chi2 + prior.cost
         scaled = STATION_SCALE[:, None] * Hss * STATION_SCALE
         value, vector = np.linalg.eigh(scaled)
         observable = value > UNOBSERVABLE * np.maximum(value[:, -1:], 1e-300)
@@ -68,6 +64,26 @@ class Normal:
         tall = self.reduced.reshape(6 * len(self.reduced), g)
         self.information = H - tall.T @ tall
         self.gradient = b - tall.T @ reduced_b.reshape(-1)
+
+    @classmethod
+    def of_rows(cls, rows: PoseRows, X: np.ndarray, prior: Prior) -> Normal:
+        """Of whitened rows (P, B R, g + 7): columns of the parameters, of the pose's own station (6), and the residual (1)."""
+        g = X.shape[2] - 7
+        flat = X.reshape(-1, g + 7)
+        whole = flat.T @ flat
+        shared = rows.by_station(np.swapaxes(X[..., g : g + 6], 1, 2) @ X)
+        blocks = NormalBlocks(
+            whole[:g, :g], whole[:g, -1], float(whole[-1, -1]), shared[..., g : g + 6], shared[..., :g], shared[..., g + 6]
+        )
+        return cls(rows, blocks, prior)
+
+    def after(self, step: np.ndarray) -> Normal:
+        """The same linear problem after a step (g,) of the parameters and the best stations."""
+        out = copy(self)
+        out.cost = self.cost - self.decrease(step)
+        out.gradient = self.gradient - self.information @ step
+        out.station_b = np.zeros_like(self.station_b)
+        return out
 
     def with_weight(self, weight: np.ndarray) -> Normal:
         """The same with further prior information (g,) of the parameters."""
@@ -102,6 +118,14 @@ class Normal:
         back = self.station_root @ self.reduced
         own = self.station_root @ np.swapaxes(self.station_root, 1, 2)
         return own + back @ C @ np.swapaxes(back, 1, 2)
+
+
+@dataclass(frozen=True)
+class PoseSystem:
+    """A whitened problem by the twists of its poses."""
+
+    poses: PoseInformation
+    normal: Normal
 
 
 @dataclass(frozen=True)

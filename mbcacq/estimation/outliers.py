@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.solver import Weights
-from mbcacq.estimation.whitening import PoseRows, Whitening
 
 # Median and 1e-7 tail of chi square for 3..7 degrees of freedom are interpolated by Wilson and Hilferty's cube root.
 TAIL = 5.2
@@ -34,25 +34,18 @@ class OutlierDistances:
     pose_dof: np.ndarray
 
 
-def outlier_distances(rows: PoseRows, joint: np.ndarray, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
-    """joint: (P, B R, n) columns of the joints; residual: (M, R). Every centre and pose is judged, rejected or not."""
-    whiten = Whitening(rows, joint, noise, weights.centre, np.ones(rows.n_poses))
-    sigma = rows.row_sigma(noise)
-    scaled = residual / sigma
-    r = rows.pad(scaled * np.sqrt(weights.centre)[:, None])[..., None]
-    gram = np.swapaxes(whiten.J, 1, 2) @ whiten.J
-    n = gram.shape[1]
-    gram[:, np.arange(n), np.arange(n)] += 1.0
-    u = np.linalg.solve(gram, np.swapaxes(whiten.J, 1, 2) @ r)
-    full = joint * rows.pad(np.broadcast_to(1 / sigma, residual.shape).copy())[..., None] * rows.joint_sigma(noise)
-    remaining = scaled - rows.unpad(full @ u)[..., 0]
-    by_pose = np.zeros(rows.n_poses)
+def outlier_distances(poses: PoseInformation, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
+    """poses: with these weights of the centres; residual: (M, R). Every centre and pose is judged, rejected or not."""
+    rows, columns = poses.rows, poses.columns
+    shift = poses.joints @ poses.residual_joint[..., None]  # the twist of each pose that its joints' noise explains best
+    explained = rows.unpad((columns.basis @ shift)[..., 0])
+    remaining = np.sum(((residual - explained) / rows.row_sigma(noise)) ** 2, axis=1)
+    pose = rows.pose_of_centre
     # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
-    used = rows.pad(remaining**2 * weights.centre[:, None]).sum(axis=1)
-    by_pose[rows.order] = used + np.sum(u[..., 0] ** 2, axis=1)
-    dof = np.zeros(rows.n_poses)
-    dof[rows.order] = rows.pad(np.repeat(weights.centre[:, None], rows.width, axis=1)).sum(axis=1)
-    return OutlierDistances(np.sum(remaining**2, axis=1), by_pose, rows.width, dof)
+    used = np.bincount(pose, remaining * weights.centre, minlength=rows.n_poses)
+    by_pose = used + rows.per_pose(np.einsum("pj,pj->p", poses.residual_joint, poses.residual_joint))
+    dof = rows.width * np.bincount(pose, weights.centre, minlength=rows.n_poses)
+    return OutlierDistances(remaining, by_pose, rows.width, dof)
 
 
 def reject_outliers(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:

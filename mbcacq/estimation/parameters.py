@@ -7,6 +7,7 @@ eliminated, six each).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -51,18 +52,24 @@ class ParameterLayout:
 
     blocks: tuple[ParameterBlock, ...]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters, in the order of the solver's vector."""
         return tuple(name for b in self.blocks for name, free in zip(b.names, b.free, strict=True) if free)
 
-    @property
+    @cached_property
     def size(self) -> int:
         return sum(int(b.free.sum()) for b in self.blocks)
 
     def gather(self, attribute: str) -> np.ndarray:
         """(g,) 'sigma' or 'scale' of the free parameters."""
-        return np.concatenate([getattr(b, attribute)[b.free] for b in self.blocks])
+        if attribute not in self._gathered:
+            self._gathered[attribute] = np.concatenate([getattr(b, attribute)[b.free] for b in self.blocks])
+        return self._gathered[attribute]
+
+    @cached_property
+    def _gathered(self) -> dict[str, np.ndarray]:
+        return {}
 
     def spread(self, step: np.ndarray) -> list[np.ndarray]:
         """The solver's vector (g,) as one full array per block, zero where held."""

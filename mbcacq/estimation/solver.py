@@ -4,18 +4,23 @@ eliminated."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from mbcacq.estimation.linearization import Lineariser, Linearization
-from mbcacq.estimation.normal_equations import Normal, Prior, WhitenedSystem
+from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.whitening import Whitening
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
 
 SMALLEST_SHARE = 1e-4
+# Steps over which the problem is as good as linear: rotations (rad) whose second order moves a point 1 m away by 20 nm, and a decrease of
+# chi square of a few standard deviations.
+LINEAR_ROTATION, LINEAR_DECREASE = 2e-4, 10.0
 
 
 @dataclass(frozen=True)
@@ -28,66 +33,122 @@ class Weights:
 
 @dataclass(frozen=True)
 class Solution:
-    """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows."""
+    """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows.
+
+    exact: whether the problem was linearised at this estimate, and not at one from which a step of the linear problem led here.
+    """
 
     estimate: Estimate
     linear: Linearization
-    whitening: Whitening
-    X: np.ndarray
+    poses: PoseInformation
     normal: Normal
     prior: Prior
     noise: Noise
     weights: Weights
     iterations: int
+    exact: bool = True
 
     @property
     def cost(self) -> float:
         return self.normal.cost
 
     @property
-    def system(self) -> WhitenedSystem:
-        return WhitenedSystem(self.whitening, self.X, self.normal)
+    def system(self) -> PoseSystem:
+        return PoseSystem(self.poses, self.normal)
+
+    @cached_property
+    def whitening(self) -> Whitening:
+        return Whitening(self.normal.rows, self.linear.J, self.noise, self.weights.centre, self.weights.pose)
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        return self.whitening(self.linear.X)
+
+    @property
+    def whitened_residual(self) -> np.ndarray:
+        """(M, R) of unit variance."""
+        rows = self.normal.rows
+        return rows.unpad(self.whitening(self.linear.columns.residual[..., None]))[..., 0]
 
 
 def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: Weights, iterations: int = 0) -> Solution:
     """The whitened normal equations at an estimate."""
     linear = lineariser(estimate)
-    whitening = Whitening(lineariser.rows, linear.J, noise, weights.centre, weights.pose)
-    X = whitening(linear.X)
     prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, lineariser.rows.stations)
-    return Solution(estimate, linear, whitening, X, Normal(lineariser.rows, X, prior), prior, noise, weights, iterations)
+    poses = PoseInformation(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
+    normal = Normal(lineariser.rows, poses.normal_equations(), prior)
+    return Solution(estimate, linear, poses, normal, prior, noise, weights, iterations)
 
 
 def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weights) -> Solution:
     """The system at the same estimate with other noise or weights."""
     if noise is at.noise and weights is at.weights:
         return at
-    whitening = Whitening(lineariser.rows, at.linear.J, noise, weights.centre, weights.pose)
-    X = whitening(at.linear.X)
-    return replace(at, whitening=whitening, X=X, normal=Normal(lineariser.rows, X, at.prior), noise=noise, weights=weights)
+    poses = PoseInformation(lineariser.rows, at.linear.columns, noise, weights.centre, weights.pose)
+    normal = Normal(lineariser.rows, poses.normal_equations(), at.prior)
+    return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
+
+
+def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
+    """The same linear problem after a step (g,) of the parameters and the best stations."""
+    rows, columns = lineariser.rows, at.linear.columns
+    station_step = at.normal.station_step(step)
+    residual = columns.residual - columns.change(step, station_step[rows.run])
+    linear = replace(at.linear, residual=rows.unpad(residual), columns=replace(columns, residual=residual))
+    estimate = _moved(lineariser, at, step, station_step)
+    prior = replace(at.prior, offset=at.prior.offset + step, station_offset=at.prior.station_offset + station_step)
+    poses, normal = at.poses.with_residual(linear.columns), at.normal.after(step)
+    return replace(at, estimate=estimate, linear=linear, poses=poses, normal=normal, prior=prior, exact=False)
+
+
+def _is_small(layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> bool:
+    """Whether no rotation of the arm, the hand-eye or a station is so large that the problem is not linear over it."""
+    turning = np.array([unit == "rad" for b in layout.blocks[:2] for unit, free in zip(b.units, b.free, strict=True) if free], dtype=bool)
+    largest = np.abs(step[: len(turning)][turning]).max(initial=0.0)
+    return max(largest, np.abs(station_step[:, 3:]).max(initial=0.0)) < LINEAR_ROTATION
+
+
+def _moved(lineariser: Lineariser, at: Solution, step: np.ndarray, station_step: np.ndarray) -> Estimate:
+    """The estimate after a step (g,) and local twists (S', 6) of the stations in use."""
+    whole = np.zeros((len(at.estimate.state.T_base_station), 6))
+    whole[lineariser.rows.stations] = station_step
+    return at.estimate.moved(lineariser.layout, step, whole)
 
 
 def solve(
-    lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, *, tolerance: float = 1e-6, limit: int = 30
+    lineariser: Lineariser,
+    start: Estimate | Solution,
+    noise: Noise,
+    weights: Weights,
+    *,
+    tolerance: float = 1e-6,
+    limit: int = 30,
+    within_linear: bool = False,
 ) -> Solution:
     """Iterate until the next step would take less than ``tolerance`` off the cost (chi square).
 
-    A ``Solution`` of the same lineariser as start saves evaluating it anew.
+    A ``Solution`` of the same lineariser as start saves evaluating it anew. within_linear: a small step is the last, and is taken
+    within the linear problem; then the solution is not ``exact``.
     """
     layout = lineariser.layout
     damping, share = 0.0, 1.0
+    if isinstance(start, Solution) and not (within_linear or start.exact):
+        start = start.estimate
     now = reweighted(lineariser, start, noise, weights) if isinstance(start, Solution) else system(lineariser, start, noise, weights)
     for iteration in range(1, limit + 1):
         step = gauss_newton_step(now.normal, layout.gather("scale"), damping)
         promised = now.normal.decrease(step)
         if promised < tolerance or share < SMALLEST_SHARE:
             break
-        station_step = np.zeros((len(now.estimate.state.T_base_station), 6))
-        station_step[lineariser.rows.stations] = now.normal.station_step(step)
-        candidate = now.estimate.moved(layout, share * step, share * station_step)
+        if within_linear and not damping and promised < LINEAR_DECREASE and _is_small(layout, step, now.normal.station_step(step)):
+            return stepped(lineariser, now, step)
+        if not now.exact:
+            now = system(lineariser, now.estimate, noise, weights, iteration)
+            continue
+        candidate = _moved(lineariser, now, share * step, share * now.normal.station_step(step))
         trial = system(lineariser, candidate, noise, weights, iteration)
         # The weights depend weakly on the estimate; a step is judged by those it was computed with.
-        cost = float(np.sum(now.whitening(trial.linear.X[..., -1:]) ** 2)) + trial.prior.cost
+        cost = now.poses.chi2(trial.linear.columns.residual) + trial.prior.cost
         if cost <= now.cost * (1 + 1e-9) + tolerance:
             now, damping, share = trial, damping / 10 if damping > 1e-3 else 0.0, 1.0
         else:

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.estimation.normal_equations import Normal, WhitenedSystem
+from mbcacq.estimation.normal_equations import Normal, PoseSystem, WhitenedSystem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.pose_information import flat_product
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms.
@@ -89,9 +90,10 @@ def restricted_maximum_likelihood(
     return noise
 
 
-def reml_step(system: WhitenedSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
+def reml_step(system: PoseSystem | WhitenedSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
     """One step of average-information scoring (REML); also the largest change of a logarithm."""
-    score, information = reml_score_and_information(system, noise)
+    score_of = reml_score_by_pose if isinstance(system, PoseSystem) else reml_score_and_information
+    score, information = score_of(system, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
@@ -105,7 +107,7 @@ def reml_score_and_information(system: WhitenedSystem, noise: Noise) -> tuple[np
     W, normal = system.whitening, system.normal
     rows, g = normal.rows, normal.size
     X, r = system.X[..., : g + 6], system.X[..., g + 6 :]
-    root = np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
+    root = _inverse_root(normal)
     back = W.transpose(np.concatenate([X, r], axis=2))  # inverse covariance times columns and residual
     n, width = len(noise.joint), rows.width
     sigma = np.resize(noise.row_sigma(width), rows.depth * width)
@@ -143,6 +145,93 @@ def reml_score_and_information(system: WhitenedSystem, noise: Noise) -> tuple[np
     projected = A @ root.T
     information = flat.T @ flat - projected @ projected.T - np.einsum("skx,slx->kl", by_station, by_station)
     return score, 2 * information
+
+
+def reml_score_by_pose(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """The same from the twists of the poses; only the balls and the effects have rows of their own."""
+    poses, rows = system.poses, system.poses.rows
+    n, share = len(noise.joint), poses.share
+    variance = _PoseVariance(system)
+    axes = np.minimum(np.tile(np.arange(rows.width), rows.depth), 3)[:, None] == np.arange(4)  # (B R, 4): scanner's axes and turn
+    # Scanner: the rows of one axis each.
+    r = poses.white_residual
+    Jt = np.swapaxes(poses.joints, 1, 2)
+    absorbed = np.einsum("pmu,pmu->pm", poses.G @ poses.N, poses.G)
+    lever = variance.of_rows()
+    weight = share[:, None] * poses.centre_weight
+    by_axis = (weight * (share[:, None] * (r**2 + lever) - 1 + absorbed)).sum(axis=0) @ axes
+    # Joints: one column a pose.
+    b = share[:, None] * poses.residual_joint
+    diagonal = 1 - np.diagonal(poses.K, axis1=1, axis2=2)
+    by_joint = np.sum(b**2 + share[:, None] * (share[:, None] * variance.of_joints() - diagonal), axis=0)
+    score = np.concatenate([by_axis[:3], by_joint, by_axis[3:]])
+    # Average information: Y' P Y of the images Y, one of each component, from products with the columns.
+    image = (weight * r)[:, :, None] * axes
+    image_twist = np.swapaxes(poses.G, 1, 2) @ image
+    image_joint = Jt @ image_twist
+    K_image = poses.K @ image_joint
+    square = np.zeros((n + 4, n + 4))
+    order = np.r_[:3, n + 3]
+    between = np.tensordot(share[:, None, None] * image_joint, K_image, axes=([0, 1], [0, 1]))
+    square[np.ix_(order, order)] = np.diag(np.einsum("p,pmc,pmc->c", share, image, image)) - between
+    mixed = np.einsum("p,pj,pjc->jc", share, b, K_image)
+    square[3 : n + 3, order], square[order, 3 : n + 3] = mixed, mixed.T
+    square[3 : n + 3, 3 : n + 3] = np.diag(np.einsum("p,pj,pj->j", share, b, b)) - np.einsum("p,pj,pk,pjk->jk", share, b, b, poses.K)
+    twist = np.concatenate([np.swapaxes(poses.F, 1, 2) @ image_twist, np.swapaxes(poses.JG * b[..., None], 1, 2)], axis=2)
+    own_joint = poses.K @ (Jt @ poses.own_twist)
+    by_image = poses.own.product(share[:, None, None] * image) - flat_product(poses.N @ poses.own_twist, share[:, None, None] * image_twist)
+    own = [by_image, np.einsum("p,pj,pje->ej", share, b, own_joint)]
+    twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
+    twist *= share[:, None, None]
+    by_station, by_parameter = variance.projections(twist, own)
+    return score, 2 * (square - by_parameter.T @ by_parameter - by_station.T @ by_station)
+
+
+class _PoseVariance:
+    """Covariance of what was estimated: of the twist y of each pose and of the own parameters, where the whitened columns are G y and the
+    own columns."""
+
+    def __init__(self, system: PoseSystem):
+        self.poses, self.normal = system.poses, system.normal
+        poses, columns, run = system.poses, system.poses.columns, system.poses.rows.run
+        self.f = system.normal.size - columns.own.size
+        self.moved, self.station = columns.twists, columns.station
+        self.root = _inverse_root(self.normal)
+        y = self.station @ self.normal.station_root[run]
+        x = -y @ self.normal.reduced[run]
+        x[..., : self.f] += self.moved
+        x, y = poses.F @ x, poses.F @ y
+        x[..., self.f :] -= poses.N @ poses.own_twist
+        x = (x.reshape(-1, x.shape[2]) @ self.root.T).reshape(x.shape)
+        own = self.root[:, self.f :]
+        self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
+        self.mixed, self.own = x @ own, own.T @ own
+
+    def of_rows(self) -> np.ndarray:
+        """(P, B R): variance of the rows."""
+        G = self.poses.G
+        return np.einsum("pmu,pmu->pm", G @ self.twist, G) + self.poses.own.variance(G, self.mixed, self.own)
+
+    def of_joints(self) -> np.ndarray:
+        """(P, n): variance of the joints' columns times the rows."""
+        T = np.swapaxes(self.poses.joints, 1, 2)
+        by_twist, by_own = T @ self.poses.L, T @ self.poses.own_twist
+        against = 2 * (by_twist @ self.mixed) + by_own @ self.own
+        return np.einsum("pmu,pmu->pm", by_twist @ self.twist, by_twist) + np.einsum("pme,pme->pm", against, by_own)
+
+    def projections(self, twist: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Products of k images with what was estimated, of unit variance: (6 S', k) and (g, k). twist: (P, u, k) and own: (e, k) are
+        their products with the columns."""
+        k = twist.shape[2]
+        y = np.swapaxes(self.normal.station_root, 1, 2) @ self.poses.rows.by_station(np.swapaxes(self.station, 1, 2) @ twist)
+        A = np.concatenate([flat_product(self.moved, twist), own])
+        flat = y.reshape(-1, k)
+        return flat, self.root @ (A - self.normal.reduced.reshape(-1, len(A)).T @ flat)
+
+
+def _inverse_root(normal: Normal) -> np.ndarray:
+    """R (g, g) with R'R the covariance of the parameters."""
+    return np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
 
 
 def _leverage(normal: Normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ class PoseRows:
         count = np.bincount(obs.pose, minlength=obs.n_poses)
         rank = np.arange(obs.n_centres) - (np.cumsum(count) - count)[obs.pose]
         self.n_poses, self.depth, self.width = obs.n_poses, int(count.max(initial=1)), width
+        self.pose_of_centre = obs.pose
         self.slot = place[obs.pose] * self.depth + rank
         self.full = bool(len(self.slot) == obs.n_poses * self.depth and np.array_equal(self.slot, np.arange(len(self.slot))))
         self.sigma_scale, self.joint_scale = _noise_scales(obs, width)

@@ -10,6 +10,7 @@ from typing import Any
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording
+from mbcacq.fleet.store import Outcome, outcome_of
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10.0
@@ -25,9 +26,9 @@ SETTINGS = {
 
 
 def evaluated(
-    recordings: Sequence[FleetRecording], task: FleetTask, workers: int, scheduler: str | None
-) -> Iterator[tuple[FleetRecording, dict[str, Any]]]:
-    """Each recording with what came of it, in the order in which they are done.
+    recordings: Sequence[FleetRecording], stamps: Sequence[str], task: FleetTask, workers: int, scheduler: str | None
+) -> Iterator[tuple[FleetRecording, Outcome]]:
+    """Each recording with what came of it, in the order in which they are done. stamps: of the recordings before they are read.
 
     workers: processes of a cluster of this computer, which is closed in the end, whatever happens. scheduler: address of a running
     cluster instead; its workers must see the recordings under the same paths. Raises ConnectError where it does not answer.
@@ -59,22 +60,26 @@ def evaluated(
             raise ConnectError(
                 f"the cluster {where} does not answer ({error or type(error).__name__}); try again, or look whether its scheduler runs"
             ) from error
-        futures = client.map(evaluate_recording, recordings, task=task, pure=False)
+        futures = client.map(evaluated_outcome, recordings, stamps, task=task, pure=False)
         by_key = {future.key: one for future, one in zip(futures, recordings, strict=True)}
-        waiting = as_completed(futures)
+        # Results are fetched while others are stored.
+        waiting = as_completed(futures, with_results=True, raise_errors=False)
         del futures
-        for future in waiting:
+        for future, result in waiting:
             recording = by_key[future.key]
-            yield recording, _outcome(recording, future)
+            yield recording, result if isinstance(result, Outcome) else _failed(recording, result)
             future.release()
 
 
-def _outcome(recording: FleetRecording, future: Any) -> dict[str, Any]:
-    """What a task returned; a failed row where its worker ended."""
-    error = future.exception()
-    if error is None:
-        return future.result()
+def evaluated_outcome(recording: FleetRecording, stamp: str, task: FleetTask) -> Outcome:
+    """What a worker does: also the writing of the text, so that the one process that collects all results only stores it."""
+    return outcome_of(evaluate_recording(recording, task), stamp)
+
+
+def _failed(recording: FleetRecording, result: Any) -> Outcome:
+    """A failed row, of a task that ended with an error; result: the error, or its type, itself and where it was raised."""
+    error = result[1] if isinstance(result, tuple) else result
     row = {"recording": recording.path, "arm": recording.arm, "time": recording.time or None, "status": FAILED}
     ended = type(error).__name__ == "KilledWorker"
     reason = "the process that worked on it was ended (memory?), twice" if ended else f"unexpected {type(error).__name__}: {error}"
-    return {"format": FORMAT, "row": row | {"reason": reason}}
+    return outcome_of({"format": FORMAT, "row": row | {"reason": reason}}, "")

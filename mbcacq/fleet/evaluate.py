@@ -76,11 +76,11 @@ def rows_of(
     """The rows of all recordings in their order; each result is kept as soon as it is there."""
     known = {one.path: row for one in found if (row := store.row(one)) is not None}
     left = [one for one in found if one.path not in known]
-    stamps = {one.path: store.stamp(one) for one in left}
+    stamps = [store.stamp(one) for one in left]
     done = len(known)
     if left:
-        for one, content in evaluated(left, task, min(workers, len(left)), scheduler):
-            known[one.path] = store.keep(one, content, stamps[one.path])
+        for one, outcome in evaluated(left, stamps, task, min(workers, len(left)), scheduler):
+            known[one.path] = store.keep(one, outcome)
             done += 1
             progress(done, len(found), known[one.path])
     return [known[one.path] for one in found]

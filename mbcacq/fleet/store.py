@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,19 @@ NUMBERS = (
     "wall_s", "processor_s", "rms_mm", "chi2_dof", "expected_accuracy_mm", "spacing_max_mm", "spacing_mean_mm", "scanner_noise_mm",
     "joint_noise_rad", "transfer_rms_mm", "transfer_own_rms_mm", "transfer_normalised_error",
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a recording. row: of the table; text: of its file, UTF-8."""
+
+    row: dict[str, Any]
+    text: bytes
+
+
+def outcome_of(content: Mapping[str, Any], stamp: str) -> Outcome:
+    """content: as ``evaluate_recording`` gives it. stamp: of the recording before it was read."""
+    return Outcome(content["row"], json.dumps({**content, "stamp": stamp}).encode())
 
 
 class FleetStore:
@@ -53,12 +67,12 @@ class FleetStore:
         row = content["row"] | {"arm": recording.arm, "time": recording.time or None}
         return None if row["status"] == FAILED else row
 
-    def keep(self, recording: FleetRecording, content: Mapping[str, Any], stamp: str) -> dict[str, Any]:
-        """Write a result, in one step; its row. stamp: of the recording before it was read. Raises RecordingError."""
-        from mbcacq.recording.datasets.csvfile import write_text
+    def keep(self, recording: FleetRecording, outcome: Outcome) -> dict[str, Any]:
+        """Write a result, in one step; its row. Raises RecordingError."""
+        from mbcacq.recording.datasets.synced_files import write_synced
 
-        write_text(self.path(recording), json.dumps({**content, "stamp": stamp}))
-        return content["row"]
+        write_synced(self.path(recording), outcome.text)
+        return outcome.row
 
     def write_table(self, rows: Sequence[Mapping[str, Any]]) -> Path:
         """All rows as one Parquet table, in the order given. Raises RecordingError."""

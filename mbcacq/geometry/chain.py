@@ -94,19 +94,13 @@ class Chain:
         angle = self.sign * q + self.theta
         x = np.cos(angle)[..., None] * before[..., :3, 0] + np.sin(angle)[..., None] * before[..., :3, 1]
         y = after[..., :3, 1]
-        zero = np.zeros_like(z)
-        return np.stack(
-            [
-                rotation_twist(z, origin),
-                np.concatenate([z, zero], -1),
-                np.concatenate([x, zero], -1),
-                rotation_twist(x, tip),
-                rotation_twist(y, tip),
-            ],
-            axis=2,
-        )
+        out = np.zeros((*z.shape[:2], 5, 6), dtype=np.result_type(frames, q))
+        for k, axis, point in ((0, z, origin), (3, x, tip), (4, y, tip)):
+            out[:, :, k, :3], out[:, :, k, 3:] = se3.cross(point, axis), axis
+        out[:, :, 1, :3], out[:, :, 2, :3] = z, x
+        return out
 
 
 def rotation_twist(axis: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Spatial twist (..., 6) of a rotation of 1 rad about ``axis`` (..., 3, unit) through ``point`` (..., 3) mm."""
-    return np.concatenate([np.cross(point, axis), axis], -1)
+    return np.concatenate([se3.cross(point, axis), axis], -1)

@@ -16,6 +16,14 @@ def skew(w: np.ndarray) -> np.ndarray:
     return out
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b of (..., 3) and (..., 3), leading axes broadcast."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape), dtype=np.result_type(a, b))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return out
+
+
 def rotation_exp(w: np.ndarray) -> np.ndarray:
     """Rodrigues' formula: rotation vectors (..., 3) rad -> matrices (..., 3, 3)."""
     angle2 = np.sum(w * w, axis=-1)

@@ -5,10 +5,11 @@ import pytest
 from cells import iiwa, scanner_cell, tracker_cell
 
 from mbcacq.calibration import CalibrationOptions, Noise
-from mbcacq.estimation import parameters
+from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.normal_equations import Normal, WhitenedSystem
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.solver import Weights, gauss_newton_step, system
+from mbcacq.estimation.solver import Weights, gauss_newton_step, stepped, system
 from mbcacq.estimation.terms import Part, term
 
 
@@ -133,3 +134,53 @@ def test_redundant_parameters_are_held_by_name():
         *(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
     )
     assert {"theta_1", "d_1", "d_2", "beta_3", "theta_6", "beta_6"} <= set(layout.held)
+
+
+def weighted_system(kind, rng, hold=()):
+    """A system with an effect, with centres and poses rejected, and its normal equations from whitened rows."""
+    cell = simulated(kind, rng)
+    obs = cell.observations
+    effect = term("effect", [Part("joint", 1, 0, rng.normal(size=(obs.n_poses, 2)))], sigma=1e-4)
+    options = CalibrationOptions(terms=(effect,), hold=hold)
+    layout = parameters.build(obs, options)
+    lineariser = Lineariser(obs, layout, options)
+    noise = Noise(np.array([0.01, 0.02, 0.03]), rng.uniform(1e-5, 1e-4, obs.cell.robot.n), 2e-4)
+    weights = Weights((rng.uniform(size=obs.n_centres) > 0.1).astype(float), (rng.uniform(size=obs.n_poses) > 0.1).astype(float))
+    at = system(lineariser, Estimate(cell.truth, (np.zeros(2),)), noise, weights)
+    return lineariser, at, Normal.of_rows(lineariser.rows, at.X, at.prior)
+
+
+@pytest.mark.parametrize("hold", [(), ("ball_1.x",)], ids=["balls free", "one coordinate held"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind, hold):
+    if hold and kind.startswith("tracker"):
+        hold = ("theta_2",)
+    _, at, rows = weighted_system(kind, np.random.default_rng(4), hold)
+    normal = at.normal
+    size = np.sqrt(np.diag(rows.information))
+    np.testing.assert_allclose(normal.information / np.outer(size, size), rows.information / np.outer(size, size), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(normal.gradient / size, rows.gradient / size, rtol=0, atol=1e-9 * np.sqrt(rows.cost))
+    np.testing.assert_allclose(normal.cost, rows.cost, rtol=1e-12)
+    step = gauss_newton_step(normal, np.ones(normal.size), 1e-3)
+    np.testing.assert_allclose(normal.station_step(step), rows.station_step(step), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_scores_from_the_twists_of_the_poses_are_those_of_the_whitened_rows(kind):
+    _, at, rows = weighted_system(kind, np.random.default_rng(5))
+    score, information = variance_components.reml_score_by_pose(at.system, at.noise)
+    expected, average = variance_components.reml_score_and_information(WhitenedSystem(at.whitening, at.X, rows), at.noise)
+    np.testing.assert_allclose(score, expected, rtol=1e-7, atol=1e-9 * at.cost)
+    np.testing.assert_allclose(information, average, rtol=1e-7, atol=1e-9 * at.cost)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(kind):
+    lineariser, at, _ = weighted_system(kind, np.random.default_rng(6))
+    step = 1e-3 * gauss_newton_step(at.normal, lineariser.layout.gather("scale"), 1e-3)
+    there = stepped(lineariser, at, step)
+    again = Normal(lineariser.rows, there.poses.normal_equations(), there.prior)
+    size = np.sqrt(np.diag(again.information))
+    np.testing.assert_allclose(there.normal.gradient / size, again.gradient / size, rtol=0, atol=1e-8 * np.sqrt(at.cost))
+    np.testing.assert_allclose(there.cost, again.cost, rtol=1e-9)
+    assert not there.exact

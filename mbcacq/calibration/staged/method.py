@@ -118,7 +118,7 @@ def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibr
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     at = system(lineariser, Estimate(state), found.noise, weights)
     rank = int(found.free.sum()) - found.unobservable.shape[1] + 6 * len(lineariser.rows.stations)
-    whitened = lineariser.rows.unpad(at.X[..., -1:])[..., 0]
+    whitened = at.whitened_residual
     return Calibration(
         obs,
         options,

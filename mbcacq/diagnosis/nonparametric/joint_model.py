@@ -11,6 +11,8 @@ from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
+from mbcacq.estimation.own_columns import OwnColumns
+from mbcacq.estimation.pose_information import PoseColumns, PoseInformation
 from mbcacq.estimation.solver import Weights
 from mbcacq.estimation.terms import term
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
@@ -62,9 +64,19 @@ def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
     pose = linear.obs.pose
     whole = np.bincount(pose, linear.keep, linear.obs.n_poses) > 0  # of the others the pose was rejected, not its centres
     weights = Weights((linear.keep | ~whole[pose]).astype(float), whole.astype(float))
-    judged = outlier_distances(linear.rows, linear.joint, residual, projected.noise, weights)
+    judged = outlier_distances(poses_by_joints(linear, residual, projected.noise, weights), residual, projected.noise, weights)
     found = reject_outliers(judged, weights, pose)
     return (found.centre > 0) & (found.pose[pose] > 0)
+
+
+def poses_by_joints(linear: LinearProblem, residual: np.ndarray, noise: Noise, weights: Weights) -> PoseInformation:
+    """The poses of a linear problem with no columns but those of the joints; residual: (M, R)."""
+    rows, J = linear.rows, linear.joint
+    n, none = J.shape[2], OwnColumns(np.zeros((*J.shape[:2], 3)), np.zeros((len(J), rows.depth), int), 0, np.zeros((*J.shape[:2], 0)))
+    columns = PoseColumns(
+        J, np.zeros((len(J), n, 0)), np.zeros((len(J), n, 6)), np.broadcast_to(np.eye(n), (len(J), n, n)), none, rows.pad(residual)
+    )
+    return PoseInformation(rows, columns, noise, weights.centre, weights.pose)
 
 
 def relinearized(linear: LinearProblem, model: EffectSet, noise: Noise) -> LinearProblem:
