@@ -1,10 +1,10 @@
 """The compliance of the UR10's joints in two campaigns, and how much of a difference is the model's.
 
-    python benchmarks/compliance_of_campaigns.py [--data ../shared/data] [--poses 1500]
+    python benchmarks/compliance_of_campaigns.py [--data ../shared/data] [--poses 1500] [--write]
 
 Each campaign is linearised at its geometry, with the noise that is left beside all groups; the compliances are fitted with the geometry,
-then with each joint's own errors, then with links and base that tilt under the weight behind them. Standard deviations are scaled by the
-misfit.
+then with each joint's own errors, with what its movement from the pose before leaves behind, and with links and base that tilt under the
+weight behind them. Standard deviations are scaled by the misfit. --write puts the table into docs/data/ur10-tracker.md.
 """
 
 from __future__ import annotations
@@ -29,15 +29,26 @@ from mbcacq.model.observations import Observations
 
 FEW = 600  # poses that tell the noise
 OWN_SIZE = 0.12  # of the prior of a joint's own error: what marginal likelihood gives, 0.10 to 0.16 for all joints but A6 of series A
+MODELS = {
+    "compliance alone": ("compliance",),
+    "and each joint's own error to order 60": ("compliance", "own"),
+    "and what its movement leaves behind": ("compliance", "own", "movement"),
+    "and links and base that tilt under the weight behind them": ("compliance", "own", "movement", "tilt"),
+}
+JOINTS = (2, 3)
+PAGE = Path(__file__).parents[1] / "docs" / "data" / "ur10-tracker.md"
+BEGIN, END = "<!-- compliance -->\n", "<!-- end of compliance -->\n"
 
 
 def kind(t: EffectTerm) -> str:
-    """'own' error of a joint, 'compliance' of a joint, or 'tilt' of a link or the base."""
+    """'own' error of a joint, by its 'movement', its 'compliance', or 'tilt' of a link or the base."""
+    if t.depends_on.startswith("movement_"):
+        return "movement"
     return "own" if own_joint(t) is not None and t.k > 1 else "compliance" if t.where[0][0] == "A" else "tilt"
 
 
-def compliances(obs: Observations, poses: int) -> list[str]:
-    """One row for each model: A2 and A3, urad/Nm."""
+def compliances(obs: Observations, poses: int) -> list[list[str]]:
+    """For each model the compliance of each of JOINTS with its standard deviation, urad/Nm, and the misfit."""
     options = mbcacq.CalibrationOptions(refuse=False)
     noise = learnt(some(obs, FEW))[0].noise
     obs = some(obs, poses)
@@ -53,7 +64,7 @@ def compliances(obs: Observations, poses: int) -> list[str]:
     information = at.normal.information - np.diag(layout.gather("sigma") ** -2.0)
     of = {name: (kind(t), sigma) for t in terms for name, sigma in zip(t.names, t.sigma, strict=True)}
     rows = []
-    for wanted in (("compliance",), ("compliance", "own"), ("compliance", "own", "tilt")):
+    for wanted in MODELS.values():
         scale = layout.gather("scale").copy()
         free = np.ones(len(scale), bool)
         weight = np.zeros(len(scale))
@@ -69,9 +80,9 @@ def compliances(obs: Observations, poses: int) -> list[str]:
         misfit = max(float(np.sqrt(cost / (obs.n_centres * 6))), 1.0)
         value, std = value * scale[free], np.sqrt(np.diag(inverse)) * scale[free] * misfit
         names = [name for name, keep in zip(layout.names, free, strict=True) if keep]
-        found = [names.index(f"unknown:A{i}:gravity_torque_{i}[0]") for i in (2, 3)]
-        each = "; ".join(f"A{i} {1e6 * value[j]:.1f} +- {1e6 * std[j]:.1f}" for i, j in zip((2, 3), found, strict=True))
-        rows.append(f"{' + '.join(wanted)}: {each} (chi {misfit:.2f})")
+        found = [names.index(f"unknown:A{i}:gravity_torque_{i}[0]") for i in JOINTS]
+        rows.append([f"{1e6 * value[j]:.1f} +- {1e6 * std[j]:.1f}" for j in found] + [f"{misfit:.2f}"])
+        print(wanted, *rows[-1], flush=True)
     return rows
 
 
@@ -79,13 +90,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--poses", type=int, default=1500)
+    parser.add_argument("--write", action="store_true", help=f"put the table into docs/data/{PAGE.name}")
     given = parser.parse_args()
-    for name in "ac":
-        print(
-            f"series {name.upper()}, urad/Nm",
-            *compliances(mbcacq.load_observations(given.data / f"ur10-tracker-{name}"), given.poses),
-            sep="\n  ",
-        )
+    each = [compliances(mbcacq.load_observations(given.data / f"ur10-tracker-{name}"), given.poses) for name in "ac"]
+    heads = [f"{what}, series {name}" for name in "AC" for what in (*(f"A{i}" for i in JOINTS), "misfit")]
+    rows = [f"| {model} | {' | '.join(a + c)} |" for model, a, c in zip(MODELS, *each, strict=True)]
+    table = "\n".join([f"| model beside the geometry | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|", *rows]) + "\n"
+    print(table)
+    if given.write:
+        before, _, after = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+        PAGE.write_text(before + BEGIN + table + END + after.partition(END)[2], encoding="utf-8")
 
 
 if __name__ == "__main__":

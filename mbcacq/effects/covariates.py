@@ -22,7 +22,7 @@ from mbcacq.model.observations import Observations
 OF_CENTRES = ("x", "y", "z", "ball")
 LEAN = ("lean_x", "lean_y", "lean_z")
 OF_RECORDING = ("time", "pose", "station")  # they have no meaning in another recording
-_INDEXED = re.compile(r"^(q|qd|tau|direction_|gravity_torque_)([1-9][0-9]*)$")
+_INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|gravity_torque_)([1-9][0-9]*)$")
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
 _PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
 
@@ -183,6 +183,7 @@ class Covariates:
             "qd": lambda: self.obs.velocity,
             "tau": lambda: self.obs.torque,
             "direction_": lambda: self.obs.direction,
+            "movement_": lambda: self.obs.movement,
             "gravity_torque_": lambda: self.gravity_torque,
         }
         values = recorded[kind]()

@@ -16,7 +16,7 @@ from mbcacq.estimation.terms import PLACES, Part, Term, term
 from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
-STANDSTILL = ("qd", "direction_")  # covariates that are zero where nothing is recorded of them
+STANDSTILL = ("qd", "direction_", "movement_")  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
 

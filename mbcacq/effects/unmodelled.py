@@ -28,6 +28,8 @@ class UnmodelledOptions:
     slow_order: float = 5.0  # below which it falls: slow orders trade with geometry and gravity, and extrapolate worst
     many_poses: int = 350  # fewer do not determine orders above ``few_order``
     few_order: int = 9
+    movement_deg: tuple[float, ...] = (0.1, 0.5, 2.0, 10.0, 40.0)  # after which what a movement leaves behind is as after any longer one
+    movement_size: float = 0.1  # mrad: lost motion of a gearbox
     clock_functions: int = 6  # cosines over the duration of the recording
     compliance_rad_per_Nm: float = 4.5e-5  # thirty times a typical gearbox's: no joint is softer
     tilt_rad_per_Nm: float = 3e-6  # of a link or a pedestal
@@ -56,10 +58,14 @@ def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
 
 
 def everywhere(here: Covariates) -> list[EffectTerm]:
-    """Groups for a recording of many poses: every joint by its own angle and by gravity, the links by the weight behind them."""
+    """Groups for a recording of many poses: every joint by its own angle, by its movement from the pose before and by gravity, the links
+    by the weight behind them.
+    """
     n, torque = here.n, here.gravity_torque
     moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]
     found = [group(here, f"A{i + 1}", f"q{i + 1}") for i in moving]
+    if here.obs.movement is not None:
+        found += [group(here, f"A{i + 1}", f"movement_{i + 1}") for i in moving]
     loaded = [i for i in range(n) if np.ptp(torque[:, i]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9]
     found += [group(here, f"A{i + 1}", f"gravity_torque_{i + 1}") for i in loaded]
     found += [group(here, "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}") for i in range(n)]
@@ -144,6 +150,9 @@ def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Co
         low, high = float(values.min()), float(values.max())
         orders = np.arange(1, OPTIONS.clock_functions + 1)
         return [of(covariate, "cosine", low, high, float(k)) for k in orders], 1.0 / orders, ()
+    if covariate.startswith("movement_"):
+        ends = np.radians(OPTIONS.movement_deg)
+        return [of(covariate, "clip", end, factor=1 / end) for end in ends], np.full(len(ends), OPTIONS.movement_size), ()
     middle, spread = float(values.mean()), float(values.std())
     standard: Column = (Product(1 / spread, (Function(covariate),)), Product(-middle / spread))
     return [standard], np.ones(1), (covariate,)

@@ -18,7 +18,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, Station
 from mbcacq.model.observations import Observations
 
-OPTIONAL = ("phase", "time_s", "direction", "torque", "current", "velocity", "n_points", "rms_mm", "rotation")
+OPTIONAL = ("phase", "time_s", "direction", "movement", "torque", "current", "velocity", "n_points", "rms_mm", "rotation")
 BALL_STEP = 1000  # certificate numbers of the second recording begin here, those of the third at twice this
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording
-from mbcacq.fleet.store import Outcome, outcome_of
+from mbcacq.fleet.store import StoredResult, stored_result
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10.0
@@ -27,7 +27,7 @@ SETTINGS = {
 
 def evaluated(
     recordings: Sequence[FleetRecording], stamps: Sequence[str], task: FleetTask, workers: int, scheduler: str | None
-) -> Iterator[tuple[FleetRecording, Outcome]]:
+) -> Iterator[tuple[FleetRecording, StoredResult]]:
     """Each recording with what came of it, in the order in which they are done. stamps: of the recordings before they are read.
 
     workers: processes of a cluster of this computer, which is closed in the end, whatever happens. scheduler: address of a running
@@ -60,26 +60,26 @@ def evaluated(
             raise ConnectError(
                 f"the cluster {where} does not answer ({error or type(error).__name__}); try again, or look whether its scheduler runs"
             ) from error
-        futures = client.map(evaluated_outcome, recordings, stamps, task=task, pure=False)
+        futures = client.map(evaluated, recordings, stamps, task=task, pure=False)
         by_key = {future.key: one for future, one in zip(futures, recordings, strict=True)}
         # Results are fetched while others are stored.
         waiting = as_completed(futures, with_results=True, raise_errors=False)
         del futures
         for future, result in waiting:
             recording = by_key[future.key]
-            yield recording, result if isinstance(result, Outcome) else _failed(recording, result)
+            yield recording, result if isinstance(result, StoredResult) else _failed(recording, result)
             future.release()
 
 
-def evaluated_outcome(recording: FleetRecording, stamp: str, task: FleetTask) -> Outcome:
+def evaluated(recording: FleetRecording, stamp: str, task: FleetTask) -> StoredResult:
     """What a worker does: also the writing of the text, so that the one process that collects all results only stores it."""
-    return outcome_of(evaluate_recording(recording, task), stamp)
+    return stored_result(evaluate_recording(recording, task), stamp)
 
 
-def _failed(recording: FleetRecording, result: Any) -> Outcome:
+def _failed(recording: FleetRecording, result: Any) -> StoredResult:
     """A failed row, of a task that ended with an error; result: the error, or its type, itself and where it was raised."""
     error = result[1] if isinstance(result, tuple) else result
     row = {"recording": recording.path, "arm": recording.arm, "time": recording.time or None, "status": FAILED}
     ended = type(error).__name__ == "KilledWorker"
     reason = "the process that worked on it was ended (memory?), twice" if ended else f"unexpected {type(error).__name__}: {error}"
-    return outcome_of({"format": FORMAT, "row": row | {"reason": reason}}, "")
+    return stored_result({"format": FORMAT, "row": row | {"reason": reason}}, "")

@@ -24,16 +24,16 @@ NUMBERS = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StoredResult:
     """What came of a recording. row: of the table; text: of its file, UTF-8."""
 
     row: dict[str, Any]
     text: bytes
 
 
-def outcome_of(content: Mapping[str, Any], stamp: str) -> Outcome:
+def stored_result(content: Mapping[str, Any], stamp: str) -> StoredResult:
     """content: as ``evaluate_recording`` gives it. stamp: of the recording before it was read."""
-    return Outcome(content["row"], json.dumps({**content, "stamp": stamp}).encode())
+    return StoredResult(content["row"], json.dumps({**content, "stamp": stamp}).encode())
 
 
 class FleetStore:
@@ -67,7 +67,7 @@ class FleetStore:
         row = content["row"] | {"arm": recording.arm, "time": recording.time or None}
         return None if row["status"] == FAILED else row
 
-    def keep(self, recording: FleetRecording, outcome: Outcome) -> dict[str, Any]:
+    def keep(self, recording: FleetRecording, outcome: StoredResult) -> dict[str, Any]:
         """Write a result, in one step; its row. Raises RecordingError."""
         from mbcacq.recording.datasets.synced_files import write_synced
 

@@ -15,7 +15,8 @@ class Observations:
     """P poses of an n-axis arm and M measured centres. Optional columns are None when the recording has none.
 
     Poses: pose_id (P,) int; station (P,) index into ``cell.stations``; q (P, n) rad as reported at standstill; phase (P,) str
-    ('' unknown); time_s (P,); direction (P, n) in {-1, 0, 1}; torque (P, n) N m; current (P, n); payload_kg (P,);
+    ('' unknown); time_s (P,); direction (P, n) in {-1, 0, 1}; movement (P, n) rad, from the
+    pose measured before, where directions are not recorded; torque (P, n) N m; current (P, n); payload_kg (P,);
     velocity (P, n) rad/s at the exposure; temperatures: column name (ends in _C) -> (P,) deg C.
     Centres: pose (M,) index into the poses, non-decreasing; ball (M,) index into ``cell.ball_ids``; xyz (M, 3) mm in the
     scanner frame (or the instrument's); n_points (M,); rms_mm (M,); rotation (M, 3, 3) orientation of a 6-dof target.
@@ -35,6 +36,7 @@ class Observations:
     phase: np.ndarray | None = None
     time_s: np.ndarray | None = None
     direction: np.ndarray | None = None
+    movement: np.ndarray | None = None
     torque: np.ndarray | None = None
     current: np.ndarray | None = None
     payload_kg: np.ndarray | None = None
@@ -80,7 +82,7 @@ class Observations:
 
 
 POSE_COLUMNS = (
-    "pose_id", "station", "q", "phase", "time_s", "direction", "torque", "current", "payload_kg", "velocity",
+    "pose_id", "station", "q", "phase", "time_s", "direction", "movement", "torque", "current", "payload_kg", "velocity",
     "recording", "noise_scale", "payload_com",
 )  # fmt: skip
 CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation")

@@ -139,6 +139,22 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
 
 
+def test_what_a_movement_leaves_behind_is_found_by_its_length(plan):
+    clean = simulated.observe(plan, 8, [])
+    movement = np.random.default_rng(4).choice([-1.0, 1.0], clean.q.shape) * np.geomspace(0.001, 0.5, clean.n_poses)[:, None]
+    ahead = 3e-4 * np.tanh(movement[:, 3] / np.radians(1.0))
+    q = clean.q.copy()
+    q[:, 3] -= ahead  # the arm stands where it was measured, and reports less
+    obs = replace(clean, q=q, movement=movement)
+    here = Covariates(obs)
+    wanted = tuple(unmodelled.group(here, f"A{i}", f"movement_{i}") for i in (2, 4))
+    found = calibrate_with_effects(obs, OPTIONS, EffectModel(obs.cell.robot, wanted, LearntRecording.of(obs)))
+    turned = found.effects.displacements(obs).joint
+    assert np.sqrt(np.mean((turned[:, 3] - ahead) ** 2)) < 0.2 * np.sqrt(np.mean(ahead**2))
+    assert np.sqrt(np.mean(turned[:, 1] ** 2)) < 0.05 * np.sqrt(np.mean(ahead**2))
+    assert not np.any(found.effects.displacements(replace(obs, movement=None)).joint)  # at rest where nothing is known
+
+
 def test_leaving_the_learnt_range_is_said(recording, fitted):
     beyond = replace(recording, q=recording.q + np.array([0, 0, 0, 2.5, 0, 0]))
     said = " ".join(str(d) for d in fitted.effects.departures(beyond))

@@ -47,6 +47,17 @@ def test_the_values_of_a_small_set_are_read(a_set):
     assert "# a comment that must survive" in obs.cell_yaml
 
 
+def test_movements_are_from_the_pose_measured_before(a_set):
+    rows = ["pose,station,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,time_s", "10,1,0,-90,90,0,45,1,30", "11,far,10,-80,80,5,-45,0,20"]
+    (a_set / "poses.csv").write_text("\n".join(rows) + "\n")
+    obs = load_observations(a_set)
+    assert obs.movement is not None
+    np.testing.assert_allclose(np.degrees(obs.movement), [[-10, -10, 10, -5, 90, 1], [0, 0, 0, 0, 0, 0]], atol=1e-9)
+    alone = obs.select(np.array([True, False]))
+    assert alone.movement is not None
+    np.testing.assert_array_equal(alone.movement, obs.movement[:1])
+
+
 def test_columns_may_stand_in_any_order_with_crlf_and_byte_order_mark(a_set):
     before = load_observations(a_set)
     rows = [line.split(",", 9) for line in (a_set / "poses.csv").read_text().splitlines()]

@@ -67,6 +67,8 @@ def _read_poses(table: CsvTable, cell: Cell) -> dict[str, Any]:
             out[column] = table.number(column)
     if table.has(names := numbered("dir{}", n)):
         out["direction"] = np.stack([_direction(table, name) for name in names], axis=1)
+    else:
+        out["movement"] = _movement(out["q"], out.get("time_s"))
     if table.has(names := numbered("qd{}_deg_s", n)):
         out["velocity"] = table.group(names, angle=True)
     if table.has(names := numbered("tau{}_Nm", n)):
@@ -113,6 +115,14 @@ def _read_centres(table: CsvTable, cell: Cell, poses: dict[str, Any]) -> dict[st
     order = np.argsort(pose, kind="stable")
     out = {name: values[order] for name, values in out.items()}
     out["extra"] = {f"centres.{name}": cells[order] for name, cells in extra.items()}
+    return out
+
+
+def _movement(q: np.ndarray, time_s: np.ndarray | None) -> np.ndarray:
+    """(P, n) rad: joint angles (P, n) less those of the pose before, in the order of time or as listed; zero at the first pose."""
+    order = np.arange(len(q)) if time_s is None else np.argsort(time_s, kind="stable")
+    out = np.zeros(q.shape)
+    out[order[1:]] = np.diff(q[order], axis=0)
     return out
 
 
