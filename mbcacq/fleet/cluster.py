@@ -60,7 +60,7 @@ def evaluated(
             raise ConnectError(
                 f"the cluster {where} does not answer ({error or type(error).__name__}); try again, or look whether its scheduler runs"
             ) from error
-        futures = client.map(evaluated, recordings, stamps, task=task, pure=False)
+        futures = client.map(evaluated_and_written, recordings, stamps, task=task, pure=False)
         by_key = {future.key: one for future, one in zip(futures, recordings, strict=True)}
         # Results are fetched while others are stored.
         waiting = as_completed(futures, with_results=True, raise_errors=False)
@@ -71,7 +71,7 @@ def evaluated(
             future.release()
 
 
-def evaluated(recording: FleetRecording, stamp: str, task: FleetTask) -> StoredResult:
+def evaluated_and_written(recording: FleetRecording, stamp: str, task: FleetTask) -> StoredResult:
     """What a worker does: also the writing of the text, so that the one process that collects all results only stores it."""
     return stored_result(evaluate_recording(recording, task), stamp)
 
