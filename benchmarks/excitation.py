@@ -47,7 +47,7 @@ def recording(loaded: LoadedPlan, motion: FourierMotion, seed: int, number: int)
     return Trajectory(loaded.cell.robot, r.time_s, r.q, q_set=r.q_set, torque=r.torque)
 
 
-def outcome_of(found: MotionDiagnosis) -> str:
+def stored_result(found: MotionDiagnosis) -> str:
     names = [f"{e.name} at {'+'.join(e.where)}" for e in found.named_effects]
     return f"{found.verdict}: {', '.join(names) or 'nothing'}"
 
@@ -63,8 +63,8 @@ def measured(seed: int) -> dict[str, Any]:
     after = diagnose_trajectories([first, *twice], cross_validation=False)
     return {
         "seed": seed,
-        "before": outcome_of(before),
-        "after": outcome_of(after),
+        "before": stored_result(before),
+        "after": stored_result(after),
         "seconds": seconds,
         "std": {n: (float(b), float(a)) for n, b, a in zip(designed.names, designed.before, designed.after, strict=True)},
     }

@@ -23,7 +23,7 @@ from mbcacq.fleet.control_chart import arm_types, excess_variance, outliers, wei
 from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings
-from mbcacq.fleet.store import FleetStore, outcome_of, read_table
+from mbcacq.fleet.store import FleetStore, stored_result, read_table
 from mbcacq.recording import write_observation_set
 
 NAMES = [f"{p}_{i + 1}" for i in range(6) for p in ("theta", "d", "a", "alpha", "beta")]
@@ -77,7 +77,7 @@ def test_a_broken_recording_is_a_row_and_nothing_is_done_twice(folder, tmp_path)
 def test_a_recording_counts_as_done_until_it_or_the_task_changes(folder, tmp_path):
     (one, *_) = find_recordings([folder])
     store = FleetStore(tmp_path, FleetTask())
-    store.keep(one, outcome_of(evaluate_recording(one, FleetTask()), store.stamp(one)))
+    store.keep(one, stored_result(evaluate_recording(one, FleetTask()), store.stamp(one)))
     assert store.row(one)["status"] == "evaluated"
     assert FleetStore(tmp_path, FleetTask(diagnose=True)).row(one) is None
     file = Path(one.path) / "centres.csv"
@@ -94,7 +94,7 @@ def test_what_fails_for_no_fault_of_its_own_is_tried_again(folder, tmp_path, mon
     assert content["row"]["status"] == "failed"
     assert "MemoryError" in content["row"]["reason"]
     store = FleetStore(tmp_path, FleetTask())
-    store.keep(one, outcome_of(content, store.stamp(one)))
+    store.keep(one, stored_result(content, store.stamp(one)))
     assert store.row(one) is None
 
 
