@@ -33,7 +33,7 @@ NOISE = {"q": 2e-6, "tau": 0.4, "side": 4e-6}  # rad, N m, rad
 FRICTION = ((30, 12), (45, 20), (25, 10), (8, 3), (6, 3), (4, 1.5))  # concealed: N m, N m s/rad
 STIFFNESS, GEAR_DAMPING = 2.5e5, 500.0  # concealed, A2
 TOOL = {"mass": 11.0, "pos": "0.11 0.02 0.03", "diaginertia": "0.05 0.07 0.06"}  # concealed: link 6 with what it carries
-ITERATIONS = 15  # of the peer
+PASSES, ITERATIONS = 3, 12  # of the peer: passes of reweighting, and iterations of each
 DELAY_S = 0.006  # concealed: of the torques
 LINKS = (
     ("0 0 0.2", "0 0 1", "-170 170", 4, "0.05 0 0.1", 40, "1.2 1.1 0.9"),
@@ -114,7 +114,12 @@ class Peer:
 
 def fitted_by_peer(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
     """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is given that it is these, and
-    gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors."""
+    gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors.
+
+    Its optimiser (mujoco.minimize.least_squares) damps with at most 1e8 in the units of the residual's square. With residuals in units of
+    the noise the curvature is far above that, no step is accepted and the start is returned. So each pass divides the residuals by what
+    the pass before left in each channel, at least its noise, and by the root of their number; parameters are scaled by its own rule.
+    """
     begin = time.perf_counter()
     base = spec.copy()
     late = [s.name for s in base.sensors if s.type == mujoco.mjtSensor.mjSENS_JOINTACTFRC]
@@ -145,13 +150,13 @@ def fitted_by_peer(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer
         nothing = sysid.TimeSeries.from_names(times, np.zeros((len(times), compiled.nsensordata)), compiled)
         sequences.append(sysid.ModelSequences(f"m{number}", base, f"m{number}", start, sysid.TimeSeries(times, control), nothing))
 
-    rounds = {"next": 0}
+    rounds, scale = {"next": 0}, {"unit": np.ones(len(fit.channels))}
 
     def weigh(params, predicted, measured, engine, everything_wanted, state):
         number = rounds["next"] % len(fit.trajectories)
         sensed = predicted.data[settle::2][: len(fit.data[number])]
         residual = fit.data[number] - channels(fit, base, engine, sensed)
-        return (residual[fit.used[number]] / fit.sigma).ravel(), measured, measured
+        return (residual[fit.used[number]] / scale["unit"]).ravel(), measured, measured
 
     def residual(x, params):
         out = []
@@ -160,8 +165,13 @@ def fitted_by_peer(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer
             out += sysid.build_residual_fn(models_sequences=[sequence], modify_residual=weigh, n_threads=2)(x, params)[0]
         return out, [], []
 
-    with contextlib.redirect_stdout(None):
-        best, _ = sysid.optimize(everything, residual, optimizer="mujoco", verbose=False, max_iters=ITERATIONS)
+    best = everything
+    for _ in range(PASSES):
+        scale["unit"] = np.ones(len(fit.channels))
+        left = np.concatenate([r.reshape(-1, len(fit.channels)) for r in residual(best.as_vector(), best.copy())[0]])
+        scale["unit"] = np.maximum(fit.noise, np.sqrt(np.mean(left**2, axis=0))) * np.sqrt(left.size)
+        with contextlib.redirect_stdout(None):
+            best, _ = sysid.optimize(best, residual, optimizer="mujoco", verbose=False, max_iters=ITERATIONS, x_scale="jac")
     found = base.copy()
     for p in best.values():
         p.apply_modifier(found)
@@ -266,7 +276,8 @@ def page(found, match, seconds, peer, others) -> str:
         lines += [
             "",
             "`mujoco.sysid` was given the parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the",
-            "sensors, the weights of the channels, the samples and the settled start of this program. Without that it cannot begin.",
+            "sensors, the weights of the channels, the samples and the settled start of this program. Without that it cannot begin. Its",
+            f"optimiser runs {PASSES} passes of at most {ITERATIONS} iterations, each with residuals scaled by what was left before it.",
         ]
     lines[-1] += "" if lines[-1].endswith(".") else "."
     return "\n".join(lines) + "\n"

@@ -47,7 +47,7 @@ class Lineariser:
         whole = free.all(axis=1)
         # A ball of which some coordinates are held has no common pattern: then all columns are written out.
         self.free_balls = int(whole.sum()) if np.array_equal(whole, free.any(axis=1)) else 0
-        number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(whole), int)
+        number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(free), int)
         self.ball = self._in_slots(number, self.free_balls)
 
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
@@ -74,13 +74,15 @@ class Lineariser:
         station = np.swapaxes(-se3.adjoint(prediction.T_base_station), 1, 2)
         chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
         moving = np.concatenate([twists.reshape(len(twists), -1, 6)[:, chain_free], self._of_recordings(mount)[:, mount_free]], axis=1)
-        of_pose = [np.ascontiguousarray(np.swapaxes(t[order], 1, 2)) for t in (moving, station, joints)]
+        moved, of_station, jointly = (np.ascontiguousarray(np.swapaxes(t[order], 1, 2)) for t in (moving, station, joints))
         basis = rows.pad(prediction.gradient)
         if basis.shape[1] < 6:
             # Fewer rows than a twist has components: the rows themselves are the shorter basis.
-            of_pose = [basis @ twist for twist in of_pose]
+            moved, of_station, jointly = basis @ moved, basis @ of_station, basis @ jointly
             basis = np.broadcast_to(np.eye(basis.shape[1]), (len(basis), *basis.shape[1:2] * 2))
-        return Linearization(prediction, residual, PoseColumns(basis, *of_pose, self._own(prediction), rows.pad(residual)))
+        return Linearization(
+            prediction, residual, PoseColumns(basis, moved, of_station, jointly, self._own(prediction), rows.pad(residual))
+        )
 
     def _own(self, prediction: forward_model.Prediction) -> OwnColumns:
         rows, options = self.rows, self.options

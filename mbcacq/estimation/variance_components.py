@@ -92,8 +92,10 @@ def restricted_maximum_likelihood(
 
 def reml_step(system: PoseSystem | WhitenedSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
     """One step of average-information scoring (REML); also the largest change of a logarithm."""
-    score_of = reml_score_by_pose if isinstance(system, PoseSystem) else reml_score_and_information
-    score, information = score_of(system, noise)
+    if isinstance(system, PoseSystem):
+        score, information = reml_score_by_pose(system, noise)
+    else:
+        score, information = reml_score_and_information(system, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
