@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, is_angle
+from mbcacq.effects.effect_term import MOVEMENT, UNKNOWN, EffectTerm, LearntRecording, is_angle
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.terms import Term, accumulate
@@ -18,6 +18,8 @@ from mbcacq.model.cell import ARTEFACT_IN_SCANNER, Artefact, Cell, RobotModel, S
 from mbcacq.model.observations import Observations
 
 FORMAT = "mbcacq-effect-model/1"
+DRIFTED = "it changed in the course of the recording learnt from, and is taken as it was at its end"
+SETTLED = "it is what movements left behind at the speed and with the pauses of the recording learnt from, and is left out"
 REPORTED_SHARE = 0.02  # of the poses that must leave a learnt range before that is said
 
 
@@ -119,10 +121,13 @@ class EffectModel:
         here = Covariates(obs)
         lacking = {name: t for t in self.terms for name in t.missing(here)}
         out = [f"{name} is not recorded here: {t.name} is taken as it was on average" for name, t in lacking.items()]
-        bound = [t for t in self.terms if t.bound_to_recording]
-        if bound and not self.learnt.is_of(obs):
-            names = ", ".join(dict.fromkeys(f"{t.name} at {'+'.join(t.where)}" for t in bound))
-            out.append(f"{names}: it changed in the course of the recording learnt from, and is taken as it was at its end")
+        if not self.learnt.is_of(obs):
+            bound = [t for t in self.terms if t.bound_to_recording]
+            settling = [t for t in bound if t.depends_on.startswith(MOVEMENT)]
+            drifting = [t for t in bound if t not in settling]
+            for those, why in ((drifting, DRIFTED), (settling, SETTLED)):
+                if those:
+                    out.append(f"{', '.join(dict.fromkeys(_placed(t) for t in those))}: {why}")
         return out
 
     def to_dict(self) -> dict[str, Any]:
@@ -177,6 +182,10 @@ def combined(models: Iterable[EffectModel]) -> EffectModel:
         raise ConfigError(f"these effects are of several arms: {', '.join(m.robot.name for m in several)}; give those of one")
     terms = {t.key: t for m in several for t in m.terms}
     return replace(several[-1], terms=tuple(terms.values()))
+
+
+def _placed(t: EffectTerm) -> str:
+    return f"{t.name} at {'+'.join(t.where)}"
 
 
 def _robot(r: Mapping[str, Any]) -> RobotModel:

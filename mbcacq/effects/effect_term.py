@@ -16,7 +16,8 @@ from mbcacq.estimation.terms import PLACES, Part, Term, term
 from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
-STANDSTILL = ("qd", "direction_", "movement_")  # covariates that are zero where nothing is recorded of them
+MOVEMENT = "movement_"
+STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
 
@@ -134,8 +135,10 @@ class EffectTerm:
 
     @property
     def bound_to_recording(self) -> bool:
-        """Whether it depends on time, on the order of the poses or on a station: elsewhere it is as it was at the end."""
-        return bool(self.covariates & set(OF_RECORDING))
+        """Whether it depends on time, on the order of the poses or on a station: elsewhere it is as it was at the end. What a movement
+        leaves behind depends on the speed and the pause of that recording: elsewhere it is none.
+        """
+        return bool(self.covariates & set(OF_RECORDING)) or any(name.startswith(MOVEMENT) for name in self.covariates)
 
     def parts_at(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
         """Its parts at the poses and centres of a recording."""
@@ -150,6 +153,8 @@ class EffectTerm:
         """Covariates that a recording lacks; they are taken as they were on average when the effect was learnt."""
         out = []
         for name in sorted(self.covariates - set(OF_RECORDING)):
+            if name.startswith(MOVEMENT):
+                continue
             try:
                 here.value(name)
             except Missing:
@@ -162,8 +167,8 @@ class EffectTerm:
             return learnt.ranks(here.obs) if same else np.full(poses, float(len(learnt.poses) - 1))
         if name == "time":
             return here.obs.time_s - learnt.time_origin_s if same and here.obs.time_s is not None else np.full(poses, learnt.duration_s)
-        if name == "station" and not same:
-            return np.full(poses, -1.0)
+        if not same and (name == "station" or name.startswith(MOVEMENT)):
+            return np.full(poses, -1.0 if name == "station" else 0.0)
         known = self.ranges.get(name)
         try:
             values = here.value(name)
@@ -229,7 +234,7 @@ def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper
 def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str, LearntRange]:
     """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
     names = frozenset().union(*(part.covariates for part in parts)) - {*OF_RECORDING, "ball"}
-    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names)}
+    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names) if not name.startswith(MOVEMENT)}
 
 
 def is_angle(name: str) -> bool:

@@ -152,7 +152,8 @@ def test_what_a_movement_leaves_behind_is_found_by_its_length(plan):
     turned = found.effects.displacements(obs).joint
     assert np.sqrt(np.mean((turned[:, 3] - ahead) ** 2)) < 0.2 * np.sqrt(np.mean(ahead**2))
     assert np.sqrt(np.mean(turned[:, 1] ** 2)) < 0.05 * np.sqrt(np.mean(ahead**2))
-    assert not np.any(found.effects.displacements(replace(obs, movement=None)).joint)  # at rest where nothing is known
+    for other in (replace(obs, movement=None), replace(obs, pose_id=obs.pose_id + 1000)):  # at rest; in another recording
+        assert not np.any(found.effects.displacements(other).joint)
 
 
 def test_leaving_the_learnt_range_is_said(recording, fitted):
