@@ -23,7 +23,7 @@ from mbcacq.fleet.control_chart import arm_types, excess_variance, outliers, wei
 from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings
-from mbcacq.fleet.store import FleetStore, stored_result, read_table
+from mbcacq.fleet.store import FleetStore, read_table, stored_result
 from mbcacq.recording import write_observation_set
 
 NAMES = [f"{p}_{i + 1}" for i in range(6) for p in ("theta", "d", "a", "alpha", "beta")]
