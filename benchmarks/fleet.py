@@ -182,7 +182,10 @@ def main() -> None:
         table = study(priors, mean, options.study_arms)
     reasons = "; ".join((row["reason"] or "").replace(f"{recordings}/", "") for row in broken)
     named, unlike = (", ".join(f"{arm} {name}" for arm, name in each) or "none" for each in (by_arm, odd))
-    drifting = ", ".join(f"{arm} {name} ({1e3 * change:+.2f} mrad or um)" for arm, name, change in moving) or "none"
+    drifting = (
+        ", ".join(f"{arm} {name} ({1e3 * change:+.2f} {'um' if name.startswith(('a_', 'd_')) else 'mrad'})" for arm, name, change in moving)
+        or "none"
+    )
     size = f" --arms {options.arms} --days {options.days} --study-arms {options.study_arms}"
     page = f"""# Fleet
 
