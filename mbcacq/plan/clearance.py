@@ -66,7 +66,9 @@ class Clearance:
         than their distance, and is enough for most pairs.
         """
         pairs = self.pairs(station)
-        sweep = np.array([p.lever for p in pairs]) @ np.abs(end - start) / 2  # mm that half of the motion can at most take away
+        sweep = (
+            np.array([p.lever for p in pairs]).reshape(-1, len(start)) @ np.abs(end - start) / 2
+        )  # mm that half of the motion can at most take away
         asked = np.minimum(needed, [p.most for p in pairs])
         step, middles, suspects = 0.5, np.array([0.5]), np.ones((1, len(pairs)), dtype=bool)
         while len(middles):

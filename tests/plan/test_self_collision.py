@@ -9,7 +9,7 @@ import yaml
 from plan_folder import PLANS
 
 from mbcacq.plan import load
-from mbcacq.plan.clearance import Clearance, Posture
+from mbcacq.plan.clearance import Clearance, EnclosingSpheres, Posture
 from mbcacq.plan.collision import arm_bodies, halves
 
 ROBOTS = {"kr10_r1100_2": [0, -90, 90, 0, 90, 0], "kr210_r2700_2": [0, -90, 90, 0, 90, 0], "panda": [0, 0, 0, -100, 0, 100, 0]}
@@ -85,3 +85,24 @@ def test_more_clearance_than_two_bodies_can_have_is_not_asked_of_them(tmp_path):
     assert ("link 5", "link 7") in {(p.a.name, p.b.name) for p in near}
     assert all(0 < p.most <= 15 for p in near)
     assert Clearance(demanding).at(np.radians(ROBOTS["panda"]), None).distance > 30
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_spheres_around_two_bodies_are_never_farther_apart_than_the_bodies(tmp_path, robot):
+    """Pairs are skipped by the spheres, so a gap that is too large would hide a contact; overlaps count as negative distances."""
+    loaded = planned(tmp_path, robot, HELD_OUT)
+    arm, pairs = loaded.cell.robot, Clearance(loaded).pairs("p1")
+    q = np.random.default_rng(8).uniform(arm.limits[:, 0], arm.limits[:, 1], (40, arm.n))
+    frames = arm.chain.frames(q)
+    distances = np.array([[Posture(f).distance(pair) for pair in pairs] for f in frames])
+    assert np.all(EnclosingSpheres(pairs).gaps(frames) <= distances + 1e-6)
+    assert distances.min() < 0
+
+
+def test_an_arm_without_pairs_to_examine_is_free_everywhere(tmp_path, monkeypatch):
+    monkeypatch.setattr(Clearance, "_own_pairs", lambda self: [])
+    monkeypatch.setattr(Clearance, "_against", lambda self, body: [])
+    clearance = Clearance(planned(tmp_path, "panda"))
+    home = np.radians(ROBOTS["panda"])
+    assert clearance.at(home, None).distance == np.inf
+    assert clearance.along_segment(home, home + 0.5, None, 10.0) is None
