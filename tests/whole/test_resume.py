@@ -29,7 +29,7 @@ def two_stations(plan):
 
 @pytest.fixture(scope="module")
 def undisturbed(made_once):
-    """(plan, folder of its whole run); to be looked at only."""
+    """(plan, folder of its whole run); to be looked at only: what locks it, even to refuse, is given a copy."""
 
     def make(folder):
         (folder / "robot.yaml").write_text((ROOT / "plans" / "robots" / "kr10_r1100_2.yaml").read_text())
@@ -141,7 +141,7 @@ def test_a_changed_plan_is_refused_and_says_what_changed(undisturbed, tmp_path, 
     _, whole = undisturbed
     plan = plan_file(tmp_path, lambda p: (two_stations(p), change(p)))
     (tmp_path / "robot.yaml").write_text((whole.parent / "robot.yaml").read_text())
-    done = mbcacq("run", plan, "--dry-run", "--resume", whole)
+    done = mbcacq("run", plan, "--dry-run", "--resume", shutil.copytree(whole, tmp_path / "run"))
     assert done.returncode == 2
     assert words in one_sentence(done)
 
@@ -159,9 +159,10 @@ def test_a_changed_robot_file_is_refused_a_comment_is_not(undisturbed, tmp_path)
     assert "links[3].d_mm was 515 and is 516" in one_sentence(done)
 
 
-def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbed):
+def test_a_dry_run_is_not_resumed_with_the_real_cell_nor_another_seed(undisturbed, tmp_path):
     plan, whole = undisturbed
+    run = shutil.copytree(whole, tmp_path / "run")
     for options in (["--yes"], ["--dry-run", "--seed", "1"]):
-        done = mbcacq("run", plan, "--resume", whole, *options)
+        done = mbcacq("run", plan, "--resume", run, *options)
         assert done.returncode == 2
         assert "was recorded with the fake cell of seed 0" in one_sentence(done)
