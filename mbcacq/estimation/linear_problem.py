@@ -15,12 +15,13 @@ import numpy as np
 from mbcacq.estimation import forward_model, parameters, terms
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.normal_equations import Normal, Prior, WhitenedSystem
+from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.pose_information import PoseColumns, PoseInformation
 from mbcacq.estimation.solver import Weights, known_placement, solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
-from mbcacq.estimation.whitening import CentreWhitening, PoseRows, Whitening
+from mbcacq.estimation.whitening import CentreWhitening, PoseRows
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -33,9 +34,8 @@ class LinearProblem:
     """The recording linearised at a state of the cell.
 
     keep: (M,) bool of the centres that take part. residual: (M, R), R = 3, or 6 with a measured orientation: of the arm and the
-    artefacts as stated, since priors are about these. geometry: (M, R, g) columns of the free parameters of ``layout``; sigma: (g,) of
-    them. station: (M, R, 6) columns of the pose's own station. joint: (P, B R, n) columns of the joints, by pose. shared: what depends on
-    the linearisation alone, computed once for all its restrictions.
+    artefacts as stated, since priors are about these. columns_by_pose: of the g free parameters of ``layout``, of the pose's own station
+    and of the joints. shared: what depends on the linearisation alone, computed once for all its restrictions.
     """
 
     obs: Observations
@@ -45,9 +45,7 @@ class LinearProblem:
     rows: PoseRows
     prediction: Prediction
     residual: np.ndarray
-    geometry: np.ndarray
-    station: np.ndarray
-    joint: np.ndarray
+    columns_by_pose: PoseColumns
     shared: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -70,19 +68,17 @@ class LinearProblem:
         prediction = forward_model.predict(obs, state, displaced)
         lineariser = Lineariser(obs, layout, options)
         residual = forward_model.residual(obs, prediction)
-        linear, g = lineariser.at(state.chain, prediction, residual), layout.size
-        rows = lineariser.rows
-        geometry, station = rows.unpad(linear.X[..., :g]), rows.unpad(linear.X[..., g : g + 6])
+        linear = lineariser.at(state.chain, prediction, residual)
+        whole = cls(obs, state, np.ones(obs.n_centres, bool), layout, lineariser.rows, prediction, residual, linear.columns)
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
-        residual = residual + geometry @ _deviation(obs, state, layout)
+        residual = residual + whole.geometry @ _deviation(obs, state, layout)
         for one, values in zip(effects, coefficients, strict=True):
             residual = residual + terms.columns(obs, prediction, one) @ values
-        whole = cls(obs, state, np.ones(obs.n_centres, bool), layout, rows, prediction, residual, geometry, station, linear.J)
         for s in whole.given_stations:
             here = obs.station[obs.pose] == s
-            residual[here] += station[here] @ _given(obs, state, s)[1]
-        return whole if keep is None else whole.restricted(keep)
+            residual[here] += whole.station[here] @ _given(obs, state, s)[1]
+        return whole.with_residual(residual).restricted(whole.keep if keep is None else keep)
 
     @property
     def width(self) -> int:
@@ -91,7 +87,7 @@ class LinearProblem:
 
     def __reduce__(self) -> tuple:
         fixed = self.obs, self.state, self.keep, self.layout, self.rows, self.prediction
-        return LinearProblem, (*fixed, self.residual, self.geometry, self.station, self.joint)
+        return LinearProblem, (*fixed, self.residual, self.columns_by_pose)
 
     def restricted(self, keep: np.ndarray) -> LinearProblem:
         """The same linearisation with only the centres in keep (M,) bool."""
@@ -99,7 +95,7 @@ class LinearProblem:
 
     def with_residual(self, residual: np.ndarray) -> LinearProblem:
         """The same linearisation of another residual (M, R)."""
-        return replace(self, residual=residual)
+        return replace(self, residual=residual, columns_by_pose=replace(self.columns_by_pose, residual=self.rows.pad(residual)))
 
     def computed_once(self, key: Hashable, compute: Callable[[], Computed]) -> Computed:
         """What ``compute`` returns at its first call for this key. It must depend on the linearisation alone, not on keep or residual."""
@@ -108,6 +104,21 @@ class LinearProblem:
         return self.shared[key]
 
     # Columns ------------------------------------------------------------------------------------------------------
+
+    @property
+    def geometry(self) -> np.ndarray:
+        """(M, R, g) columns of the free parameters of ``layout``."""
+        return self.computed_once("geometry", lambda: self.rows.unpad(self.columns_by_pose.of_parameters))
+
+    @property
+    def station(self) -> np.ndarray:
+        """(M, R, 6) columns of the pose's own station."""
+        return self.computed_once("station", lambda: self.rows.unpad(self.columns_by_pose.of_station))
+
+    @property
+    def joint(self) -> np.ndarray:
+        """(P, B R, n) columns of the joints, by pose, and of further noise of each pose."""
+        return self.columns_by_pose.of_joints
 
     @property
     def joint_columns(self) -> np.ndarray:
@@ -188,24 +199,23 @@ class LinearProblem:
     def whitener(self, noise: Noise) -> CentreWhitening:
         return CentreWhitening(self.rows, self.joint, noise, self.keep)
 
-    def system(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> WhitenedSystem:
+    def system(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> PoseSystem:
         """The whitened normal equations of geometry together with columns (M, R, k) of prior sigma (k,), stations eliminated; the residual
         is what the best fit of all of them leaves.
         """
         return self.whitened(noise, columns, sigma).after_fit()
 
-    def whitened(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> WhitenedSystem:
+    def whitened(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> PoseSystem:
         """The same with the residual as it is."""
-        whitening = Whitening(self.rows, self.joint, noise, self.keep.astype(float), np.ones(self.rows.n_poses))
-        blocks = [self.geometry, columns, self.station, self.residual[:, :, None]]
-        X = whitening(self.rows.pad(np.concatenate(blocks, axis=2)))
+        every = self.columns_by_pose.with_parameters(self.rows.pad(columns))
+        poses = PoseInformation(self.rows, every, noise, self.keep.astype(float), np.ones(self.rows.n_poses))
         widths = np.concatenate([self.sigma, sigma])
         information = np.zeros((len(self.rows.stations), 6, 6))
         for j, s in enumerate(self.rows.stations):
             if s in self.given_stations:
                 information[j] = _given(self.obs, self.state, int(s))[0]
         prior = Prior(widths, np.zeros(len(widths)), information, np.zeros((len(information), 6)))
-        return WhitenedSystem(whitening, X, Normal.of_rows(self.rows, X, prior))
+        return PoseSystem(poses, Normal(self.rows, poses.normal_equations(), prior))
 
     # Adjustment with effects --------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.estimation.pose_information import NormalBlocks, PoseInformation
-from mbcacq.estimation.whitening import PoseRows, Whitening
+from mbcacq.estimation.whitening import PoseRows
 
 # Share of a station's largest information below which a direction is unobservable: balls on one line but for a lever 3000 times smaller.
 UNOBSERVABLE = 1e-7
@@ -65,18 +65,6 @@ class Normal:
         self.information = H - tall.T @ tall
         self.gradient = b - tall.T @ reduced_b.reshape(-1)
 
-    @classmethod
-    def of_rows(cls, rows: PoseRows, X: np.ndarray, prior: Prior) -> Normal:
-        """Of whitened rows (P, B R, g + 7): columns of the parameters, of the pose's own station (6), and the residual (1)."""
-        g = X.shape[2] - 7
-        flat = X.reshape(-1, g + 7)
-        whole = flat.T @ flat
-        shared = rows.by_station(np.swapaxes(X[..., g : g + 6], 1, 2) @ X)
-        blocks = NormalBlocks(
-            whole[:g, :g], whole[:g, -1], float(whole[-1, -1]), shared[..., g : g + 6], shared[..., :g], shared[..., g + 6]
-        )
-        return cls(rows, blocks, prior)
-
     def after(self, step: np.ndarray) -> Normal:
         """The same linear problem after a step (g,) of the parameters and the best stations."""
         out = copy(self)
@@ -99,14 +87,6 @@ class Normal:
         """(S', 6) best local twists of the stations after a step (g,) of the parameters."""
         return np.einsum("sij,sj->si", self.station_root, self.station_b - self.reduced @ step)
 
-    def fitted(self, X: np.ndarray) -> np.ndarray:
-        """(P, B R): what the parameters and stations that minimise the cost explain of the residual; X as given to the constructor."""
-        g = self.size
-        H = self.information
-        step = np.linalg.solve(H + 1e-14 * np.diag(H).max(initial=1.0) * np.eye(g), self.gradient)
-        stations = self.station_step(step)[self.rows.run]
-        return X[..., :g] @ step + (X[..., g : g + 6] @ stations[:, :, None])[..., 0]
-
     def reduce(self, A: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows (P, m, g) and (P, m, 6) of any linear form, as (P, m, g) and (P, m, 6) so that its variance is
         x C x' + y y', with C the covariance of the parameters."""
@@ -127,17 +107,14 @@ class PoseSystem:
     poses: PoseInformation
     normal: Normal
 
+    def with_weight(self, weight: np.ndarray) -> PoseSystem:
+        """The same with further prior information (g,) of the parameters."""
+        return replace(self, normal=self.normal.with_weight(weight))
 
-@dataclass(frozen=True)
-class WhitenedSystem:
-    """A whitened problem: X (P, B R, g + 7), columns of the g parameters, of the pose's own station (6) and the residual (1)."""
-
-    whitening: Whitening
-    X: np.ndarray
-    normal: Normal
-
-    def after_fit(self) -> WhitenedSystem:
+    def after_fit(self) -> PoseSystem:
         """The same with the residual that the best fit of the parameters and stations leaves."""
-        X = self.X.copy()
-        X[..., -1] -= self.normal.fitted(self.X)
-        return replace(self, X=X)
+        columns, normal = self.poses.columns, self.normal
+        H = normal.information
+        step = np.linalg.solve(H + 1e-14 * np.diag(H).max(initial=1.0) * np.eye(normal.size), normal.gradient)
+        residual = columns.residual - columns.change(step, normal.station_step(step)[normal.rows.run])
+        return replace(self, poses=self.poses.with_residual(replace(columns, residual=residual)))

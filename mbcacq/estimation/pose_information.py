@@ -10,7 +10,7 @@ where the joint noise is far above the scanner's. Own columns (``OwnColumns``: b
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,10 +40,41 @@ class PoseColumns:
         return self.twists.shape[2] + self.own.size
 
     @property
+    def of_parameters(self) -> np.ndarray:
+        """(P, B R, g)."""
+        return np.concatenate([self.basis @ self.twists, self.own.dense], axis=2)
+
+    @property
+    def of_station(self) -> np.ndarray:
+        """(P, B R, 6) of the pose's own station."""
+        return self.basis @ self.station
+
+    @property
+    def of_joints(self) -> np.ndarray:
+        """(P, B R, n)."""
+        return self.basis @ self.joints
+
+    @property
     def dense(self) -> np.ndarray:
         """(P, B R, g + 7) columns of the parameters, of the pose's own station (6), and the residual (1)."""
-        columns = [self.basis @ self.twists, self.own.dense, self.basis @ self.station, self.residual[..., None]]
-        return np.concatenate(columns, axis=2)
+        return np.concatenate([self.of_parameters, self.of_station, self.residual[..., None]], axis=2)
+
+    def with_parameters(self, columns: np.ndarray) -> PoseColumns:
+        """The same with further parameters, of which these are the columns (P, B R, k)."""
+        return replace(self, own=replace(self.own, other=np.concatenate([self.own.other, columns], axis=2)))
+
+    def with_noise(self, columns: np.ndarray) -> PoseColumns:
+        """The same with further noise of each pose: columns (P, B R, k) are taken as those of the joints are."""
+        k = columns.shape[2]
+        added = [(0, 0), (0, k), (0, 0)]
+        own = np.broadcast_to(np.eye(self.basis.shape[2] + k)[:, -k:], (len(columns), self.basis.shape[2] + k, k))
+        return replace(
+            self,
+            basis=np.concatenate([self.basis, columns], axis=2),
+            twists=np.pad(self.twists, added),
+            station=np.pad(self.station, added),
+            joints=np.concatenate([np.pad(self.joints, added), own], axis=2),
+        )
 
     def change(self, step: np.ndarray, station_step: np.ndarray) -> np.ndarray:
         """(P, B R): what a step (g,) of the parameters and twists (P, 6) of the poses' stations take off the residual."""
@@ -74,6 +105,7 @@ class PoseInformation:
         gram = JL @ self.joints
         diagonal = np.arange(gram.shape[1])
         gram[:, diagonal, diagonal] += 1.0
+        self.gram = gram
         self.K = np.linalg.inv(gram)
         self.JG = self.K @ JL
         self.F = np.eye(self.L.shape[1]) - self.joints @ self.JG
@@ -101,6 +133,11 @@ class PoseInformation:
         out.columns = columns
         out._set_residual(columns.residual)
         return out
+
+    @property
+    def log_det(self) -> float:
+        """Log determinant of the covariance of the scaled rows."""
+        return float(np.linalg.slogdet(self.gram)[1].sum())
 
     def chi2(self, residual: np.ndarray) -> float:
         """Sum of squares of a residual (P, B R), whitened as this one."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.estimation.normal_equations import Normal, PoseSystem, WhitenedSystem
+from mbcacq.estimation.normal_equations import Normal, PoseSystem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import flat_product
 from mbcacq.model.cell import Cell
@@ -79,7 +79,7 @@ def unpack(theta: np.ndarray) -> Noise:
 
 
 def restricted_maximum_likelihood(
-    system: Callable[[Noise], WhitenedSystem], start: Noise, prior: NoisePrior, rounds: int = 12, tolerance: float = 0.02
+    system: Callable[[Noise], PoseSystem], start: Noise, prior: NoisePrior, rounds: int = 12, tolerance: float = 0.02
 ) -> Noise:
     """Most probable noise of a linear problem, whose whitened system under any noise ``system`` gives."""
     noise = start
@@ -90,12 +90,9 @@ def restricted_maximum_likelihood(
     return noise
 
 
-def reml_step(system: PoseSystem | WhitenedSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
+def reml_step(system: PoseSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
     """One step of average-information scoring (REML); also the largest change of a logarithm."""
-    if isinstance(system, PoseSystem):
-        score, information = reml_score_by_pose(system, noise)
-    else:
-        score, information = reml_score_and_information(system, noise)
+    score, information = reml_score_and_information(system, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
@@ -104,53 +101,11 @@ def reml_step(system: PoseSystem | WhitenedSystem, noise: Noise, prior: NoisePri
     return unpack(moved), float(np.abs(moved - theta).max())
 
 
-def reml_score_and_information(system: WhitenedSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas."""
-    W, normal = system.whitening, system.normal
-    rows, g = normal.rows, normal.size
-    X, r = system.X[..., : g + 6], system.X[..., g + 6 :]
-    root = _inverse_root(normal)
-    back = W.transpose(np.concatenate([X, r], axis=2))  # inverse covariance times columns and residual
-    n, width = len(noise.joint), rows.width
-    sigma = np.resize(noise.row_sigma(width), rows.depth * width)
-    if len(rows.sigma_scale) > 1:
-        sigma = rows.pad(rows.row_sigma(noise))
-    # Scanner: the rows of one axis each.
-    lever = _leverage(normal, root, back[..., : g + 6])  # (P, B R)
-    own = W.inverse_diagonal()
-    quadratic = back[..., -1] ** 2
-    per_row = [((quadratic - own + lever) * sigma**2).reshape(-1, rows.depth, width)]
-    per_row = per_row[0].sum(axis=(0, 1))
-    score = np.zeros(n + 4)
-    score[:3] = per_row[:3]
-    score[-1] = per_row[3:].sum()
-    images = np.zeros((*back.shape[:2], n + 4))
-    row_axis = np.tile(np.arange(width), rows.depth)
-    for c in range(3):
-        images[..., c] = np.where(row_axis == c, back[..., -1] * sigma**2, 0)
-    images[..., -1] = np.where(row_axis >= 3, back[..., -1] * sigma**2, 0)
-    # Joints: one column a pose. W J in units of the repeatability; W.J is scaled by the centres' weights already.
-    J = W.J * W.pose_scale
-    V = J - W.J @ (W.M @ (np.swapaxes(W.J, 1, 2) @ J))  # whitened
-    Vt = np.swapaxes(V, 1, 2)
-    b = (Vt @ r)[..., 0]
-    lever_j = _leverage(normal, root, Vt @ X)  # (P, n)
-    score[3:-1] = np.sum(b**2 - np.einsum("pij,pij->pj", V, V) + lever_j, axis=0)
-    Y = W(images)
-    Y[..., 3:-1] = V * b[:, None, :]
-    # Average information: Y' P Y, twice (log sigma instead of variance: each derivative carries a factor 2, the half stays).
-    flat = Y.reshape(-1, Y.shape[2])
-    against = np.swapaxes(Y, 1, 2) @ X
-    A, y = against[..., :g], against[..., g:]
-    by_station = rows.by_station(y) @ normal.station_root
-    A = A.sum(axis=0) - np.einsum("skx,sxg->kg", by_station, normal.reduced)
-    projected = A @ root.T
-    information = flat.T @ flat - projected @ projected.T - np.einsum("skx,slx->kl", by_station, by_station)
-    return score, 2 * information
+def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas.
 
-
-def reml_score_by_pose(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-    """The same from the twists of the poses; only the balls and the effects have rows of their own."""
+    From the twists of the poses; only the balls and the effects have rows of their own.
+    """
     poses, rows = system.poses, system.poses.rows
     n, share = len(noise.joint), poses.share
     variance = _PoseVariance(system)
@@ -234,12 +189,6 @@ class _PoseVariance:
 def _inverse_root(normal: Normal) -> np.ndarray:
     """R (g, g) with R'R the covariance of the parameters."""
     return np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
-
-
-def _leverage(normal: Normal, root: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Variance (P, m) of linear forms (P, m, g + 6), from parameters and stations."""
-    a, y = normal.reduce(rows[..., : normal.size], rows[..., normal.size :])
-    return np.sum((a @ root.T) ** 2, axis=2) + np.sum(y**2, axis=2)
 
 
 def _regular(information: np.ndarray) -> np.ndarray:

@@ -22,7 +22,10 @@ MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 
 @dataclass
 class EvidenceSearch:
-    """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects."""
+    """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects.
+
+    alternatives: whether sets with another effect in the place of one of the best set's are compared as well.
+    """
 
     candidates: list[Candidate]
     unmodelled: UnmodelledEffects | None
@@ -30,6 +33,7 @@ class EvidenceSearch:
     context: Context | None = None
     beam: int = OPTIONS.beam
     estimated: int = OPTIONS.estimated
+    alternatives: bool = True
     known: dict[tuple, Hypothesis] = field(default_factory=dict)
 
     def run(self, start: NoisePoint, begin: Hypothesis | None = None) -> list[Hypothesis]:
@@ -48,7 +52,7 @@ class EvidenceSearch:
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
             best = beam[0]
-        if self.beam > 1:
+        if self.alternatives:
             self.exchange(best)
         return self.ranked()
 

@@ -70,5 +70,7 @@ def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
 
 def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: float) -> LinearProblem:
     """Each effect is wrong, at each pose, by a share of what it displaces there: columns (M, R) as those of a joint's repeatability."""
-    extra = [linear.rows.pad(share * d[:, :, None]) for d in displaced]
-    return replace(linear, joint=np.concatenate([linear.joint, *extra], axis=2))
+    if not displaced:
+        return linear
+    extra = linear.rows.pad(share * np.stack(displaced, axis=2))
+    return replace(linear, columns_by_pose=linear.columns_by_pose.with_noise(extra))

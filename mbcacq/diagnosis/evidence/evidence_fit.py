@@ -49,8 +49,8 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
     effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
 
     def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
-        """none: a noise, to begin with, of the empty set."""
-        search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort)
+        """none: a noise, to begin with, of the empty set. What else each effect could be is asked about the last linearisation only."""
+        search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort, alternatives=from_set is not None)
         ranked = search.run(NoisePoint(linear, prior, none), from_set)
         return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
 

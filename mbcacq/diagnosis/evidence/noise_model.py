@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.normal_equations import WhitenedSystem
+from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, unpack
 
@@ -56,7 +56,7 @@ class NoisePoint:
         a = normal.gradient[g:] - reduced[:, :k].T @ reduced[:, k]
         chi2 = normal.cost - float(np.sum(normal.station_b**2) + reduced[:, k] @ reduced[:, k])
         scale = self.linear.keep[:, None] * np.log(self.linear.rows.row_sigma(self.noise))
-        log_det = system.whitening.log_det + 2 * np.sum(scale) + normal.station_log_det + 2 * np.log(np.diag(root)).sum()
+        log_det = system.poses.log_det + 2 * np.sum(scale) + normal.station_log_det + 2 * np.log(np.diag(root)).sum()
         return EffectsSystem(self, system, A, a, -0.5 * (float(log_det) + chi2) + self.prior.log_density(self.noise))
 
     def restricted(self, keep: np.ndarray) -> NoisePoint:
@@ -77,7 +77,7 @@ class EffectsSystem:
     """
 
     point: NoisePoint
-    system: WhitenedSystem
+    system: PoseSystem
     A: np.ndarray
     a: np.ndarray
     log_likelihood: float
@@ -86,8 +86,8 @@ class EffectsSystem:
         """Gradient and information of the log posterior by theta, with the effects in place; weight (k,): prior weight of each."""
         full, prior, theta = self.point.complete_noise, self.point.prior, self.point.theta
         system = self.system
-        normal = system.normal.with_weight(np.r_[np.zeros(system.normal.size - len(weight)), weight])
-        gradient, information = reml_score_and_information(replace(system, normal=normal).after_fit(), full)
+        weighted = system.with_weight(np.r_[np.zeros(system.normal.size - len(weight)), weight])
+        gradient, information = reml_score_and_information(weighted.after_fit(), full)
         n = len(self.point.noise.joint)
         free = np.r_[np.arange(3 + n), len(full.joint) + 3]  # what is held has no derivative
         return gradient[free] - prior.precision @ (theta - prior.centre), information[np.ix_(free, free)] + prior.precision

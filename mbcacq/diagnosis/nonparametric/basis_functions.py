@@ -34,13 +34,19 @@ class BasisTable:
 
     def add(self, functions) -> np.ndarray:
         """Indices of new columns (P, f), centred and of unit size; those that do not vary are left out."""
-        out = []
-        for f in np.atleast_2d(np.asarray(functions, dtype=float).T):
-            spread = float(f.std())
-            if spread > 1e-9 * max(float(np.abs(f).max()), 1e-30) and np.isfinite(spread):
-                self.columns.append((f - f.mean()) / spread)
-                out.append(len(self.columns) - 1)
-        return np.array(out, dtype=int)
+        each = self.add_each(functions)
+        return np.concatenate(each) if each else np.zeros(0, int)
+
+    def add_each(self, functions) -> list[np.ndarray]:
+        """The same, column by column: the index of each, none of one that does not vary."""
+        F = np.asarray(functions, dtype=float)
+        F = F[:, None] if F.ndim == 1 else F
+        centred = F - F.mean(axis=0)
+        spread = np.sqrt(np.mean(centred**2, axis=0))
+        varies = np.isfinite(spread) & (spread > 1e-9 * np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-30))
+        start = len(self.columns)
+        self.columns.extend((centred[:, varies] / spread[varies]).T)
+        return np.split(start + np.arange(varies.sum()), np.cumsum(varies)[:-1]) if len(varies) else []
 
     def shape(self, name: str, index: np.ndarray, falling: bool = False) -> None:
         if len(index):
@@ -88,7 +94,7 @@ def each_joint(table: BasisTable, name: str, values: np.ndarray) -> None:
 
 def joint_angle(table: BasisTable, name: str, q: np.ndarray) -> None:
     """Harmonics and smooth functions of a joint's angle q (P,)."""
-    periodic = [table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)) for h in range(1, OPTIONS.harmonics + 1)]
+    periodic = add_harmonics(table, q, np.arange(1, OPTIONS.harmonics + 1))
     for index in periodic:
         table.shape(name, index)
     table.shape(name, np.concatenate(periodic[:2]))
@@ -140,9 +146,16 @@ def gravity_moments(s: Context, frame: int) -> BasisTable:
 def higher_harmonics(q: np.ndarray, name: str) -> BasisTable:
     """More periodic functions of an angle: of the joint at, or before, the location."""
     table = BasisTable()
-    for h in range(OPTIONS.harmonics + 1, OPTIONS.own_harmonics + 1):
-        table.shape(name, table.add(np.stack([np.sin(h * q), np.cos(h * q)], axis=1)))
+    for index in add_harmonics(table, q, np.arange(OPTIONS.harmonics + 1, OPTIONS.own_harmonics + 1)):
+        table.shape(name, index)
     return table
+
+
+def add_harmonics(table: BasisTable, q: np.ndarray, orders: np.ndarray) -> list[np.ndarray]:
+    """Sine and cosine of each order of an angle q (P,), the indices of those of one order together."""
+    turned = q[:, None] * orders
+    each = table.add_each(np.stack([np.sin(turned), np.cos(turned)], axis=2).reshape(len(q), -1))
+    return [np.concatenate(each[j : j + 2]) for j in range(0, len(each), 2)]
 
 
 def narrow(q: np.ndarray, name: str) -> BasisTable:
@@ -155,12 +168,12 @@ def narrow(q: np.ndarray, name: str) -> BasisTable:
 def thresholds(x: np.ndarray, name: str) -> BasisTable:
     """One coefficient each: a sigmoid about a value, its square, or the distance from the value to both sides."""
     table, span = BasisTable(), float(np.ptp(x))
-    for middle in np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9]):
-        for width in (0.06 * span, 0.15 * span):
-            step = np.tanh((x - middle) / width)
-            table.shape(name, table.add(step))
-            table.shape(name, table.add(step**2))
-        table.shape(name, table.add(np.abs(x - middle)))
+    middle = np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9])
+    away = x[:, None] - middle
+    narrow, wide = np.tanh(away / max(0.06 * span, 1e-300)), np.tanh(away / max(0.15 * span, 1e-300))
+    each = np.stack([narrow, narrow**2, wide, wide**2, np.abs(away)], axis=2)
+    for index in table.add_each(each.reshape(len(x), -1)):
+        table.shape(name, index)
     return table
 
 

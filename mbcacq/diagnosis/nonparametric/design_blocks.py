@@ -168,15 +168,15 @@ def log_prior_shares(groups: list[BlockGroup]) -> dict[str, float]:
 
 
 def block_groups(s: Context) -> list[BlockGroup]:
-    common = basis_functions.of_poses(s)
-    out = [of_arm_location(s, location, common) for location in locations.of_arm(s)]
+    common, angles = basis_functions.of_poses(s), thresholds_of_angles(s)
+    out = [of_arm_location(s, location, common, angles) for location in locations.of_arm(s)]
     out += of_stations(s)
     out += of_scanner(s) if s.scanner_on_flange else of_instrument(s)
     return out
 
 
-def of_arm_location(s: Context, location: Location, common: BasisTable) -> BlockGroup:
-    """A joint, a link, the base or the mount, moving with the pose."""
+def of_arm_location(s: Context, location: Location, common: BasisTable, angles: BasisTable) -> BlockGroup:
+    """A joint, a link, the base or the mount, moving with the pose. common: functions for every location; angles: more for the joints."""
     table, is_joint = BasisTable(list(common.columns), list(common.shapes)), len(location.mix) == 1
     for frame in {location.frame, max(location.frame - (not is_joint), 0)}:
         append(table, basis_functions.gravity_moments(s, frame))
@@ -186,16 +186,23 @@ def of_arm_location(s: Context, location: Location, common: BasisTable) -> Block
         if is_joint:
             append(table, basis_functions.narrow(own, name))
     if is_joint:
-        append_thresholds(s, table, location.joint)
+        append(table, angles)
+        append_thresholds_of_torque(s, table, location.joint)
     entries = [(location.name, rows, shape) for rows in location.variants for shape in table.shapes]
     return BlockGroup(len(location.mix), table.values, entries, location.keys, location.mix, True)
 
 
-def append_thresholds(s: Context, table: BasisTable, joint: int) -> None:
-    """What sets in, at a joint, at some angle of any joint or at some torque of its own."""
+def thresholds_of_angles(s: Context) -> BasisTable:
+    """What sets in, at a joint, at some angle of any joint."""
+    table = BasisTable()
     for i in range(s.n):
         if np.ptp(s.obs.q[:, i]) > 0.02:
             append(table, basis_functions.thresholds(s.obs.q[:, i], f"q{i + 1}"))
+    return table
+
+
+def append_thresholds_of_torque(s: Context, table: BasisTable, joint: int) -> None:
+    """What sets in, at a joint, at some torque of its own."""
     torque = s.gravity_torque
     if np.ptp(torque[:, joint]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
         append(table, basis_functions.thresholds(torque[:, joint], f"gravity_torque_{joint + 1}"))
