@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric import random_effects, residual_tests
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
@@ -16,58 +17,14 @@ from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned, transferred
 from mbcacq.diagnosis.reported_model import model_of
-from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
-from mbcacq.diagnosis.search.pruning import pruned
+from mbcacq.diagnosis.search.projected_solve import solved
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
 
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "prepare", "search_parametric_effects"]
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """Parametric effects, the noise with them in place, the search that found them, the linearisation with them in place."""
-
-    model: EffectSet
-    noise: Noise
-    search: BeamSearch
-    linear: LinearProblem
-
-
-def search_parametric_effects(problem: DiagnosisProblem, linear: LinearProblem, plain: Noise, relinearize: bool = True) -> SearchResult:
-    """Parametric effects of a long recording, noise and linearisation in two turns. plain: noise with geometry alone."""
-    search, noise, model = beam_search_for(problem), plain, NO_EFFECTS
-    for number in range(2 if relinearize else 1):
-        projected = CandidateScoring.of(linear, noise)
-        start = model
-        if number == 0:
-            start = elastic_joints(problem, projected)
-            search = replace(search, protected=frozenset(c.key for c, _ in start.effects))
-        new = search.polished(projected, search.beam_search(projected, start))
-        same = {c.key for c, _ in new.effects} == {c.key for c, _ in model.effects}
-        model = new
-        if not model.effects:
-            break
-        noise = noise_with(linear, model, None, noise, problem.prior_noise)
-        for _ in range(2 * relinearize):
-            linear = relinearized(linear, model, noise)
-        if same:
-            break
-    return SearchResult(model, noise, search, linear)
-
-
-def beam_search_for(problem: DiagnosisProblem) -> BeamSearch:
-    """The search of a long recording, with a narrow beam."""
-    return BeamSearch(problem.candidates, beam_width=1, branches=3, rounds=5, thorough=False, least_share=0.003)
-
-
-def elastic_joints(problem: DiagnosisProblem, projected: CandidateScoring) -> EffectSet:
-    """Every arm is elastic: what elasticity explains is not given to slow periodic errors."""
-    elastic = [c for c in problem.candidates if c.name == "joint_compliance"]
-    return BeamSearch(elastic, beam_width=1, branches=2, rounds=6).run(projected)
 
 
 def fit_model(
@@ -96,14 +53,12 @@ def fit_long_recording(
 ) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, linear.keep, OPTIONS.searched_poses)
-    plain = noise_with(small.linear, NO_EFFECTS, None, small.noise, small.prior_noise)
-    found = search_parametric_effects(small, small.linear, plain, keep is None)
-    model = transferred(small, problem, found.model)
-    linear = relinearized(linear, model, found.noise)
-    noise = noise_with(linear, model, None, found.noise, problem.prior_noise)
-    search = BeamSearch(problem.candidates, thorough=False, protected=found.search.protected)
+    best = reported_hypothesis(fit_evidence(small, small.linear.keep, unmodelled=False))
+    model = transferred(small, problem, EffectSet(tuple((m.candidate, m.hyper) for m in best.catalogued)))
+    linear = relinearized(linear, model, best.point.noise)
+    noise = noise_with(linear, model, None, best.point.noise, problem.prior_noise)
     projected = CandidateScoring.of(linear, noise)
-    model = pruned(search, projected, model)
+    model = solved(projected, model.effects)
     if keep is None and reconsider:
         better = reconsidered_outliers(projected, model)
         if better is not None:
@@ -114,7 +69,7 @@ def fit_long_recording(
         smooth, projected = random_effects_everywhere(problem, projected, model)
     # Random effects could explain what parametric effects do, with many more coefficients: here effects are not tested with them in place,
     # but on data left out.
-    model = search.solved(projected, model.effects)
+    model = solved(projected, model.effects)
     conditioned = conditioned_on_effects(projected, model)
     if smooth is not None:
         smooth = random_effects.fit_random_effects(conditioned, smooth.groups, smooth.sizes) or smooth
