@@ -8,7 +8,7 @@ from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
-from mbcacq.diagnosis.search.projected_solve import eigen_two_by_two, solve_blocks
+from mbcacq.diagnosis.search.projected_solve import eigenvalues, solve_blocks
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_two_by_two_in_closed_form():
     X[:5, :, 1] = 0.0
     S, b = np.swapaxes(X, 1, 2) @ X, rng.normal(size=(500, 2))
 
-    values, along = eigen_two_by_two(S, b)
+    values, along = eigenvalues(S, b)
 
     np.testing.assert_allclose(values, np.linalg.eigvalsh(S), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr
 
+from mbcacq.diagnosis.search.projected_solve import eigenvalues
+
 LN2 = float(np.log(2.0))
 
 
@@ -17,11 +19,11 @@ def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray, positive:
     if a.shape[1] == 1:
         value, along = np.maximum(A[:, 0], 0.0), a
     else:
-        value, V = np.linalg.eigh(A)
-        value, along = np.maximum(value, 0.0), np.einsum("hij,hi->hj", V, a)
+        value, along = eigenvalues(A, a)
+        value = np.maximum(value, 0.0)
     square = np.asarray(sizes) ** 2
     grown = 1.0 + square[:, None] * value[:, None, :]
-    terms = 0.5 * np.sum(square[:, None] * along[:, None, :] ** 2 / grown - np.log(grown), axis=2)
+    terms = 0.5 * (square * np.sum(along[:, None, :] ** 2 / grown, axis=2) - np.sum(np.log(grown), axis=2))
     if positive and a.shape[1] == 1:
         terms = terms + LN2 + log_ndtr(np.sqrt(square) * a / np.sqrt(grown[:, :, 0]))
     return np.logaddexp.reduce(terms, axis=1) - np.log(len(square))

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.search.projected_solve import eigenvalues
+
 SIZES = 10.0 ** np.linspace(0.3, 6.0, 12)  # squares of the signal to noise ratio of a group's best determined direction
+MOST_FACTORS = 40  # of a determinant that is one product
 
 
 def log_bayes_factor(
@@ -40,18 +43,20 @@ def _log_bayes_factor(scaled: np.ndarray, target: np.ndarray) -> tuple[np.ndarra
     if scaled.shape[1] == 1:
         value, along2 = np.maximum(scaled[:, 0], 0.0), target**2
     else:
-        value, V = np.linalg.eigh(scaled)
-        value, along2 = np.maximum(value, 0.0), np.einsum("hij,hi->hj", V, target) ** 2
+        value, along = eigenvalues(scaled, target)
+        value, along2 = np.maximum(value, 0.0), along**2
     top = np.maximum(value.max(axis=1), 1e-6)  # what the projection removed has no evidence
     size = SIZES[None] / top[:, None]
-    grown = size[:, :, None] * value[:, None, :]
-    gain = (along2[:, None, :] * size[:, :, None] / (1 + grown)).sum(axis=2)
-    log = 0.5 * (gain - np.log1p(grown).sum(axis=2))
+    grown = 1.0 + size[:, :, None] * value[:, None, :]
+    gain = size * np.sum(along2[:, None, :] / grown, axis=2)
+    # One logarithm of a product is cheaper than many; of so many factors, none above 1 + the largest size, it is finite.
+    log_det = np.log(np.prod(grown, axis=2)) if value.shape[1] <= MOST_FACTORS else np.log(grown).sum(axis=2)
+    log = 0.5 * (gain - log_det)
     rows, best = np.arange(len(log)), log.argmax(axis=1)
     peak = log[rows, best]
     mean = peak + np.log(np.mean(np.exp(log - peak[:, None]), axis=1))
-    used = (grown / (1 + grown)).sum(axis=2)
-    return mean, gain[rows, best], used[rows, best]
+    used = np.sum(1.0 - 1.0 / grown[rows, best], axis=1)
+    return mean, gain[rows, best], used
 
 
 def log_mean(logs: np.ndarray) -> float:

@@ -39,16 +39,19 @@ def solve_blocks(S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarr
     if S.shape[1] == 1:
         good = scaled[:, 0, 0] > OPTIONS.smallest_share
         return np.where(good, target[:, 0] ** 2 / np.maximum(scaled[:, 0, 0], OPTIONS.smallest_share), 0.0)
-    if k == 2:  # the usual case, sine and cosine of a harmonic
-        w, along = eigen_two_by_two(scaled, target)
-    else:
-        w, V = np.linalg.eigh(scaled)
-        along = np.einsum("hij,hi->hj", V, target)
+    w, along = eigenvalues(scaled, target)
     return np.sum(np.where(w > OPTIONS.smallest_share, along**2 / np.maximum(w, OPTIONS.smallest_share), 0.0), axis=1)
 
 
-def eigen_two_by_two(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues (H, 2) of symmetric S (H, 2, 2) and b (H, 2) along their directions."""
+def eigenvalues(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (H, k) of symmetric S (H, k, k), and b (H, k) along their directions."""
+    if S.shape[1] == 2:  # the usual case, sine and cosine of a harmonic
+        return _of_two_by_two(S, b)
+    w, V = np.linalg.eigh(S)
+    return w, (np.swapaxes(V, 1, 2) @ b[:, :, None])[:, :, 0]
+
+
+def _of_two_by_two(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     middle, half = 0.5 * (S[:, 0, 0] + S[:, 1, 1]), 0.5 * (S[:, 0, 0] - S[:, 1, 1])
     radius, angle = np.hypot(half, S[:, 0, 1]), 0.5 * np.arctan2(S[:, 0, 1], half)
     c, s = np.cos(angle), np.sin(angle)
