@@ -17,6 +17,7 @@ from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, log_restricted_likelihood, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.result import plain
@@ -25,7 +26,6 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.diagnosis.search.selection_criteria import FALSE_ALARM_RATE, SelectionCriteria
 from mbcacq.estimation.options import Noise
 
 INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole
@@ -95,7 +95,6 @@ def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[Ef
         if candidate.hyper is not None:
             others = screen.conditioned_on([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
             best = best_hyper(others, candidate)
-            assert best is not None, "an effect with a hyper-parameter has values to try"
             members[j] = candidate, best.hyper
             same = sum(c.key == candidate.key for c, _ in members[: j + 1])
             choices *= max(hyperparameters.independent_values(candidate.hyper, best.hyper in candidate.hyper.preferred) / same, 1.0)
@@ -134,12 +133,12 @@ def search_space(challenger: Challenger, scenario: Scenario, one: dict) -> tuple
     observations, stated = simulated_cells.observe(challenger.loaded, challenger.poses, scenario, [one])
     setup = prepare(observations)
     members = true_members(setup, plain(stated["effects"][0]))
-    criteria, present, tries = SelectionCriteria(setup.candidates), [], 1.0
+    prior = SetPrior.of(setup.candidates, len(setup.design_blocks.log_prior_shares))
+    share = np.exp(prior.log_probability_of_set([c for c, _ in members]))
     for candidate, hyper in members:
-        tries *= criteria.independent_trials(candidate, hyper, present)
-        present.append(candidate)
-    kind = criteria.false_alarm_rate(members[0][0]) / FALSE_ALARM_RATE if members else 1.0
-    return max(sum(c.k for c in present), 1), kind / max(tries / factorial(len(members)), 1.0)
+        if candidate.hyper is not None:
+            share /= hyperparameters.independent_values(candidate.hyper, hyper in candidate.hyper.preferred)
+    return max(sum(c.k for c, _ in members), 1), min(float(share) * factorial(len(members)), 1.0)
 
 
 def ninety_percent_point(multiples: Sequence[float], found: np.ndarray) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
-from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
@@ -18,7 +17,7 @@ from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.validation.workers import WorkerPool
-from mbcacq.diagnosis.verdict import WEAK, conclude
+from mbcacq.diagnosis.verdict import conclude
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -71,7 +70,7 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
-    validation = cross_validate(problem, full, folds or usual_folds(obs, full), pool, progress)
+    validation = cross_validate(problem, full, folds or usual_folds(obs), pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = conclude(problem, full, validation)
     if formulas:
@@ -79,11 +78,9 @@ def _diagnose(
     return replace(result, notes=(*result.notes, *notes))
 
 
-def usual_folds(obs: Observations, full: ModelFit) -> int:
-    """Number of folds, by the length of the recording and how weak its effects are."""
+def usual_folds(obs: Observations) -> int:
+    """Number of folds, by the length of the recording."""
     if obs.n_poses >= OPTIONS.many_poses:
         return OPTIONS.long_folds if obs.n_poses < OPTIONS.longest_from else OPTIONS.longest_folds
-    if full.smooth is None and 0 < full.model.penalised_gain < WEAK:
-        return OPTIONS.weak_folds
     stations = len(np.unique(obs.station))
     return stations if OPTIONS.usual_folds < stations <= OPTIONS.few_stations else OPTIONS.usual_folds

@@ -19,8 +19,8 @@ class ModelFit:
 
     model: parametric effects. smooth: random effects, or None. cells: where the evidence map put them; empty where they stand at all
     locations. noise: estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with geometry alone
-    and conditioned on the parametric effects. residual_tests: of what parametric effects leave (of a long recording). evidence: the
-    hypotheses that were compared; None of a long recording.
+    and conditioned on the parametric effects. evidence: the hypotheses that were compared, of a long recording on a part of it.
+    residual_tests: of what parametric effects leave, of a long recording.
     """
 
     model: EffectSet
@@ -29,5 +29,5 @@ class ModelFit:
     noise: Noise
     geometry_only: CandidateScoring
     conditioned: CandidateScoring
+    evidence: EvidenceFit
     residual_tests: ResidualTests | None = None
-    evidence: EvidenceFit | None = None

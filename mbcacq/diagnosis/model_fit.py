@@ -1,8 +1,6 @@
-"""One pass from observations to a model: by evidence, or, of a long recording, search, residual tests, random effects at all locations."""
+"""One pass from observations to a model: by evidence; of a long recording, residual tests and random effects at all locations besides."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,13 +16,13 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned, transferred
 from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
-from mbcacq.diagnosis.search.projected_solve import solved
+from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.solution import solved
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
 
-__all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "prepare", "search_parametric_effects"]
+__all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "prepare"]
 
 
 def fit_model(
@@ -53,7 +51,8 @@ def fit_long_recording(
 ) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, linear.keep, OPTIONS.searched_poses)
-    best = reported_hypothesis(fit_evidence(small, small.linear.keep, unmodelled=False))
+    found = fit_evidence(small, small.linear.keep, unmodelled=False)
+    best = reported_hypothesis(found)
     model = transferred(small, problem, EffectSet(tuple((m.candidate, m.hyper) for m in best.catalogued)))
     linear = relinearized(linear, model, best.point.noise)
     noise = noise_with(linear, model, None, best.point.noise, problem.prior_noise)
@@ -73,7 +72,7 @@ def fit_long_recording(
     conditioned = conditioned_on_effects(projected, model)
     if smooth is not None:
         smooth = random_effects.fit_random_effects(conditioned, smooth.groups, smooth.sizes) or smooth
-    return ModelFit(model, smooth, (), projected.noise, projected, conditioned, tests)
+    return ModelFit(model, smooth, (), projected.noise, projected, conditioned, found, tests)
 
 
 def examine_thinned(problem: DiagnosisProblem, small: DiagnosisProblem, model: EffectSet, noise: Noise) -> ResidualTests:

@@ -26,10 +26,7 @@ class DiagnosisOptions:
     # Candidates
     typical_multiple: float = 30.0  # prior sigma of a coefficient in typical sizes: an effect thirty times as large is not believed
     smallest_share: float = 1e-6  # of a column's square that must survive the projection; less is rounding
-    refinement_gain: float = 1.3  # a scanned candidate gains at most this many times its best grid value between the values
     preferred_share: float = 0.8  # prior probability of the preferred values of a hyper-parameter (orders of a gear)
-    detectable_chi2: float = 4.0  # chi2 of an effect that can just be detected: two standard deviations
-    least_detectability: float = 0.1  # of a location where nothing shows: sizes may be far from typical (challenge.md, code 316787e)
 
     # Basis functions of unmodelled effects
     harmonics: int = 4  # periods a turn, of any joint's angle at any location
@@ -52,7 +49,6 @@ class DiagnosisOptions:
     # Search and validation
     few_stations: int = 6  # up to which each is left out alone
     usual_folds: int = 4  # of a recording of more stations
-    weak_folds: int = 8  # for an effect that three quarters of the data might not show
     long_folds: int = 3  # of a recording of many poses: each fold costs a whole fit
     longest_folds: int = 2  # and of one of at least ``longest_from`` poses (two minutes are allowed, diagnosis.md)
     longest_from: int = 2000

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 
 MANY = 0.015  # share of the centres from which rejected ones may be no accidents
 WHOLE_POSES = 3  # or as many poses without any centre left
@@ -26,13 +26,11 @@ def readmit_outliers(problem: DiagnosisProblem) -> DiagnosisProblem:
         return problem
     noise = problem.noise
     everything = linear.restricted(np.ones(len(linear.keep), bool))
-    projected, search = CandidateScoring.of(everything, noise), BeamSearch([c for c in problem.candidates if not c.several])
+    projected = CandidateScoring.of(everything, noise)
+    scored = evidence_of_candidates(projected, [c for c in problem.candidates if not c.several])
     best, fewest = None, STILL_REJECTED * rejected
-    for scored in search.expand(projected, NO_EFFECTS)[:TRIED]:
-        model = search.solve(projected, ((scored.candidate, scored.hyper),))
-        if model is None:
-            continue
-        keep = kept_centres(projected, model)
+    for one in sorted(scored, key=lambda s: -s.log_evidence)[:TRIED]:
+        keep = kept_centres(projected, EffectSet(((one.candidate, one.hyper),)))
         if np.sum(~keep) < fewest:
             best, fewest = keep, np.sum(~keep)
     if best is None:

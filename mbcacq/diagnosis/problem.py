@@ -9,7 +9,6 @@ import numpy as np
 
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.search.detectability import with_detectability
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -70,7 +69,7 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
-    candidates = with_detectability(linear, adjusted.noise, [*candidates, *differing(candidates, obs)])
+    candidates = [*candidates, *differing(candidates, obs)]
     prior = noise_prior(obs.cell, options.noise)
     return DiagnosisProblem(
         linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), undetermined=tuple(adjusted.found)

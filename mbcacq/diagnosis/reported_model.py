@@ -17,8 +17,7 @@ from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEf
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search import payload_coupling
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import EffectSet, SelectedEffects
-from mbcacq.diagnosis.search.projected_solve import prior_weight
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.pose import payload
 
 
@@ -32,27 +31,11 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit) -> ModelFit:
     effects = tuple((with_moment_uncertainty(best, best.members[j]), best.members[j].hyper) for j in chosen)
     model = EffectSet(effects, coefficients=found.mean[index], covariance=found.covariance[np.ix_(index, index)])
     if payload.NAME in model.names:
-        model = payload_coupling.coupled(Solver(problem), projected, model)
+        model = payload_coupling.coupled(problem.candidates, problem.context, projected, model)
     conditioned = conditioned_on_effects(projected, model)
-    model = EffectSet(model.effects, projected.chi2 - conditioned.chi2, 0.0, 0.0, model.coefficients, model.covariance)
+    model = EffectSet(model.effects, projected.chi2 - conditioned.chi2, model.coefficients, model.covariance)
     cells = tuple(cell_at(best, m) for m in best.unmodelled)
-    return ModelFit(model, random_effects(fit, best), cells, best.point.noise, projected, conditioned, None, fit)
-
-
-class Solver:
-    """Solution of a set of effects together with the geometry, for a payload and the elastic joints that show it."""
-
-    def __init__(self, problem: DiagnosisProblem):
-        self.candidates, self.context = problem.candidates, problem.context
-
-    def solved(self, projected: CandidateScoring, effects: SelectedEffects) -> EffectSet:
-        X = np.concatenate([np.zeros((len(projected.r0), 0)), *(projected.block(c, h) for c, h in effects)], axis=1)
-        absorbed = projected.Q.T @ X
-        S = X.T @ X - absorbed.T @ absorbed + np.diag(np.concatenate([np.zeros(0), *(prior_weight(c) for c, _ in effects)]))
-        size = np.sqrt(np.diag(S))
-        covariance = np.linalg.inv(S / np.outer(size, size) + 1e-12 * np.eye(len(S))) / np.outer(size, size)
-        values = covariance @ (X.T @ projected.r)
-        return EffectSet(effects, float(values @ (X.T @ projected.r)), coefficients=values, covariance=covariance)
+    return ModelFit(model, random_effects(fit, best), cells, best.point.noise, projected, conditioned, fit)
 
 
 def random_effects(fit: EvidenceFit, best: Hypothesis) -> RandomEffectsModel | None:

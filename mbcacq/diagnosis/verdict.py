@@ -24,8 +24,8 @@ from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
-from mbcacq.diagnosis.search.beam_search import BeamSearch
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
 from mbcacq.effects.pose import gear_transmission_error
@@ -35,17 +35,16 @@ from mbcacq.estimation.variance_components import first_noise
 # unmodelled one is the larger of the two, and where it is the smaller.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 MOST_POSES = 1000  # a plan of more poses is no advice: another one is needed
-WEAK = 20.0  # score up to which a name may be a false alarm, and is validated with more folds: it might not be found in three quarters
 
 
 def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
     """The diagnosis of a fit whose cross-validation is ``proof``."""
     if proof.not_predictive:
         kept = full.model.without(proof.not_predictive)
-        full = replace(full, model=BeamSearch(setup.candidates).solved(full.geometry_only, kept.effects))
+        full = replace(full, model=solved(full.geometry_only, kept.effects))
     before, residual_before = training_score(full.geometry_only, NO_EFFECTS, None)
     after, residual_after = training_score(full.geometry_only, full.model, full.smooth)
-    judged = _judged(full, proof, before) if full.evidence is None else _judged_by_evidence(full, full.evidence, proof, before)
+    judged = _judged_by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else _judged(full, proof, before)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
     advice = next_measurements.separating(setup.context, judged.pairs)
@@ -103,12 +102,11 @@ class _Judged:
 def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
     # Groups that act at every location could do what parametric effects do: they are left out of the contributions then.
     contributions = Contributions(full if full.cells else replace(full, smooth=None))
-    verdict, mismatch = verdict_of(full), mismatch_table(full, contributions, before)
+    verdict, mismatch = verdict_of_long_recording(full), mismatch_table(full, contributions, before)
     geometry_alone, with_effects = proof.decisive
     predictive = bool(predicts_better(with_effects, geometry_alone))
     if not predictive and verdict != "none":  # effects that predict nothing are not reported; that something is there may be, if not weak
-        weak = verdict == "explained" and full.model.penalised_gain < WEAK
-        verdict, mismatch = ("none", []) if weak else ("unexplained", mismatch)
+        verdict = "unexplained"
     if (with_effects if predictive else geometry_alone).chi2_dof > OPTIONS.noise_like_chi2:
         verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
     if verdict == "unexplained" and not mismatch:
@@ -118,7 +116,7 @@ def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> 
         effects = reportable(parametric_effects(full, contributions, proof), verdict) + unmodelled_effects(full, contributions, proof)
     if verdict == "unexplained" and not effects:
         effects = suspected_effect(mismatch)
-    return _Judged(verdict, mismatch, effects, predictive)
+    return _Judged(verdict, mismatch, list(with_rivals(full.evidence, effects)), predictive)
 
 
 def reportable(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
@@ -145,7 +143,7 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 
 def verdict_of(full: ModelFit) -> str:
     """The verdict on the data of the fit."""
-    return verdict_of_long_recording(full) if full.evidence is None else verdict_by_evidence(full, full.evidence)
+    return verdict_by_evidence(full, full.evidence) if full.residual_tests is None else verdict_of_long_recording(full)
 
 
 def verdict_of_long_recording(full: ModelFit) -> str:

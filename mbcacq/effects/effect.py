@@ -81,7 +81,6 @@ class Candidate:
     positive: the first coefficient can only be positive.
     several: one location may have the effect several times, each with its own value of the hyper-parameter (several orders).
     variant: tells candidates of one effect at one location apart, of which at most one is selected.
-    detectability: how well these poses observe an effect of typical size here, relative to the same effect at other locations; 1 is best.
     described: the same parts as ``build`` gives, written down as functions of covariates, so that the effect can be kept and evaluated at
     any other pose; None for an effect that cannot be kept.
     """
@@ -98,7 +97,6 @@ class Candidate:
     positive: bool = False
     several: bool = False
     variant: str = ""
-    detectability: float = 1.0
     described: Callable[[float | None], list[DescribedPart]] | None = None
 
     @property

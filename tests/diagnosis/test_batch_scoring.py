@@ -1,13 +1,12 @@
-"""Candidates scored many at a time gain what each gains by itself."""
+"""Candidates scored many at a time have the evidence that each has by itself."""
 
 import numpy as np
 import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.search.beam_search import BeamSearch
+from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates, evidence_of_one
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.projected_solve import eigenvalues, solve_blocks
 
 
@@ -19,31 +18,17 @@ def setup(plan):
 
 
 @pytest.mark.parametrize("effects", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])
-def test_batch_gains_equal_those_of_each_candidate_alone(setup, effects):
+def test_evidence_of_a_batch_equals_that_of_each_candidate_alone(setup, effects):
     projected = CandidateScoring.of(setup.linear, setup.noise)
     chosen = [next(c for c in setup.candidates if (c.name, c.where[0]) == m) for m in effects]
     here = projected.conditioned_on([(projected.block(c, None), np.zeros(c.k)) for c in chosen])
 
-    together = here.best_fixed(setup.candidates)
+    together = {s.candidate.key: s.log_evidence for s in evidence_of_candidates(here, setup.candidates)}
 
-    apart = {
-        c.key: max(here.test(c, h).gain for h in (c.hyper.values if c.hyper else (None,))) for c in setup.candidates if not c.separable
-    }
-    assert len(apart) > 40
-    assert together.keys() == apart.keys()
-    np.testing.assert_allclose([together[key][1] for key in apart], list(apart.values()), rtol=1e-7, atol=1e-7)
-
-
-def test_expand_leaves_out_only_candidates_below_their_threshold(setup):
-    """The filter leaves out what cannot pay, and nothing else: without it the best are the same."""
-    projected = CandidateScoring.of(setup.linear, setup.noise)
-    search = BeamSearch(setup.candidates)
-
-    kept = search.expand(projected, NO_EFFECTS)
-    all_of_them = search.expand(projected, NO_EFFECTS, deficit=1e9)
-
-    assert 0 < len(kept) < len(all_of_them) == len(setup.candidates)
-    assert [s.candidate.key for s in kept[:5]] == [s.candidate.key for s in all_of_them[:5]]
+    single = [c for c in setup.candidates if not c.separable and c.hyper is None]
+    assert len(single) > 40
+    apart = [evidence_of_one(here, c).log_evidence for c in single]
+    np.testing.assert_allclose([together[c.key] for c in single], apart, rtol=1e-7, atol=1e-7)
 
 
 def test_two_by_two_in_closed_form():

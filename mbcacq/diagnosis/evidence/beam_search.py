@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one
+from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order, key_of, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
@@ -17,6 +17,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload
 
+POLISHING_ROUNDS = 4  # at most
 MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 
 
@@ -52,6 +53,8 @@ class EvidenceSearch:
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
             best = beam[0]
+        if len({m.candidate.key for m in best.members}) < len(best.members):
+            best = self.polished(best)
         if self.alternatives:
             self.exchange(best)
         return self.ranked()
@@ -121,6 +124,27 @@ class EvidenceSearch:
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
+    def polished(self, best: Hypothesis) -> Hypothesis:
+        """A set with several orders of a gear, each looked for anew beside the others, and left out where it adds nothing: the first
+        were found while the others still disturbed.
+        """
+        members, point = best.members, best.point
+        for _ in range(POLISHING_ROUNDS):
+            before = [m.key for m in members]
+            for j in reversed(range(len(members))):
+                member, rest = members[j], members[:j] + members[j + 1 :]
+                if not member.candidate.separable:
+                    continue
+                node = first_order(rest, point, self.log_prior(rest))
+                scored = scanned_candidate(node.conditioned, member.candidate)
+                log, again = self.weighted(scored, [m.candidate for m in rest])
+                members = rest if log < 0 else (*members[:j], again, *members[j + 1 :])
+            if [m.key for m in members] == before:
+                break
+        found = self.known.get(key_of(members)) or estimated(members, point, self.log_prior(members))
+        self.known[found.key] = found
+        return max(best, found, key=lambda h: h.log_posterior)
+
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
         for j in range(len(best.members)):
@@ -140,3 +164,10 @@ def log_e_value(ranked: Sequence[Hypothesis]) -> float:
     none = next(h for h in ranked if not h.members)
     some = [h.log_posterior - none.log_posterior for h in ranked if h.members]
     return float(np.logaddexp.reduce(some)) if some else -np.inf
+
+
+def log_e_value_at_false_alarm_rate(rate: float) -> float:
+    """Log e-value that noise alone exceeds with no more than this probability, by Markov's inequality: the expectation of an e-value is one
+    where there is no effect.
+    """
+    return -float(np.log(rate))

@@ -8,7 +8,6 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.evidence.options import OPTIONS
-from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
 
@@ -40,13 +39,10 @@ def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candida
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
     """Those whose hyper-parameter has few values, all in one product."""
-    key, kept = candidate_keys(candidates), projected.store.batches
-    if key not in kept:
-        kept[key] = BatchScoring.of(candidates, projected.linear, projected.whiten, projected.absorbed, projected.beyond_geometry())
-    batch = kept[key]
+    batch = projected.batch(candidates)
     logs = np.zeros(len(batch.fixed.entries))
     absorbed = (projected.conditioned.T @ batch.X).T
-    for (entries, columns, _), (S, b, _) in zip(batch.fixed.sizes, batch.blocks, strict=True):
+    for (entries, columns), (S, b, _) in zip(batch.fixed.sizes, batch.blocks, strict=True):
         gone = absorbed[columns]
         typical = np.array([batch.fixed.entries[e][0].typical for e in entries])
         A = (S - gone @ np.swapaxes(gone, 1, 2)) * (typical[:, :, None] * typical[:, None])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch, log_e_value, log_e_value_at_false_alarm_rate
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
@@ -21,7 +21,7 @@ from mbcacq.estimation.variance_components import pack
 @dataclass(frozen=True)
 class EvidenceFit:
     """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
-    one, without discrepancy. log_e_value: of all effects together against none; above log(1/alpha) there is an effect.
+    one, without discrepancy. log_e_value: of all effects together against none; above that of the false-alarm rate there is an effect.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -31,7 +31,7 @@ class EvidenceFit:
 
     @property
     def significant(self) -> bool:
-        return self.log_e_value > -np.log(OPTIONS.alpha)
+        return self.log_e_value > log_e_value_at_false_alarm_rate(OPTIONS.false_alarm_rate)
 
     @property
     def best(self) -> Hypothesis:
@@ -86,4 +86,4 @@ def judged_centres(fit: EvidenceFit) -> np.ndarray:
     for hypothesis, keep in ((fit.best, own), (fit.none, plain)):
         there = estimated(hypothesis.members, hypothesis.point.restricted(keep), hypothesis.log_prior)
         logs.append(there.log_posterior + cost * float(np.sum(~keep)))
-    return own if logs[0] - logs[1] > -np.log(OPTIONS.alpha) else plain
+    return own if logs[0] - logs[1] > log_e_value_at_false_alarm_rate(OPTIONS.false_alarm_rate) else plain

@@ -15,7 +15,7 @@ class EvidenceOptions:
     same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
-    alpha: float = 0.1  # bound of the false-alarm rate (Markov); no e-value of 180 clean sets was above 2.6
+    false_alarm_rate: float = 0.1  # its bound, by Markov's inequality; no e-value of 180 clean sets was above 2.6
     undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
 
     discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_blocks
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.whitening import CentreWhitening
@@ -17,7 +16,7 @@ class FixedBlocks:
     """The candidates whose columns need no scan, each at every value of its hyper-parameter.
 
     entries: (candidate, value); columns (M, R, K): all of theirs. sizes: of those with k coefficients, which entries (n,), which columns
-    (n, k), their prior weights (n, k).
+    (n, k).
     """
 
     def __init__(self, candidates: list[Candidate], linear: LinearProblem):
@@ -29,8 +28,7 @@ class FixedBlocks:
         self.sizes = []
         for k in np.unique(widths):
             chosen = np.flatnonzero(widths == k)
-            weight = np.array([prior_weight(self.entries[e][0]) for e in chosen])
-            self.sizes.append((chosen, starts[chosen][:, None] + np.arange(k), weight))
+            self.sizes.append((chosen, starts[chosen][:, None] + np.arange(k)))
 
     @staticmethod
     def of(candidates: list[Candidate], linear: LinearProblem) -> FixedBlocks:
@@ -64,25 +62,7 @@ class BatchScoring:
         X = whiten(fixed.columns)
         absorbed, raw, b = absorbed_of(X), np.sum(X * X, axis=0), X.T @ r
         blocks = []
-        for _, columns, _ in fixed.sizes:
+        for _, columns in fixed.sizes:
             own, gone = X.T[columns], absorbed.T[columns]
             blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns], raw[columns]))
         return cls(fixed, X, blocks)
-
-    def best(self, conditioned: np.ndarray, along: np.ndarray) -> dict[str, tuple[float | None, float]]:
-        """Candidate's key -> its best value of the hyper-parameter and the gain there.
-
-        conditioned (rows, a): basis of what is projected out besides geometry; along (a,): the residual along it.
-        """
-        gains = np.zeros(len(self.fixed.entries))
-        absorbed = conditioned.T @ self.X if conditioned.shape[1] else None
-        for (entries, columns, weight), (S, b, raw) in zip(self.fixed.sizes, self.blocks, strict=True):
-            if absorbed is not None:
-                T = absorbed.T[columns]
-                S, b = S - T @ np.swapaxes(T, 1, 2), b - T @ along
-            gains[entries] = solve_blocks(S, b, raw, weight)
-        out: dict[str, tuple[float | None, float]] = {}
-        for (candidate, hyper), gain in zip(self.fixed.entries, gains, strict=True):
-            if candidate.key not in out or gain > out[candidate.key][1]:
-                out[candidate.key] = hyper, float(gain)
-        return out

@@ -168,12 +168,12 @@ class CandidateScoring:
         gain, coefficients, covariance = solve_block(S, b, np.sum(X * X, axis=0), prior_weight(candidate))
         return ScoredCandidate(candidate, hyper, gain, len(b), coefficients, covariance)
 
-    def best_fixed(self, candidates: list[Candidate]) -> dict[str, tuple[float | None, float]]:
-        """Of the candidates that need no scan: key -> best value of the hyper-parameter, and the gain there."""
+    def batch(self, candidates: list[Candidate]) -> BatchScoring:
+        """The candidates that need no scan, with geometry alone projected out."""
         key, kept = candidate_keys(candidates), self.store.batches
         if key not in kept:
             kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.absorbed, self.beyond_geometry())
-        return kept[key].best(self.conditioned, self.along)
+        return kept[key]
 
     # Scans --------------------------------------------------------------------------------------------------------
 
@@ -276,14 +276,9 @@ class CandidateScoring:
 
     def _gains(self, candidate: Candidate, values: np.ndarray, key: tuple[str, int] | None) -> np.ndarray:
         """Gain (H,) of a candidate at these values. key: under which the products are kept."""
-        components = candidate.separable
         flat, S, b, raw = self._normal_matrices(candidate, values, key)
         if self.conditioned.shape[1]:
-            c = len(components)
-            H, f = len(S), S.shape[1] // c
-            products = self.conditioned_pose_products(components)
-            absorbed = (flat @ products.reshape(len(products), -1)).reshape(H, f, c, -1)
-            absorbed = absorbed.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
+            absorbed = self._absorbed(candidate, flat, len(S))
             S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
         return solve_blocks(S, b, raw, prior_weight(candidate))
 

@@ -13,17 +13,12 @@ SelectedEffects = tuple[tuple[Candidate, float | None], ...]
 
 @dataclass(frozen=True)
 class EffectSet:
-    """Selected effects, with the coefficients of all of them and their covariance.
-
-    gain: chi2 that all together gain over free geometry alone. penalised_gain: gain less the detection threshold of the set, so it is
-    positive where the set is significant. log_posterior_odds: gain less the Occam penalty, twice the natural log of the posterior odds of
-    the set against no effect.
+    """Selected effects, with the coefficients of all of them and their covariance. gain: chi2 that all together gain over free geometry
+    alone.
     """
 
     effects: SelectedEffects
     gain: float = 0.0
-    penalised_gain: float = 0.0
-    log_posterior_odds: float = 0.0
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros(0))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 

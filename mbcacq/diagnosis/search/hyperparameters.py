@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
@@ -11,33 +9,22 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ScoredCa
 from mbcacq.effects.effect import Candidate, Hyperparameter
 
 
-def best_hyper(
-    projected: CandidateScoring, candidate: Candidate, least: Callable[[float | None], float] = lambda hyper: -np.inf
-) -> ScoredCandidate | None:
-    """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good.
-
-    least: what must be gained at a value. None where no value gains so much.
-    """
+def best_hyper(projected: CandidateScoring, candidate: Candidate) -> ScoredCandidate:
+    """The candidate at the hyper-parameter that gains most; a preferred value is taken where it is as good."""
     hyper = candidate.hyper
     if hyper is None:
-        return if_enough(projected.test(candidate), least)
+        return projected.test(candidate)
     if not candidate.separable:
-        return if_enough(max((projected.test(candidate, v) for v in hyper.values), key=lambda s: s.gain), least)
+        return max((projected.test(candidate, v) for v in hyper.values), key=lambda s: s.gain)
     gains = projected.scan(candidate)
     value, gain = float(hyper.values[np.argmax(gains)]), float(gains.max())
-    if OPTIONS.refinement_gain * gain < min(least(v) for v in (value, *hyper.preferred[:1])):
-        return None
     if hyper.refine:
         value, gain = refine(projected, candidate, hyper, value, gain)
     if hyper.preferred:
         preferred = projected.scan(candidate, np.array(hyper.preferred))
         if preferred.max() > gain - 2 * np.log(independent_values(hyper, False) / independent_values(hyper, True)):
             value = hyper.preferred[int(preferred.argmax())]
-    return if_enough(projected.test(candidate, float(value)), least)
-
-
-def if_enough(scored: ScoredCandidate, least: Callable[[float | None], float]) -> ScoredCandidate | None:
-    return scored if scored.gain > least(scored.hyper) else None
+    return projected.test(candidate, float(value))
 
 
 def independent_values(hyper: Hyperparameter, preferred: bool) -> float:

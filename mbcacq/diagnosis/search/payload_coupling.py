@@ -8,12 +8,12 @@ written with the declared torque, in which mass and centre of mass stand for the
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import EffectSet, SelectedEffects
+from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.solution import solved
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part
 from mbcacq.effects.pose import joint_compliance, payload
@@ -23,38 +23,26 @@ LEAST_COMPLIANCE = 0.02  # of the softest joint: no loaded joint is stiffer than
 CONVERGED = 0.05  # standard deviations by which the payload may still change
 
 
-class EffectSetSolver(Protocol):
-    """What is asked of a search: its candidates, and the solution of one set of effects together with the geometry."""
-
-    @property
-    def candidates(self) -> list[Candidate]: ...
-
-    @property
-    def context(self) -> Context | None: ...
-
-    def solved(self, projected: CandidateScoring, effects: SelectedEffects) -> EffectSet: ...
-
-
-def coupled(search: EffectSetSolver, projected: CandidateScoring, model: EffectSet) -> EffectSet:
-    """The set with compliances and payload that agree with each other; the set itself where it has no wrong payload.
+def coupled(candidates: list[Candidate], context: Context, projected: CandidateScoring, model: EffectSet) -> EffectSet:
+    """The set with compliances and payload that agree with each other; the set itself where it has no wrong payload. candidates: of the
+    recording.
 
     Every loaded joint is elastic in this, significantly or not, so that the payload's uncertainty contains theirs.
     """
-    context = search.context
-    if context is None or payload.NAME not in model.names:
+    if payload.NAME not in model.names:
         return model
     loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(context)}
     there = {c.where for c, _ in model.effects if c.name == joint_compliance.NAME}
-    soft = [c for c in search.candidates if c.name == joint_compliance.NAME and c.where in loaded | there]
+    soft = [c for c in candidates if c.name == joint_compliance.NAME and c.where in loaded | there]
     others = tuple((c, h) for c, h in model.effects if c.name not in (payload.NAME, joint_compliance.NAME))
     declared = tuple((c, None) for c in soft)
-    elastic = compliances(search.solved(projected, (*others, *declared)))
+    elastic = compliances(solved(projected, (*others, *declared)))
     unit, correction, covariance = payload.unit_torques(context), np.zeros(4), None
     for number in range(ROUNDS):
         torque = context.gravity_torque + unit @ correction
         loaded_joints = tuple((under_torque(c, torque, number), None) for c in soft)
         tool = payload.correction_for(context, elastic, complete=True)[0]
-        new = search.solved(projected, (*others, *loaded_joints, (tool, None)))
+        new = solved(projected, (*others, *loaded_joints, (tool, None)))
         last = new.slices()[-1]
         step, covariance = new.coefficients[last], new.covariance[last, last]
         correction = correction + step
@@ -62,7 +50,7 @@ def coupled(search: EffectSetSolver, projected: CandidateScoring, model: EffectS
         if np.all(np.abs(step) < CONVERGED * np.sqrt(np.diag(covariance))):
             break
     tool = payload.correction_for(context, elastic, covariance, complete=True)[0]
-    return search.solved(projected, (*others, *declared, (tool, None)))
+    return solved(projected, (*others, *declared, (tool, None)))
 
 
 def under_torque(candidate: Candidate, torque: np.ndarray, number: int) -> Candidate:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.effect import Candidate
 
 
@@ -57,14 +56,3 @@ def _of_two_by_two(S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray
     c, s = np.cos(angle), np.sin(angle)
     along = np.stack([c * b[:, 1] - s * b[:, 0], c * b[:, 0] + s * b[:, 1]], axis=1)
     return np.stack([middle - radius, middle + radius], axis=1), along
-
-
-def solved(projected, effects) -> EffectSet:
-    """A set of effects solved together with the geometry."""
-    X = np.concatenate([np.zeros((len(projected.r0), 0)), *(projected.block(c, h) for c, h in effects)], axis=1)
-    absorbed = projected.Q.T @ X
-    S = X.T @ X - absorbed.T @ absorbed + np.diag(np.concatenate([np.zeros(0), *(prior_weight(c) for c, _ in effects)]))
-    size = np.sqrt(np.diag(S))
-    covariance = np.linalg.inv(S / np.outer(size, size) + 1e-12 * np.eye(len(S))) / np.outer(size, size)
-    values = covariance @ (X.T @ projected.r)
-    return EffectSet(effects, float(values @ (X.T @ projected.r)), coefficients=values, covariance=covariance)

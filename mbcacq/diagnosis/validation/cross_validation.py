@@ -84,7 +84,7 @@ def cross_validate(
 
     begun(0)
     results: list[FoldResult] = []
-    if full.evidence is not None:
+    if full.residual_tests is None:
         again = [(problem, full.noise, test, expected, keys, elsewhere, everywhere) for test in left_out]
         results = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
         before, after, without = totals(results, keys)

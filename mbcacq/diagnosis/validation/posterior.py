@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.search.effect_prior import EffectPrior
+from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.estimation.whitening import CentreWhitening
 
@@ -44,8 +44,9 @@ class Posterior:
         covariance = self.sigma[:, None] * np.linalg.inv(self.normal) * self.sigma
         sigma = self.sigma.copy()
         for (candidate, _), p in zip(model.effects, slices, strict=True):
-            own = EffectPrior.of(candidate, self.solution[p], covariance[p, p])
-            sigma[p] = np.minimum(sigma[p], own.scale * candidate.typical)
+            t = candidate.typical
+            size = most_probable_size(self.solution[p] / t, covariance[p, p] / np.outer(t, t))
+            sigma[p] = np.minimum(sigma[p], size * t)
         return replace(self, sigma=sigma)
 
     def negative_log_predictive_density(self, whiten: CentreWhitening, columns: np.ndarray, residual: np.ndarray) -> float:
@@ -63,3 +64,13 @@ class Posterior:
         normal, right = self.normal + Z.T @ Z, self.sigma * self.right + Z.T @ r
         chi2 = r @ r - right @ np.linalg.solve(normal, right) + self.right @ self.solution
         return float(chi2), float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])
+
+
+def most_probable_size(values: np.ndarray, covariance: np.ndarray) -> float:
+    """Of the possible sizes of an effect, the one under which its estimated coefficients (k,), in typical sizes, are most probable."""
+
+    def log_density(size: float) -> float:
+        spread = covariance + size**2 * np.eye(len(values))
+        return -0.5 * float(values @ np.linalg.solve(spread, values) + np.linalg.slogdet(spread)[1])
+
+    return max(OPTIONS.sizes, key=log_density)
