@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order, key_of, under
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, conditioned, estimated, first_order, key_of, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
@@ -52,9 +52,7 @@ class EvidenceSearch:
             beam = self.grown(beam)
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
-            best = beam[0]
-        if len({m.candidate.key for m in best.members}) < len(best.members):
-            best = self.polished(best)
+            best = beam[0] = self.polished(beam[0])
         if self.alternatives:
             self.exchange(best)
         return self.ranked()
@@ -125,20 +123,20 @@ class EvidenceSearch:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
     def polished(self, best: Hypothesis) -> Hypothesis:
-        """A set with several orders of a gear, each looked for anew beside the others, and left out where it adds nothing: the first
-        were found while the others still disturbed.
+        """A set with several orders of a gear, or several breakpoints: each is looked for anew beside the others, and left out where it adds
+        nothing. The first were found while the others still disturbed.
         """
         members, point = best.members, best.point
+        if len({m.candidate.key for m in members}) == len(members):
+            return best
         for _ in range(POLISHING_ROUNDS):
             before = [m.key for m in members]
             for j in reversed(range(len(members))):
                 member, rest = members[j], members[:j] + members[j + 1 :]
-                if not member.candidate.separable:
-                    continue
-                node = first_order(rest, point, self.log_prior(rest))
-                scored = scanned_candidate(node.conditioned, member.candidate)
-                log, again = self.weighted(scored, [m.candidate for m in rest])
-                members = rest if log < 0 else (*members[:j], again, *members[j + 1 :])
+                if member.candidate.separable:
+                    scored = scanned_candidate(conditioned(point, rest), member.candidate)
+                    log, again = self.weighted(scored, [m.candidate for m in rest])
+                    members = rest if log < 0 else (*members[:j], again, *members[j + 1 :])
             if [m.key for m in members] == before:
                 break
         found = self.known.get(key_of(members)) or estimated(members, point, self.log_prior(members))
