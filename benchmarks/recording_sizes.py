@@ -161,7 +161,7 @@ def report(records: list[dict]) -> str:
         "# Recording sizes",
         "",
         f"Made by `python benchmarks/recording_sizes.py`: a sample of {len(records)} simulated cells, as many of every row as the table",
-        "says. False alarms: an effect, or a verdict other than `none` and `cannot_tell`, where nothing was injected. With one plain effect",
+        "says. False alarms: an effect, or another verdict than `none` and `cannot_tell`, where nothing was injected. With one plain effect",
         f"({effects}): right is that effect and no other, undecided is `none` or",
         "`cannot_tell`, wrong is all else. Limits are those of Clopper and Pearson; a row of few cells says little.",
         "",
