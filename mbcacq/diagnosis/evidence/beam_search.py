@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one
+from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, first_order, key_of, under
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, conditioned, estimated, first_order, key_of, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
@@ -47,7 +47,7 @@ class EvidenceSearch:
             beam = self.grown(beam)
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
-            best = beam[0]
+            best = beam[0] = self.rescanned(beam[0])
         if self.beam > 1:
             self.exchange(best)
         return self.ranked()
@@ -116,6 +116,20 @@ class EvidenceSearch:
 
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
+
+    def rescanned(self, node: Hypothesis) -> Hypothesis:
+        """The set with every scanned hyper-parameter sought anew, the other effects in place: those that came later move its best value."""
+        for j, member in enumerate(node.members if len(node.members) > 1 else ()):
+            if member.hyper is None or not member.candidate.separable:
+                continue
+            before, after = node.members[:j], node.members[j + 1 :]
+            scored = scanned_candidate(conditioned(node.point, (*before, *after)), member.candidate)
+            members = (*before, Member.of(scored), *after)
+            key = key_of(members)
+            if key not in self.known:
+                self.known[key] = estimated(members, node.point, node.log_prior)
+            node = max(node, self.known[key], key=lambda h: h.log_posterior)
+        return node
 
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
