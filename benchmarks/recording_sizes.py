@@ -1,10 +1,12 @@
 """False alarms and right names of the diagnosis by recording size, instrument and noise statement. Writes benchmarks/recording_sizes.md.
 
-    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py                 200 cells a row (hours)
+    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py                 200 cells a row, half as many with an effect (ten hours)
+    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py --minutes 4     go on for so long: every row grows evenly
     OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py --cells 12 --poses 20 28 --instruments tracker artefact
 
 Cells are simulated: an arm with the geometry errors of a new one, joint repeatability 5 urad, instrument noise 0.005 to 0.009 mm (scanner)
-or 0.015 mm (tracker). Every outcome is added to recording_sizes.jsonl at once; what is there is not repeated.
+or 0.015 mm (tracker). Every cell is drawn anew (no two share their noise). Every outcome is added to recording_sizes.jsonl at once;
+what is there is not repeated.
 """
 
 from __future__ import annotations
@@ -12,14 +14,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from itertools import product
 from pathlib import Path
-from time import process_time
+from time import perf_counter, process_time
+from zlib import crc32
 
 import numpy as np
+from scipy.stats import beta
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))
@@ -45,7 +49,7 @@ MOUNT = se3.transform(se3.rotation_exp(np.array([0.2, 0.1, 0.3])), np.array([30.
 TRACKER = se3.transform(se3.rotation_exp(np.array([0.0, 0.0, 0.3])), np.array([2500.0, 300.0, 400.0]))
 
 
-@lru_cache(maxsize=4)
+@cache
 def template(instrument: str, poses: int) -> Observations:
     """Poses of a recording, measured without noise in the nominal cell."""
     if instrument == "artefact":
@@ -54,7 +58,8 @@ def template(instrument: str, poses: int) -> Observations:
         return plan.select(np.arange(plan.n_poses) < poses)
     if instrument == "bar":
         stations, bars = max(2, poses // 12), max(2, poses // 16)
-        return simulated.plan(stations, bars, max(2 * (poses // (stations + bars) // 2), 2))
+        plan = simulated.plan(stations, bars, 2 * int(np.ceil(poses / (stations + bars) / 2)))
+        return plan.select(np.isin(np.arange(plan.n_poses), np.linspace(0, plan.n_poses - 1, poses).round()))
     return tracked(poses, instrument == "tracker6")
 
 
@@ -109,7 +114,7 @@ def outcome(job: tuple[str, int, float, int, int]) -> dict:
     """One cell: verdict, effects, seconds of processor time."""
     instrument, poses, stated, which, number = job
     start = process_time()
-    found = diagnose(recorded(instrument, poses, 10_000 * which + number, EFFECTS[which], stated))
+    found = diagnose(recorded(instrument, poses, crc32(repr(job).encode()), EFFECTS[which], stated))
     return {
         "job": list(job),
         "verdict": found.verdict,
@@ -128,45 +133,78 @@ def judged(record: dict) -> str:
     return "right" if record["effects"] == [f"{effect[0]}:{'+'.join(effect[1])}"] else "wrong"
 
 
+def upper_limit(events: int, cells: int) -> float:
+    """Of a rate, at 95 % (Clopper and Pearson)."""
+    return 1.0 if events >= cells else float(beta.ppf(0.95, events + 1, cells - events))
+
+
+def counts(records: list[dict]) -> str:
+    """Columns of the tables: nothing injected, then one effect."""
+    clean, with_effect = ([r for r in records if (r["job"][3] == 0) is none] for none in (True, False))
+    alarms, judgements = sum(judged(r) == "wrong" for r in clean), [judged(r) for r in with_effect]
+    found = " | ".join(str(judgements.count(what)) for what in ("right", "undecided", "wrong"))
+    limit = f"{100 * upper_limit(alarms, len(clean)):.1f} %" if clean else ""
+    return f"{len(clean)} | {alarms} | {limit} | {len(judgements)} | {found} | {np.median([r['seconds'] for r in records]):.1f}"
+
+
 def report(records: list[dict]) -> str:
+    head, rule = "cells | false alarms | at most (95 %) | with an effect | right | undecided | wrong | s (median) |", "--:|" * 8
+
+    def table(names: str, key: Callable[[dict], tuple]) -> list[str]:
+        values = sorted({key(r) for r in records})
+        rows = [f"| {' | '.join(str(k) for k in v)} | {counts([r for r in records if key(r) == v])} |" for v in values]
+        return [f"| {names} | {head}", f"|{'---|' * (names.count('|') + 1)}{rule}", *rows, ""]
+
+    effects = "; ".join(f"{e[0]} {e[1][0]}, {e[2][0]:g}" for e in EFFECTS if e is not None)
+    wrong = [r for r in records if judged(r) == "wrong"]
     lines = [
         "# Recording sizes",
         "",
-        "Made by `python benchmarks/recording_sizes.py`: simulated cells with nothing injected (false alarms) and with one plain effect.",
+        f"Made by `python benchmarks/recording_sizes.py`: a sample of {len(records)} simulated cells, as many of every row as the table",
+        "says. False alarms: an effect, or another verdict than `none` and `cannot_tell`, where nothing was injected.",
+        f"With one plain effect ({effects}): right is that effect and no other,",
+        "undecided is `none` or `cannot_tell`, wrong is all else. Limits are those of Clopper and Pearson; a row of few cells says little.",
         "",
-        "| instrument | poses | stated noise / true | cells | false alarms | with an effect | right | undecided | wrong | s (median) |",
-        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+        *table("all", lambda r: ("all",)),
+        *table("poses", lambda r: (r["job"][1],)),
+        *table("instrument", lambda r: (r["job"][0],)),
+        *table("stated noise / true", lambda r: (r["job"][2],)),
+        *table("instrument | poses | stated noise / true", lambda r: tuple(r["job"][:3])),
+        "Wrong ones:",
+        "",
+        *[f"- {' '.join(str(part) for part in r['job'])}: {r['verdict']}, {', '.join(r['effects']) or 'no effect'}" for r in wrong],
     ]
-    for key in sorted({tuple(r["job"][:3]) for r in records}):
-        mine = [r for r in records if tuple(r["job"][:3]) == key]
-        clean, with_effect = [r for r in mine if r["job"][3] == 0], [judged(r) for r in mine if r["job"][3]]
-        alarms = sum(judged(r) == "wrong" for r in clean)
-        counts = " | ".join(str(with_effect.count(what)) for what in ("right", "undecided", "wrong"))
-        seconds = np.median([r["seconds"] for r in mine])
-        lines.append(f"| {key[0]} | {key[1]} | {key[2]:g} | {len(clean)} | {alarms} | {len(with_effect)} | {counts} | {seconds:.1f} |")
     return "\n".join(lines) + "\n"
+
+
+def jobs(options: argparse.Namespace) -> list[tuple[str, int, float, int, int]]:
+    """Round by round over all rows: a cell with nothing injected, and every other round one with an effect."""
+    rows = list(product(options.instruments, options.poses, options.stated))
+    rounds = [(which, n) for n in range(options.cells) for which in ((0,) if n % 2 else (0, 1 + n // 2 % (len(EFFECTS) - 1)))]
+    return [(*row, *which) for which in rounds for row in rows]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cells", type=int, default=200, help="with nothing injected, and as many with an effect")
+    parser.add_argument("--cells", type=int, default=200, help="with nothing injected, and half as many with an effect")
     parser.add_argument("--poses", type=int, nargs="*", default=POSES)
     parser.add_argument("--instruments", nargs="*", choices=INSTRUMENTS, default=INSTRUMENTS)
     parser.add_argument("--stated", type=float, nargs="*", default=STATED)
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after so many")
     parser.add_argument("--keep", type=Path, default=Path("recording_sizes.jsonl"), help="outcomes so far; go on with them")
     parser.add_argument("--out", type=Path, default=HERE / "recording_sizes.md")
     options = parser.parse_args()
+    start = perf_counter()
     kept = [json.loads(line) for line in options.keep.read_text(encoding="utf-8").splitlines()] if options.keep.exists() else []
     done = {tuple(r["job"]) for r in kept}
-    which = [(0, n) for n in range(options.cells)] + [(1 + n % (len(EFFECTS) - 1), n) for n in range(options.cells)]
-    todo = [(i, p, s, *w) for i, p, s, w in product(options.instruments, options.poses, options.stated, which)]
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for record in pool.map(outcome, [job for job in todo if job not in done]):
-            kept.append(record)
-            with options.keep.open("a", encoding="utf-8") as out:
-                out.write(json.dumps(record) + "\n")
-            options.out.write_text(report(kept), encoding="utf-8")
+    with options.keep.open("a", encoding="utf-8") as out:
+        for job in (j for j in jobs(options) if j not in done):
+            if perf_counter() - start > 60 * options.minutes:
+                break
+            kept.append(outcome(job))
+            out.write(json.dumps(kept[-1]) + "\n")
+            out.flush()
+    options.out.write_text(report(kept), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -178,7 +178,7 @@ def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -
 
 
 def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
-    """Sentences on periodic errors of which the recording covers less than half a period."""
+    """Sentences on periodic errors of which the recording covers less than a period."""
     out = []
     for candidate, hyper in full.model.effects:
         for name in partly_covered(setup.context, candidate, hyper):
@@ -190,6 +190,13 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
                 f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat beyond"
             )
     return out
+
+
+def unproven_places(setup: DiagnosisProblem) -> list[str]:
+    """A sentence where all poses look at one place."""
+    if not setup.context.scanner_on_flange or len(np.unique(setup.linear.obs.station)) > 1:
+        return []
+    return ["all poses look at one place: held-out figures are of that place, and that the model holds at other places is not proven"]
 
 
 def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
@@ -204,6 +211,7 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     dropped = int(np.sum(~keep))
     if dropped:
         out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
+    out += unproven_places(setup)
     if not setup.context.masses_known:
         out.append(
             "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "

@@ -168,19 +168,29 @@ def test_an_unmodelled_effect_by_the_tilt_has_no_group_that_can_be_kept(plan):
     assert kept_group(Covariates(plan), "scanner", "tilt") is None
 
 
-def test_a_periodic_claim_needs_half_a_period_of_travel(plan):
-    """Order 4 over 23 deg is a quarter of a period: a smooth function of the angle there, and not shown to repeat."""
+def gear_of_joint_four(plan, degrees):
+    """Context and candidate of a periodic error of A4, which moves over this range."""
+    q = plan.q.copy()
+    q[:, 3] = np.radians(np.linspace(*degrees, plan.n_poses))
+    obs = replace(plan, q=q)
+    state = simulated.nominal_state(obs)
+    here = Context(obs, state, forward_model.predict(obs, state))
+    every = catalogue.candidates(here)[0]
+    return here, next(c for c in every if c.name == "gear_transmission_error" and c.where == ("A4",))
 
-    def uncovered(degrees, order):
-        q = plan.q.copy()
-        q[:, 3] = np.radians(np.linspace(*degrees, plan.n_poses))
-        obs = replace(plan, q=q)
-        state = simulated.nominal_state(obs)
-        here = Context(obs, state, forward_model.predict(obs, state))
-        every = catalogue.candidates(here)[0]
-        gear = next(c for c in every if c.name == "gear_transmission_error" and c.where == ("A4",))
-        return partly_covered(here, gear, order)
 
-    assert uncovered((0, 23), 4.0) == ("q4",)
-    assert uncovered((-90, 90), 4.0) == ()
-    assert uncovered((-50, 50), 1.0) == ("q4",)
+def test_no_order_is_claimed_of_which_the_travel_shows_less_than_a_period(plan):
+    """Order 4 over 23 deg is a quarter of a period; 1, 2 and the gear's own over 100 deg are known by construction, from half of one on."""
+    _, narrow = gear_of_joint_four(plan, (0, 23))
+    _, wide = gear_of_joint_four(plan, (-50, 50))
+
+    assert narrow.hyper.values.min() == pytest.approx(360 / 23)
+    assert sorted(v for v in wide.hyper.values if v < 3.7) == [2.0, 3.0, pytest.approx(3.6)]
+    assert wide.hyper.preferred == (2.0, 3.0, 4.0, 80.0, 160.0)
+
+
+def test_an_error_of_less_than_a_period_holds_where_the_angle_was(plan):
+    here, gear = gear_of_joint_four(plan, (-50, 50))
+
+    assert partly_covered(here, gear, 2.0) == ("q4",)
+    assert partly_covered(here, gear, 4.0) == ()

@@ -8,7 +8,8 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.verdict import verdict_of
+from mbcacq.diagnosis.validation.folds import split
+from mbcacq.diagnosis.verdict import unproven_places, verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import Displacements
 
@@ -43,6 +44,25 @@ def test_effects_without_their_columns_are_reported_as_dropped(plan):
 
     assert {"scanner_warmup", "thermal_growth", "exposure_latency"} <= set(dropped)
     assert "temperatures" in dropped["thermal_growth"]
+
+
+@pytest.mark.parametrize(("places", "left_out"), [(1, "block"), (2, "station"), (3, "station")])
+def test_a_place_is_left_out_where_there_are_two(plan, places, left_out):
+    linear = model_fit.prepare(plan.select(plan.station < places)).linear
+
+    fold, what = split(linear, 4)
+
+    assert what == left_out
+    if places > 1:
+        assert all(len(set(fold[linear.obs.station == s])) == 1 for s in range(places))
+        assert len(set(fold)) == places
+
+
+@pytest.mark.parametrize(("places", "said"), [(1, True), (2, False)])
+def test_with_one_place_no_other_is_proven(plan, places, said):
+    problem = model_fit.prepare(plan.select(plan.station < places))
+
+    assert any("other places is not proven" in note for note in unproven_places(problem)) == said
 
 
 def bending_of_link_two(context):

@@ -110,13 +110,25 @@ def test_stiffnesses_of_a_data_sheet_are_the_slopes_on_either_side_of_the_breakp
     beyond, below = 1 / 40e3, 1 / 10e3
     covariance = np.array([[1.0, -1.0], [-1.0, 1.0]]) * (0.01 * beyond) ** 2 + np.diag([0.0, (0.01 * below) ** 2])
 
-    found = lost_motion.stiffnesses("A2", beyond, below - beyond, covariance)
+    found = lost_motion.stiffnesses("A2", np.array([beyond, below - beyond]), covariance)
 
     assert (found["A2.K1_Nm_per_rad"].value, found["A2.K2_Nm_per_rad"].value) == pytest.approx((10e3, 40e3))
     assert (found["A2.K1_Nm_per_rad"].std, found["A2.K2_Nm_per_rad"].std) == pytest.approx((100.0, 400.0))
 
 
 def test_a_gear_that_does_not_yield_beyond_its_breakpoint_has_no_second_stiffness():
-    found = lost_motion.stiffnesses("A3", 1e-8, 1e-6, np.diag([1e-16, 1e-16]))
+    found = lost_motion.stiffnesses("A3", np.array([1e-8, 1e-6]), np.diag([1e-16, 1e-16]))
 
     assert set(found) == {"A3.K1_Nm_per_rad"}
+
+
+def test_three_stiffnesses_of_a_strain_wave_gear():
+    """A size 25 of a data sheet: 8.4, 9.4 and 11 kN m/rad; every compliance known to 1 % of the stiffest branch."""
+    branches = np.array([8.4e3, 9.4e3, 11e3])
+    compliance = np.array([1 / branches[2], 1 / branches[0] - 1 / branches[1], 1 / branches[1] - 1 / branches[2]])
+    std = 0.01 / branches[2]
+
+    found = lost_motion.stiffnesses("A4", compliance, np.eye(3) * std**2)
+
+    assert [found[f"A4.K{k}_Nm_per_rad"].value for k in (1, 2, 3)] == pytest.approx(branches)
+    assert [found[f"A4.K{k}_Nm_per_rad"].std for k in (1, 2, 3)] == pytest.approx(std * np.sqrt([3, 2, 1]) * branches**2)

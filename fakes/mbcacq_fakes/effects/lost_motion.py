@@ -11,9 +11,19 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 
 
 class LostMotion(InjectedEffect):
-    """Stiffness K1 up to the torque T1, K2 beyond: drawn as a lost motion and a compliance beyond, as data sheets give them."""
+    """Stiffness K1 up to the torque T1, K2 beyond: drawn as a lost motion and a compliance beyond, as data sheets give them.
 
-    options = {"where": None, "lost_motion_deg": None, "breakpoint_Nm": None, "compliance_rad_per_Nm": None}
+    With a second lost motion that ends at a second torque the gear has three stiffnesses.
+    """
+
+    options = {
+        "where": None,
+        "lost_motion_deg": None,
+        "breakpoint_Nm": None,
+        "compliance_rad_per_Nm": None,
+        "second_lost_motion_deg": 0.0,
+        "second_breakpoint_Nm": 1.0,
+    }
 
     def draw(self) -> None:
         loaded = [i for i in (1, 2) if i < self.cell.n]
@@ -27,14 +37,16 @@ class LostMotion(InjectedEffect):
         self.lost = abs(self.size(4e-4)) if given["lost_motion_deg"] is None else float(np.radians(given["lost_motion_deg"]))
         share = float(self.rng.uniform(0.12, 0.4))
         self.breakpoint = share * reach if given["breakpoint_Nm"] is None else float(given["breakpoint_Nm"])
+        self.second = float(np.radians(given["second_lost_motion_deg"])), float(given["second_breakpoint_Nm"])
         beyond = given["compliance_rad_per_Nm"]
         self.beyond = self.strength * float(self.rng.uniform(0.3, 1.0)) * 1.5e-4 / reach if beyond is None else float(beyond)
 
     def _wound(self, torque: np.ndarray) -> np.ndarray:
-        """Two springs in series, of which the soft one meets its stops at T1."""
-        soft = self.lost / 2 / self.breakpoint
-        gap = np.minimum(np.abs(torque) * soft, self.lost / 2)
-        return np.sign(torque) * (gap + np.abs(torque) * self.beyond)
+        """Springs in series, of which the soft ones meet their stops at T1 and T2."""
+        gap, load = 0.0, np.abs(torque)
+        for lost, breakpoint in ((self.lost, self.breakpoint), self.second):
+            gap = gap + np.minimum(load * lost / 2 / breakpoint, lost / 2)
+        return np.sign(torque) * (gap + load * self.beyond)
 
     def displace(self, at: Moments, moved: Moved) -> None:
         (i,) = self._axes

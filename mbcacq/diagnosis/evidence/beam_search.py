@@ -123,8 +123,8 @@ class EvidenceSearch:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
     def polished(self, best: Hypothesis) -> Hypothesis:
-        """A set with several orders of a gear, or several breakpoints: each is looked for anew beside the others, and left out where it adds
-        nothing. The first were found while the others still disturbed.
+        """A set with several orders of a gear, or several breakpoints: each is looked for anew beside the others, and left out where it
+        adds nothing. The first were found while the others still disturbed.
         """
         members, point = best.members, best.point
         if len({m.candidate.key for m in members}) == len(members):

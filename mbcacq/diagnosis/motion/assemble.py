@@ -30,7 +30,6 @@ from mbcacq.effects.motion.effect import MotionSignals
 from mbcacq.effects.motion.payload import NAME as PAYLOAD
 
 BETWEEN_JOINTS = "wrist_coupling"  # acts from one joint on another
-WIDE = 0.5  # share of an axis' limits from which a motion counts as wide
 MILLI = 1e3  # mm in a metre
 
 
@@ -91,15 +90,16 @@ def assemble(
             dependence, unmodelled = residual_structure(fit, j, runs, min(weight, 1.0), options)
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
-    not_separable = tuple(s for fit in fits for s in _not_separable(fit))
+    loads = tuple(MotionNotSeparable((a.reported, a.alternative), a.correlation, a.odds) for fit in fits for a in fit.load_alternatives)
+    not_separable = (*(s for fit in fits for s in _not_separable(fit)), *loads)
     return MotionDiagnosis(
-        _verdict(effects, channels, not_separable, options),
+        "cannot_tell" if loads else _verdict(effects, channels, not_separable, options),
         tuple(sorted(mismatch, key=lambda m: -m.share)),
         tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
         tuple(channels),
         fits[0].split,
         not_separable,
-        tuple(_advice(runs, not_separable)),
+        tuple(_advice(runs, not_separable, options)),
         tuple(b for fit in fits for b in _inertial(fit)),
     )
 
@@ -167,7 +167,7 @@ def _not_separable(fit: MotionFit) -> list[MotionNotSeparable]:
     return [MotionNotSeparable((f"{u.name}:{'+'.join(u.where)}", u.other), u.correlation) for u in fit.undetermined]
 
 
-def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSeparable, ...]) -> list[MotionAdvice]:
+def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSeparable, ...], options: MotionOptions) -> list[MotionAdvice]:
     """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
     together over a small range of angles, and apart over a large one."""
     robot = runs[0].robot
@@ -175,7 +175,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSepar
         return []
     low, high = (np.degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
     limits = np.degrees(robot.limits)
-    small = [j for j in range(1, robot.n) if high[j] - low[j] < WIDE * (limits[j, 1] - limits[j, 0])]
+    small = [j for j in range(1, robot.n) if high[j] - low[j] < options.wide_range * (limits[j, 1] - limits[j, 0])]
     ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (

@@ -11,6 +11,7 @@ from mbcacq.diagnosis.motion.determination import UndeterminedEffect, at_bound, 
 from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
+from mbcacq.diagnosis.motion.load_hypotheses import LoadAlternative, load_alternatives
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
@@ -55,7 +56,8 @@ class MotionFit:
 
     residual_before, residual_after: with the base alone and with all effects; used: which samples count. links: torque by which the
     links differ from their description, as fitted; load_uncertainty: (J,) relative standard deviation of the torque that passes the
-    gear. undetermined: effects that the data ask for without determining them. inertial: (b, 10) parameters of the links and of the tool
+    gear. undetermined: effects that the data ask for without determining them. load_alternatives: other loads that they do not exclude.
+    inertial: (b, 10) parameters of the links and of the tool
     that was found (``geometry.dynamics.INERTIAL``), None for another channel. held_out_before, held_out_after, train_before,
     train_after: (J,) mean squares; floor: (J,) standard deviation of the channels' noise.
     """
@@ -75,6 +77,7 @@ class MotionFit:
     load_uncertainty: np.ndarray
     undetermined: list[UndeterminedEffect] = field(default_factory=list)
     inertial: np.ndarray | None = None
+    load_alternatives: list[LoadAlternative] = field(default_factory=list)
 
 
 def fit_selected(selection: ForwardSelection) -> MotionFit:
@@ -113,6 +116,7 @@ def fit_selected(selection: ForwardSelection) -> MotionFit:
         load_uncertainty(model, chosen, x, spread),
         undetermined,
         None if found is None else found.parameters(x),
+        load_alternatives(model, selection.pool) if store.whole else [],
     )
     selection.pool.forget_step()
     return result

@@ -66,6 +66,8 @@ class MotionOptions:
     description_correlated: float = 10.0  # samples that count as one there
     suspicious_ratio: float = 0.75  # product over the joints of the unexplained rms torque with another reading and without, at most
 
+    wide_range: float = 0.5  # share of an axis' limits from which a motion counts as wide
+
     # motor currents
     current_sigmas: float = 20.0  # a joint whose current does not show the arm's torque as clearly has no torque
     current_segment: int = 125  # samples that count as one independent observation

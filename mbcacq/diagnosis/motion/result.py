@@ -177,14 +177,16 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class MotionNotSeparable:
-    """Effects that the recordings ask for without telling them apart. correlation: of their estimates."""
+    """Effects that the recordings do not tell apart ('arm' stands for the masses of the links). correlation: of their estimates. odds:
+    posterior odds of the second against the first; None where they were not compared."""
 
     effects: tuple[str, ...]
     correlation: float
+    odds: float | None = None
 
     @classmethod
     def from_json(cls, content: Json) -> MotionNotSeparable:
-        return cls(tuple(content["effects"]), _number(content["correlation"]))
+        return cls(tuple(content["effects"]), _number(content["correlation"]), content.get("odds"))
 
 
 @dataclass(frozen=True)

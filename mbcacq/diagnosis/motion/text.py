@@ -34,7 +34,8 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
         lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
         lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
     for pair in diagnosis.not_separable:
-        lines.append(f"Not separated: {' and '.join(pair.effects)} (correlation of the estimates {pair.correlation:.3f})")
+        odds = "" if pair.odds is None else f"; odds of the second {number(pair.odds)}"
+        lines.append(f"Not separated: {' and '.join(pair.effects)} (correlation of the estimates {pair.correlation:.3f}{odds})")
     lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:

@@ -10,13 +10,15 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
+from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate, Parameters
-from mbcacq.effects.pose import lost_motion, payload
+from mbcacq.effects.pose import joint_compliance, lost_motion, payload
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 MOST_LOCATIONS = 6  # entries of the mismatch where no model of it was fitted
+STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
 SMALLEST_LOG10_P, LARGEST_LOG_RATIO = -300.0, 690.0  # of what a floating point number can hold
 
 
@@ -61,21 +63,39 @@ def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, Parameter
         for name, new in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
             old = out.get(name)
             out[name] = new if old is None else ParameterEstimate(_joined(old.value, new.value), _joined(old.std, new.std))
-        if candidate.name == lost_motion.NAME:
-            out |= data_sheet_stiffnesses(full, j)
+    found = (full.model.effects[j][0] for j in members)
+    for joint in dict.fromkeys(c.where[0] for c in found if c.name == lost_motion.NAME):
+        out |= data_sheet_stiffnesses(full, joint)
     return out
 
 
-def data_sheet_stiffnesses(full: ModelFit, j: int) -> Parameters:
-    """K1 and K2 of the gearbox whose lost motion is effect j; none where no compliance was found at its joint."""
+def data_sheet_stiffnesses(full: ModelFit, joint: str) -> Parameters:
+    """K1, K2 .. of the gearbox of a joint with lost motion; none where no compliance was found there."""
     model, slices = full.model, full.model.slices()
-    candidate, at = model.effects[j]
-    linear = next((k for k, (c, _) in enumerate(model.effects) if c.name == "joint_compliance" and c.where == candidate.where), None)
-    if linear is None or not at:
+    here = [(c.name, hyper, own.start) for (c, hyper), own in zip(model.effects, slices, strict=True) if c.where == (joint,)]
+    linear = [row for name, _, row in here if name == joint_compliance.NAME]
+    soft = sorted((float(at), row) for name, at, row in here if name == lost_motion.NAME and at)
+    if not linear or not soft:
         return {}
-    rows, scale = [slices[linear].start, slices[j].start], np.array([1.0, 1.0 / at])
-    c, e = model.coefficients[rows] * scale
-    return lost_motion.stiffnesses(candidate.where[0], float(c), float(e), model.covariance[np.ix_(rows, rows)] * np.outer(scale, scale))
+    rows, scale = [linear[0], *(row for _, row in soft)], np.array([1.0, *(1.0 / at for at, _ in soft)])
+    covariance = covariance_with_free_breakpoints(full)[np.ix_(rows, rows)] * np.outer(scale, scale)
+    return lost_motion.stiffnesses(joint, model.coefficients[rows] * scale, covariance)
+
+
+def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
+    """(k, k) of the coefficients, the torques at which gearboxes become stiff unknown as well (to first order)."""
+    model, projected = full.model, full.geometry_only
+    blocks = [projected.block(c, hyper) for c, hyper in model.effects]
+    for (c, at), own in zip(model.effects, model.slices(), strict=True):
+        if c.name == lost_motion.NAME and at:
+            turned = projected.block(c, (1 + STEP) * at) - projected.block(c, (1 - STEP) * at)
+            blocks.append(turned @ model.coefficients[own][:, None] / (2 * STEP))
+    X, k = np.concatenate(blocks, axis=1), len(model.coefficients)
+    absorbed = projected.Q.T @ X
+    S = X.T @ X - absorbed.T @ absorbed
+    S[:k, :k] += np.diag(np.concatenate([prior_weight(c) for c, _ in model.effects]))
+    size = 1 / np.sqrt(np.diag(S))
+    return (np.linalg.inv(S * np.outer(size, size) + 1e-12 * np.eye(len(S))) * np.outer(size, size))[:k, :k]
 
 
 def _joined(a: float | tuple[float, ...], b: float | tuple[float, ...]) -> tuple[float, ...]:

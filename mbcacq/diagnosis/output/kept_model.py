@@ -57,7 +57,7 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
 
 
 def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) -> tuple[str, ...]:
-    """The angle of a periodic error of which the recording shows less than half a period: within its range it is a smooth function as
+    """The angle of a periodic error of which the recording shows less than a period: within its range it is a smooth function as
     good as any, beyond it nothing says that the error repeats.
     """
     if candidate.name != gear_transmission_error.NAME or hyper is None:

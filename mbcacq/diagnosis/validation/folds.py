@@ -82,10 +82,11 @@ def evaluated_fold(
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose, and what was left out. Stations go whole; a single station is cut into blocks of its order of measurement."""
+    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two; a single one is cut into blocks of its
+    order of measurement."""
     obs = linear.obs
     stations = np.unique(obs.station)
-    if len(stations) >= 3:
+    if len(stations) >= 2:
         size = np.bincount(obs.station, minlength=len(obs.cell.stations))
         kind = np.array([[a.id for a in obs.cell.artefacts].index(s.artefact) for s in obs.cell.stations])
         ranked = sorted(stations, key=lambda k: (kind[k], -size[k], k))

@@ -1,4 +1,8 @@
-"""Periodic error of a joint in its own angle; the orders are found by a spectral scan, not assumed."""
+"""Periodic error of a joint in its own angle; the orders are found by a spectral scan, not assumed.
+
+That an error is periodic is only claimed where the travel covers a period, or half of one where the order is one that the gear has by its
+construction. Slower errors are unmodelled functions of the angle, which hold where the angle was.
+"""
 
 from collections.abc import Callable
 
@@ -10,7 +14,8 @@ from mbcacq.effects.functions import DescribedPart, cosine, sine
 
 NAME = "gear_transmission_error"
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
-LEAST_PERIODS = 0.5  # of an order, which the travel must cover for the claim that the error is periodic
+LEAST_PERIODS = 1.0  # of an order that is only found, which the travel must cover for the claim that the error is periodic
+LEAST_OF_PREFERRED = 0.5  # and of one that the gear has by its construction
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -25,8 +30,11 @@ def candidates(context: Context) -> list[Candidate]:
         ratio = None if gear is None else abs(float(gear[i]))
         highest = HIGHEST_ORDER if ratio is None else max(HIGHEST_ORDER, 2.1 * ratio)
         step = 0.25 * 2 * np.pi / span
-        orders = np.arange(max(LOWEST_ORDER, 0.0), highest, min(step, 0.5))
-        preferred = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
+        orders = np.arange(max(LOWEST_ORDER, LEAST_PERIODS * 2 * np.pi / span), highest, min(step, 0.5))
+        built = (1.0, 2.0, 3.0, 4.0) + (() if ratio is None else (ratio, 2 * ratio))
+        preferred = tuple(order for order in built if periods_covered(q, order) >= LEAST_OF_PREFERRED)
+        if not len(orders) + len(preferred):
+            continue
         hyper = Hyperparameter(
             "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred
         )

@@ -1,8 +1,9 @@
-"""Lost motion: a gearbox that is soft about zero torque and stiff beyond, as data sheets give it by K1, K2 and the torque T1 between them.
+"""Lost motion: a gearbox that is soft about zero torque and stiff beyond, as data sheets give it by K1, K2 and the torque T1 between them,
+or by K1, K2, K3 with the torques T1 and T2.
 
 A wind-up with the slope 1/K1 up to the torque T1 and 1/K2 beyond is the linear one, tau / K2, which is ``joint_compliance``, and a part
 that grows up to T1 and stays: h clip(tau / T1, -1, 1), with h = T1 (1/K1 - 1/K2). The lost motion is 2 h, the angle between the two
-stiff branches, prolonged to zero torque.
+stiff branches, prolonged to zero torque. Each further branch is one more such part at the same joint; the evidence decides how many.
 """
 
 import numpy as np
@@ -26,15 +27,20 @@ def candidates(context: Context) -> list[Candidate]:
     return [of_joint(context, i) for i in range(context.n) if np.ptp(torque[:, i]) > max(0.02 * np.ptp(torque, axis=0).max(), LEAST_TORQUE)]
 
 
-def stiffnesses(joint: str, compliance: float, excess: float, covariance: np.ndarray) -> Parameters:
-    """K1 and K2 of a data sheet in N m/rad, from the compliance beyond the breakpoint and what it is larger below, rad/(N m), with their
-    covariance (2, 2). K2 is left out where the compliance beyond is not larger than twice its standard deviation: it has no upper end.
+def stiffnesses(joint: str, compliance: np.ndarray, covariance: np.ndarray) -> Parameters:
+    """K1, K2 .. of a data sheet in N m/rad.
+
+    compliance: (b + 1,) rad/(N m): of the last branch, then by how much it is larger below each breakpoint, by rising torque; covariance:
+    (b + 1, b + 1) of these. A branch is left out where its compliance is not larger than twice its standard deviation: its stiffness has
+    no upper end.
     """
-    below = compliance + excess
-    out = {f"{joint}.K1_Nm_per_rad": number(1 / below, np.sqrt(covariance.sum()) / below**2)}
-    std = float(np.sqrt(covariance[0, 0]))
-    if compliance > 2 * std:
-        out[f"{joint}.K2_Nm_per_rad"] = number(1 / compliance, std / compliance**2)
+    breakpoints = len(compliance) - 1
+    out = {}
+    for branch in range(breakpoints + 1):
+        beyond = np.r_[1.0, np.arange(breakpoints) >= branch]  # the breakpoints at which this branch ends, or which are further out
+        total, std = float(beyond @ compliance), float(np.sqrt(beyond @ covariance @ beyond))
+        if total > 2 * std:
+            out[f"{joint}.K{branch + 1}_Nm_per_rad"] = number(1 / total, std / total**2)
     return out
 
 
@@ -67,5 +73,6 @@ def of_joint(context: Context, i: int) -> Candidate:
         (("joint", i, 0),),
         functions,
         positive=True,
+        several=True,
         described=described,
     )

@@ -1,0 +1,52 @@
+"""A gearbox with the three stiffnesses of a data sheet: the evidence finds how many branches there are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.output.effects_table import data_sheet_stiffnesses
+from mbcacq.diagnosis.reported_model import model_of
+from mbcacq.estimation.forward_model import Displacements
+
+BREAKPOINTS = np.array([25.0, 80.0])  # N m, of 159 that act at most
+STIFFNESS = np.array([0.15e6, 0.3e6, 1.0e6])  # N m/rad, below, between and beyond them
+
+
+def wound(torque, breakpoints, stiffness):
+    """Angle (P,) of a gearbox under torque (P,), by integration of one over its stiffness."""
+    ends = np.concatenate([[0.0], breakpoints, [np.inf]])
+    inside = np.clip(np.abs(torque)[:, None] - ends[:-1], 0.0, np.diff(ends))
+    return np.sign(torque) * (inside / stiffness).sum(axis=1)
+
+
+def gearbox(breakpoints, stiffness):
+    def displaced(context):
+        joint = np.zeros(context.obs.q.shape)
+        joint[:, 2] = wound(context.gravity_torque[:, 2], breakpoints, stiffness)
+        return Displacements(joint=joint)
+
+    return displaced
+
+
+@pytest.mark.parametrize("branches", [2, 3])
+def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
+    stiffness = STIFFNESS[-branches:]
+    observed = simulated.observe(plan, 140, [gearbox(BREAKPOINTS[-(branches - 1) :], stiffness)])
+
+    problem = model_fit.prepare(observed)
+    gears = [c for c in problem.candidates if c.name in ("joint_compliance", "lost_motion", "backlash", "hysteresis")]
+    problem = replace(problem, candidates=gears)
+    found = model_of(problem, fit_evidence(problem, np.ones(len(observed.xyz), dtype=bool), unmodelled=False))
+    stated = data_sheet_stiffnesses(found, "A3")
+
+    assert set(found.model.names) == {"joint_compliance", "lost_motion"}
+    assert {candidate.where for candidate, _ in found.model.effects} == {("A3",)}
+    assert set(stated) == {f"A3.K{k + 1}_Nm_per_rad" for k in range(branches)}
+    for k, true in enumerate(stiffness):
+        each = stated[f"A3.K{k + 1}_Nm_per_rad"]
+        assert abs(each.value - true) < 4 * each.std
+        assert each.std < 0.15 * true
