@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
@@ -18,6 +20,7 @@ from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.solution import solved
+from mbcacq.effects.pose import joint_compliance
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
@@ -51,7 +54,10 @@ def fit_long_recording(
 ) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, linear.keep, OPTIONS.searched_poses)
-    found = fit_evidence(small, small.linear.keep, unmodelled=False)
+    # Every arm is elastic: what elasticity explains is not given to slow periodic errors.
+    elastic = replace(small, candidates=[c for c in small.candidates if c.name == joint_compliance.NAME])
+    soft = fit_evidence(elastic, small.linear.keep, unmodelled=False).best
+    found = fit_evidence(small, small.linear.keep, unmodelled=False, begin=soft)
     best = reported_hypothesis(found)
     model = transferred(small, problem, EffectSet(tuple((m.candidate, m.hyper) for m in best.catalogued)))
     linear = relinearized(linear, model, best.point.noise)

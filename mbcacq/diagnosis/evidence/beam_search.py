@@ -46,7 +46,7 @@ class EvidenceSearch:
         self.known = {none.key: none}
         best, beam = none, [none]
         if begin is not None and begin.members:
-            best = estimated(begin.members, replace(start, theta=begin.point.theta), begin.log_prior)
+            best = estimated(begin.members, replace(start, theta=begin.point.theta), self.log_prior(begin.members))
             self.known[best.key], beam = best, [best]
         for _ in range(OPTIONS.most_effects):
             beam = self.grown(beam)
@@ -123,20 +123,18 @@ class EvidenceSearch:
         return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
     def polished(self, best: Hypothesis) -> Hypothesis:
-        """A set with several orders of a gear, or several breakpoints: each is looked for anew beside the others, and left out where it
-        adds nothing. The first were found while the others still disturbed.
+        """A set whose last effect is a further order of a gear, or a further breakpoint, with all of these looked for anew beside each
+        other, and left out where they add nothing: the first were found while the others still disturbed.
         """
-        members, point = best.members, best.point
-        if len({m.candidate.key for m in members}) == len(members):
+        members, point, key = best.members, best.point, best.members[-1].candidate.key
+        if not members[-1].candidate.separable or sum(m.candidate.key == key for m in members) < 2:
             return best
         for _ in range(POLISHING_ROUNDS):
             before = [m.key for m in members]
-            for j in reversed(range(len(members))):
-                member, rest = members[j], members[:j] + members[j + 1 :]
-                if member.candidate.separable:
-                    scored = scanned_candidate(conditioned(point, rest), member.candidate)
-                    log, again = self.weighted(scored, [m.candidate for m in rest])
-                    members = rest if log < 0 else (*members[:j], again, *members[j + 1 :])
+            for j in reversed([j for j, m in enumerate(members) if m.candidate.key == key]):
+                rest = members[:j] + members[j + 1 :]
+                log, again = self.weighted(scanned_candidate(conditioned(point, rest), members[j].candidate), [m.candidate for m in rest])
+                members = rest if log < 0 else (*members[:j], again, *members[j + 1 :])
             if [m.key for m in members] == before:
                 break
         found = self.known.get(key_of(members)) or estimated(members, point, self.log_prior(members))

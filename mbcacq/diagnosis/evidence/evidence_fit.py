@@ -39,8 +39,12 @@ class EvidenceFit:
         return next(h for h in self.hypotheses if h.members) if self.significant else self.none
 
 
-def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmodelled: bool = True) -> EvidenceFit:
-    """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged."""
+def fit_evidence(
+    problem: DiagnosisProblem, keep: np.ndarray | None = None, unmodelled: bool = True, begin: Hypothesis | None = None
+) -> EvidenceFit:
+    """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged. unmodelled:
+    whether unmodelled effects are candidates. begin: a set from which the search goes on.
+    """
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
     prior = problem.prior_noise
     blocks = UnmodelledEffects(problem.design_blocks) if unmodelled else None
@@ -50,11 +54,13 @@ def fit_evidence(problem: DiagnosisProblem, keep: np.ndarray | None = None, unmo
 
     def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
         """none: a noise, to begin with, of the empty set. What else each effect could be is asked about the last linearisation only."""
-        search = EvidenceSearch(problem.candidates, blocks, effects, problem.context, *effort, alternatives=from_set is not None)
+        search = EvidenceSearch(
+            problem.candidates, blocks, effects, problem.context, *effort, alternatives=keep is None and from_set is not None
+        )
         ranked = search.run(NoisePoint(linear, prior, none), from_set)
         return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
 
-    fit = searched(linear, pack(problem.noise))
+    fit = searched(linear, pack(problem.noise), begin)
     for _ in range(OPTIONS.relinearizations if keep is None else 0):
         before = fit.best.key
         kept = judged_centres(fit)
