@@ -220,10 +220,10 @@ class _PoseVariance:
         x, y = poses.F @ x, poses.F @ y
         if columns.own.size:
             x[..., self.f :] -= poses.N @ poses.own_twist
-        x = (x.reshape(-1, x.shape[2]) @ self.root.T).reshape(x.shape)
+        x = (x.reshape(-1, system.normal.size) @ self.root.T).reshape(x.shape)
         own = self.root[:, self.f :]
         self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
-        self.mixed, self.own = (x.reshape(-1, x.shape[2]) @ own).reshape(*x.shape[:2], -1), own.T @ own
+        self.mixed, self.own = (x.reshape(-1, system.normal.size) @ own).reshape(poses.own_twist.shape), own.T @ own
 
     def of_axes(self) -> np.ndarray:
         """(R,): sum of the variances of the rows of each axis, in units of the axis' variance."""
@@ -235,7 +235,7 @@ class _PoseVariance:
         """(n,): sums of the variances of the joints' columns times the rows."""
         poses = self.poses
         total = poses.L @ self.twist @ poses.L
-        if self.mixed.shape[2]:
+        if poses.own.columns.size:
             against = 2 * (poses.L @ self.mixed) + (poses.own_twist.reshape(-1, len(self.own)) @ self.own).reshape(self.mixed.shape)
             total += against @ np.swapaxes(poses.own_twist, 1, 2)
         T = poses.joints
