@@ -20,6 +20,7 @@ from mbcacq.model.observations import Observations
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
 RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
 LEAST_ROTATION = np.radians(4.0)
+FIRST_LOOK = 64  # poses of which a few degrees of rotation are looked for first
 HAND_EYE_ALONE = (
     "all poses are at one station, which leaves the arm's geometry undetermined elsewhere: the hand-eye transform alone is calibrated, "
     "the arm is taken as nominal; for the arm, put the artefact at more places, at different heights and distances (phase 'position')"
@@ -52,7 +53,7 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     per_station = obs.cell.measurement != TARGET_IN_BASE
     if per_station:
         _refuse_few_balls(obs)
-    turn = orientation_range(obs)
+    turn = orientation_range(obs, enough=LEAST_ROTATION)
     if turn < LEAST_ROTATION:
         raise CalibrationError(
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
@@ -115,14 +116,20 @@ def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs:
     )
 
 
-def orientation_range(obs: Observations) -> float:
-    """Largest angle (rad) between the flange orientation of a pose and that of the first pose of the same station."""
-    R = obs.cell.robot.chain.flange(obs.q)[:, :3, :3]
-    first = np.zeros(len(obs.cell.stations), int)
+def orientation_range(obs: Observations, enough: float = np.inf) -> float:
+    """Largest angle (rad) between the flange orientation of a pose and that of the first pose of the same station; of the first poses
+    alone where these reach ``enough``."""
+    largest, first = 0.0, np.zeros(len(obs.cell.stations), int)
     first[obs.station[::-1]] = np.arange(obs.n_poses)[::-1]
-    turn = np.swapaxes(R[first[obs.station]], 1, 2) @ R
-    cosine = (np.trace(turn, axis1=1, axis2=2) - 1) / 2
-    return float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
+    for poses in np.split(np.arange(obs.n_poses), [FIRST_LOOK]):
+        both, here = np.unique(np.concatenate([poses, first[obs.station[poses]]]), return_inverse=True)
+        R = obs.cell.robot.chain.flange(obs.q[both])[here, :3, :3]
+        turn = np.swapaxes(R[len(poses) :], 1, 2) @ R[: len(poses)]
+        cosine = (np.trace(turn, axis1=1, axis2=2) - 1) / 2
+        largest = max(largest, float(np.arccos(np.clip(cosine.min(initial=1.0), -1.0, 1.0))))
+        if largest >= enough:
+            break
+    return largest
 
 
 def refuse_runaway(chain: Chain, nominal: Chain, options: CalibrationOptions) -> None:

@@ -245,8 +245,8 @@ def _sigma(J: np.ndarray, fitted: _PlacedFit, point: np.ndarray, joint: np.ndarr
 
 
 def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
-    """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects, of which the fitted places absorb
-    a part, and the noise of measuring.
+    """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects and the variance of effects that
+    differ between recordings, of which the fitted places absorb a part, and the noise of measuring.
     """
     obs = fitted.observations
     rng = np.random.default_rng(0)
@@ -256,26 +256,31 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
     rows = keep[obs.pose]
     some = obs.select(keep)
     terms = model.at(some) if model else ()
-    options = CalibrationOptions(terms=terms, balls=False, phases=_all_phases(some))
+    # Of what differs between recordings the other one has a draw of its own: a random effect, beside what was learnt.
+    differing = tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(some))
+    options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=_all_phases(some))
     layout = parameters.build(some, options)
     for name in cell.layout.names:
         layout = _freed(layout, name)
     lineariser = Lineariser(some, layout, options)
-    linear = lineariser(Estimate(fitted.state, model.coefficients))
+    linear = lineariser(Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing))))
     width = fitted.residual.shape[1]
     X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}
     shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(("hand_eye.", "ball_"))]
+    variance = {name: s**2 for t in differing for name, s in zip(t.names, t.sigma, strict=True)}
+    drawn = [j for j, name in enumerate(names) if name in variance]
     index = [learnt[names[j]] for j in shared]
     own = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
-    A = X[:, shared]
+    A = X[:, [*shared, *drawn]]
     if fitted.options.hold == ():
         station = np.repeat(some.station[some.pose], 3)
         A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
         A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
-    C = cell.covariance[np.ix_(index, index)]
-    A = A.reshape(-1, 3, len(shared))
+    C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
+    C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
+    A = A.reshape(-1, 3, len(C))
     covariance = A @ C @ np.swapaxes(A, 1, 2)
     joint = lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint
     covariance += joint @ np.swapaxes(joint, 1, 2)

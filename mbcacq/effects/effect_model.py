@@ -77,6 +77,18 @@ class EffectModel:
         here = Covariates(obs)
         return tuple(t.term(here, self.learnt) for t in self.terms)
 
+    def left_out_at(self, obs: Observations) -> tuple[Term, ...]:
+        """Of a recording other than the one learnt from: the terms that differ between recordings, as functions of its own covariates.
+
+        ``at`` leaves them out, or takes them as they were at the end; there they are as large as ``sigma`` of the term says, with
+        coefficients of which nothing else is known.
+        """
+        if self.learnt.is_of(obs):
+            return ()
+        here, own = Covariates(obs), LearntRecording.of(obs)
+        bound = [t for t in self.terms if t.bound_to_recording and np.all(np.isfinite(t.sigma)) and not t.missing(here)]
+        return tuple(t.term(here, own) for t in bound if "station" not in t.covariates)  # stations are fitted, or known
+
     def displacements(self, obs: Observations) -> Displacements | None:
         """What the effects displace at the poses and centres of a recording; None where there are none."""
         return accumulate(obs, self.at(obs), self.coefficients) if self.terms else None

@@ -18,12 +18,15 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, gauss_newton_step, solve, system
+from mbcacq.estimation.solver import LINEAR_ROTATION, Solution, Weights, evaluated, gauss_newton_step, solve, system
+from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
 COARSE, FINE = 1e-2, 1e-7
-OUTLIER_ROUNDS, NOISE_ROUNDS = 8, 12
+OUTLIER_ROUNDS, NOISE_ROUNDS, HALVINGS = 8, 30, 6
+NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its own standard deviation before the last step
 REJECTED_SHARE = 0.4
+COARSE_ROTATION = 5e-3  # rad over which the columns of the hand-eye alone are kept: its residuals are kinematic errors of that order
 CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
 THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
 
@@ -76,8 +79,7 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
     if found:
         lineariser = Lineariser(obs, layout, options)
     solution, weights = robust_solve(lineariser, start if found else at, noise, weights, options, COARSE)
-    # Scoring converges quadratically: from the noise of a part of the poses, one step is enough.
-    solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
+    solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
     # Noise larger than expected may leave more undetermined than the first look showed.
     layout, more = hold_undetermined(layout, solution.normal.information, obs, solution.estimate.state)
     if more:
@@ -85,12 +87,12 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         found = [*found, *more]
         lineariser = Lineariser(obs, layout, options)
         solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
-        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, NOISE_ROUNDS if first is None else 1)
-    exact = system(lineariser, solution.estimate, noise, weights)
+        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+    exact = evaluated(lineariser, solution)
     if exact.normal.decrease(gauss_newton_step(exact.normal, layout.gather("scale"), 0.0)) > COARSE:
         # The problem is less linear than its steps promised.
         exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
-        exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options, NOISE_ROUNDS)
+        exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options)
     solution = solve(lineariser, exact, noise, weights, tolerance=FINE)
     return Adjustment(lineariser, solution, noise, weights, preliminary, found)
 
@@ -124,7 +126,7 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     refuse_undetermined(found, obs, options)
     if found:
         lineariser = Lineariser(obs, layout, held)
-    solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0)
+    solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0, COARSE_ROTATION)
     apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
     if apart > CONTRADICTION_MM:
         raise ContradictionError(
@@ -135,13 +137,19 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
 
 
 def robust_solve(
-    lineariser: Lineariser, start: Estimate | Solution, noise: Noise, weights: Weights, options: CalibrationOptions, tolerance: float
+    lineariser: Lineariser,
+    start: Estimate | Solution,
+    noise: Noise,
+    weights: Weights,
+    options: CalibrationOptions,
+    tolerance: float,
+    reuse: float = LINEAR_ROTATION,
 ) -> tuple[Solution, Weights]:
-    """Solve, the last step within the linear problem, and reject outliers by turns until no weight changes.
+    """Solve, the last step within the linear problem, and reject outliers by turns until no weight changes. reuse: as ``solve`` has it.
 
     Raises ContradictionError where more than REJECTED_SHARE would go.
     """
-    solution = solve(lineariser, start, noise, weights, tolerance=tolerance, within_linear=True)
+    solution = solve(lineariser, start, noise, weights, tolerance=tolerance, within_linear=True, reuse=reuse)
     for _ in range(OUTLIER_ROUNDS if options.robust else 0):
         d = outlier_distances(solution.poses, solution.linear.residual, noise, weights)
         fresh = reject_outliers(d, weights, lineariser.obs.pose)
@@ -152,26 +160,47 @@ def robust_solve(
             if not options.refuse:
                 # So many are structure, not outliers.
                 everything = Weights(np.ones_like(weights.centre), np.ones_like(weights.pose))
-                return solve(lineariser, solution, noise, everything, tolerance=tolerance, within_linear=True), everything
+                return solve(lineariser, solution, noise, everything, tolerance=tolerance, within_linear=True, reuse=reuse), everything
             raise ContradictionError(
                 f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
                 "artefact, the stations, and that joint angles and scans belong together"
             )
-        solution = solve(lineariser, solution, noise, weights, tolerance=tolerance, within_linear=True)
+        solution = solve(lineariser, solution, noise, weights, tolerance=tolerance, within_linear=True, reuse=reuse)
     return solution, weights
 
 
 def settle_noise(
-    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions, rounds: int = NOISE_ROUNDS
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
 ) -> tuple[Solution, Noise, Weights]:
-    """Estimate the noise by REML, refit, reject outliers again, by turns."""
+    """Estimate the noise by REML and refit, by turns, until its log posterior can rise by less than NOISE_GAIN; reject outliers again, and
+    where that changes what takes part, all of it once more."""
     prior = variance_components.noise_prior(lineariser.obs.cell, options.noise)
-    for _ in range(rounds):
-        noise, change = variance_components.reml_step(solution.system, noise, prior)
+    for _ in range(OUTLIER_ROUNDS):
+        solution, noise = most_probable_noise(lineariser, solution, noise, weights, prior)
+        before = weights
         solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
-        if change < 0.1:
+        if weights is before:
             break
     return solution, noise, weights
+
+
+def most_probable_noise(
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, prior: NoisePrior
+) -> tuple[Solution, Noise]:
+    """Noise and fit with the weights held. A step that would lower the log posterior is halved."""
+    reached = variance_components.log_restricted_posterior(solution.system, noise, prior)
+    for _ in range(NOISE_ROUNDS):
+        proposed, gain = variance_components.reml_step(solution.system, noise, prior)
+        for _ in range(HALVINGS):
+            there = solve(lineariser, solution, proposed, weights, tolerance=COARSE, within_linear=True)
+            value = variance_components.log_restricted_posterior(there.system, proposed, prior)
+            if value > reached - NOISE_GAIN:
+                solution, noise, reached = there, proposed, value
+                break
+            proposed = variance_components.between(noise, proposed)
+        if gain < NOISE_GAIN or noise is not proposed:
+            break
+    return solution, noise
 
 
 def _back_to_nominal(estimate: Estimate, layout: ParameterLayout, obs: Observations) -> Estimate:

@@ -140,6 +140,11 @@ def station_jacobian(observations: Observations, prediction: Prediction) -> np.n
 
 def ball_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
     """By a shift of the ball in its artefact's frame, or of a reflector in the target's: (M, 3, 3)."""
+    return ball_rotation(observations, prediction)[observations.pose]
+
+
+def ball_rotation(observations: Observations, prediction: Prediction) -> np.ndarray:
+    """The same of each pose (P, 3, 3): it is a rotation, whichever the ball."""
     scanner, station = prediction.T_base_scanner[:, :3, :3], prediction.T_base_station[:, :3, :3]
     here, there = (station, scanner) if observations.cell.measurement == TARGET_IN_BASE else (scanner, station)
-    return (np.swapaxes(here, 1, 2) @ there)[observations.pose]
+    return np.swapaxes(here, 1, 2) @ there

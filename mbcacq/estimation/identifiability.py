@@ -106,11 +106,18 @@ def workspace_information(
     rng = np.random.default_rng(seed)
     low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
-    columns, points = base_columns(layout, state, q, typical_points(obs))
-    rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points * 1e-3)], axis=2).reshape(-1, 6)
-    flat = columns.reshape(-1, columns.shape[2])
-    flat = flat - rigid @ np.linalg.pinv(rigid.T @ rigid, hermitian=True) @ (rigid.T @ flat)
-    return flat.T @ flat / len(points)
+    twists, T = _twists(layout, state, q)
+    points = se3.apply(T[:, None], typical_points(obs)[None])  # (P, K, 3)
+    # The points of a posture move by D twist, D = [1, -x]; the same columns, of the base, are those of a rigid motion of everything.
+    D = np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), -se3.skew(points)], axis=3).reshape(len(q), -1, 6)
+    squares = np.swapaxes(D, 1, 2) @ D
+    moved = squares @ twists
+    whole, f = np.zeros((layout.size, layout.size)), twists.shape[2]
+    unit = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])  # rotations in mrad: of the size of the translations
+    rigid = unit[:, None] * moved.sum(axis=0)
+    inverse = np.linalg.pinv(unit[:, None] * squares.sum(axis=0) * unit, hermitian=True)
+    whole[:f, :f] = twists.reshape(-1, f).T @ moved.reshape(-1, f) - rigid.T @ inverse @ rigid
+    return whole / (points.shape[0] * points.shape[1])
 
 
 def typical_points(obs: Observations) -> np.ndarray:
@@ -124,18 +131,19 @@ def typical_points(obs: Observations) -> np.ndarray:
 def base_columns(layout: ParameterLayout, state: CellState, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Derivative (P K, 3, g) of points in the base by the free parameters, and the points (P K, 3): the K scanner points xyz (K, 3) at each
     of P postures q (P, n), or points of its own for each posture, xyz (P, K, 3)."""
-    frames = state.chain.frames(q)
-    several = state.T_flange_scanner.ndim == 3  # of several tools, the first stands for all
-    T = frames[:, -1] @ (state.T_flange_scanner[0] if several else state.T_flange_scanner)
+    twists, T = _twists(layout, state, q)
     points = se3.apply(T[:, None], xyz if xyz.ndim == 3 else xyz[None])
-    twists = np.concatenate(
-        [
-            state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free],
-            np.swapaxes(se3.adjoint(T), 1, 2)[:, layout.blocks[1].free[:6]],
-        ],
-        axis=1,
-    )
+    twists = np.swapaxes(twists, 1, 2)
     moved = twists[:, None, :, :3] + se3.cross(twists[:, None, :, 3:], points[:, :, None, :])
     columns = np.zeros((*points.shape[:2], layout.size, 3))
     columns[:, :, : twists.shape[1]] = moved
     return np.swapaxes(columns, 2, 3).reshape(-1, 3, layout.size), points.reshape(-1, 3)
+
+
+def _twists(layout: ParameterLayout, state: CellState, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twists (P, 6, f) of the free parameters of arm and hand-eye at postures q (P, n), and T_base_scanner (P, 4, 4)."""
+    frames = state.chain.frames(q)
+    several = state.T_flange_scanner.ndim == 3  # of several tools, the first stands for all
+    T = frames[:, -1] @ (state.T_flange_scanner[0] if several else state.T_flange_scanner)
+    arm = state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free]
+    return np.concatenate([np.swapaxes(arm, 1, 2), se3.adjoint(T)[:, :, layout.blocks[1].free[:6]]], axis=2), T

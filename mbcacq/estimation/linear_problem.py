@@ -18,7 +18,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_information import PoseColumns, PoseInformation
+from mbcacq.estimation.pose_information import PoseColumns, PoseInformation, WeightedRows
 from mbcacq.estimation.solver import Weights, known_placement, solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
 from mbcacq.estimation.whitening import CentreWhitening, PoseRows
@@ -199,23 +199,17 @@ class LinearProblem:
     def whitener(self, noise: Noise) -> CentreWhitening:
         return CentreWhitening(self.rows, self.joint, noise, self.keep)
 
-    def system(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> PoseSystem:
-        """The whitened normal equations of geometry together with columns (M, R, k) of prior sigma (k,), stations eliminated; the residual
-        is what the best fit of all of them leaves.
-        """
-        return self.whitened(noise, columns, sigma).after_fit()
-
-    def whitened(self, noise: Noise, columns: np.ndarray, sigma: np.ndarray) -> PoseSystem:
-        """The same with the residual as it is."""
+    def extended(self, columns: np.ndarray, sigma: np.ndarray) -> ExtendedProblem:
+        """Geometry together with columns (M, R, k) of prior sigma (k,)."""
         every = self.columns_by_pose.with_parameters(self.rows.pad(columns))
-        poses = PoseInformation(self.rows, every, noise, self.keep.astype(float), np.ones(self.rows.n_poses))
         widths = np.concatenate([self.sigma, sigma])
         information = np.zeros((len(self.rows.stations), 6, 6))
         for j, s in enumerate(self.rows.stations):
             if s in self.given_stations:
                 information[j] = _given(self.obs, self.state, int(s))[0]
         prior = Prior(widths, np.zeros(len(widths)), information, np.zeros((len(information), 6)))
-        return PoseSystem(poses, Normal(self.rows, poses.normal_equations(), prior))
+        weighted = WeightedRows(self.rows, every, self.keep.astype(float), np.ones(self.rows.n_poses))
+        return ExtendedProblem(every, weighted, prior)
 
     # Adjustment with effects --------------------------------------------------------------------------------------
 
@@ -231,6 +225,20 @@ class LinearProblem:
     def _with_priors(self, effects: Sequence[Term]) -> ParameterLayout:
         blocks = [replace(b, sigma=np.where(np.isfinite(b.sigma), b.sigma, b.scale)) for b in self.layout.blocks[:3]]
         return ParameterLayout((*blocks, *(parameters.term_block(e) for e in effects)))
+
+
+@dataclass(frozen=True)
+class ExtendedProblem:
+    """Geometry and further columns of a recording, before any noise. prior: of the parameters and of the stations with a given place."""
+
+    columns: PoseColumns
+    weighted: WeightedRows
+    prior: Prior
+
+    def at(self, noise: Noise) -> PoseSystem:
+        """The whitened normal equations under a noise, stations eliminated."""
+        poses = PoseInformation(self.weighted, self.columns, noise)
+        return PoseSystem(poses, Normal(self.weighted.rows, poses.normal_equations(), self.prior))
 
 
 def _deviation(obs: Observations, state: CellState, layout: ParameterLayout) -> np.ndarray:

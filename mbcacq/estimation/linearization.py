@@ -86,18 +86,17 @@ class Lineariser:
 
     def _own(self, prediction: forward_model.Prediction) -> OwnColumns:
         rows, options = self.rows, self.options
-        width = rows.depth * rows.width
         other = [rows.pad(terms.columns(self.obs, prediction, one)) for one in options.terms]
-        shift, free = np.zeros((rows.n_poses, width, 3)), self.layout.blocks[2].free
+        turn, free = np.zeros((rows.n_poses, rows.width, 3)), self.layout.blocks[2].free
         if free.any():
-            jacobian = forward_model.ball_jacobian(self.obs, prediction)
-            if rows.width > 3:  # a measured orientation does not depend on a reflector's place
-                jacobian = np.concatenate([jacobian, np.zeros((len(jacobian), rows.width - 3, 3))], axis=1)
-            shift = rows.pad(jacobian)
+            # A measured orientation does not depend on a reflector's place.
+            turn[:, :3] = forward_model.ball_rotation(self.obs, prediction)[rows.order]
             if not self.free_balls:
                 every = np.arange(len(free) // 3)
-                other = [OwnColumns(shift, self._in_slots(every, len(every)), len(every), shift[..., :0]).dense[..., free], *other]
-        return OwnColumns(shift, self.ball, self.free_balls, np.concatenate(other, axis=2) if other else shift[..., :0])
+                none = np.zeros((rows.n_poses, rows.depth * rows.width, 0))
+                other = [OwnColumns(turn, self._in_slots(every, len(every)), len(every), none).dense[..., free], *other]
+        none = np.zeros((rows.n_poses, rows.depth * rows.width, 0))
+        return OwnColumns(turn, self.ball, self.free_balls, np.concatenate([none, *other], axis=2))
 
     def _in_slots(self, number: np.ndarray, none: int) -> np.ndarray:
         """(P, B): number (K,) of the ball of each centre, ``none`` where there is no centre."""

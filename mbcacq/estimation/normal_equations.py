@@ -44,26 +44,34 @@ class Normal:
 
     def __init__(self, rows: PoseRows, blocks: NormalBlocks, prior: Prior):
         self.rows, self.size = rows, len(blocks.b)
-        g = self.size
-        Hss, Hsg = blocks.Hss + prior.station_information, blocks.Hsg
-        bs = blocks.bs - np.einsum("sij,sj->si", prior.station_information, prior.station_offset)
-        weight = 1.0 / prior.sigma**2
-        H = blocks.H + np.diag(weight)
-        b = blocks.b - weight * prior.offset
-        self.cost = blocks.chi2 + prior.cost
+        Hss = blocks.Hss + prior.station_information
         scaled = STATION_SCALE[:, None] * Hss * STATION_SCALE
         value, vector = np.linalg.eigh(scaled)
         observable = value > UNOBSERVABLE * np.maximum(value[:, -1:], 1e-300)
         self.station_rank = observable.sum(axis=1)
-        root = np.where(observable, 1.0 / np.sqrt(np.where(observable, value, 1.0)), 0.0)
-        self.station_log_det = float(np.sum(np.log(np.where(observable, value, 1.0))))  # up to a constant
-        self.station_root = STATION_SCALE[:, None] * vector * root[:, None, :]  # F with F F' = pseudo-inverse of Hss
-        self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg  # F' Hsg
-        reduced_b = np.einsum("sji,sj->si", self.station_root, bs)
-        self.station_b = reduced_b
-        tall = self.reduced.reshape(6 * len(self.reduced), g)
-        self.information = H - tall.T @ tall
-        self.gradient = b - tall.T @ reduced_b.reshape(-1)
+        value = np.where(observable, value, 1.0)
+        self.station_log_det = float(np.sum(np.log(value)))  # up to a constant
+        self.station_root = STATION_SCALE[:, None] * vector * (observable / np.sqrt(value))[:, None, :]  # F F' = pseudo-inverse of Hss
+        self.reduced = np.swapaxes(self.station_root, 1, 2) @ blocks.Hsg  # F' Hsg
+        tall = self._tall
+        self.information = blocks.H + np.diag(1.0 / prior.sigma**2) - tall.T @ tall
+        self._set_right_hand_side(blocks.b, blocks.bs, blocks.chi2, prior)
+
+    @property
+    def _tall(self) -> np.ndarray:
+        return self.reduced.reshape(6 * len(self.reduced), self.size)
+
+    def _set_right_hand_side(self, b: np.ndarray, bs: np.ndarray, chi2: float, prior: Prior) -> None:
+        bs = bs - np.einsum("sij,sj->si", prior.station_information, prior.station_offset)
+        self.cost = chi2 + prior.cost
+        self.station_b = np.einsum("sji,sj->si", self.station_root, bs)
+        self.gradient = b - prior.offset / prior.sigma**2 - self._tall.T @ self.station_b.reshape(-1)
+
+    def with_right_hand_side(self, b: np.ndarray, bs: np.ndarray, chi2: float, prior: Prior) -> Normal:
+        """The same columns and another residual, of products b (g,) and bs (S', 6) with the columns, at another offset from the prior."""
+        out = copy(self)
+        out._set_right_hand_side(b, bs, chi2, prior)
+        return out
 
     def after(self, step: np.ndarray) -> Normal:
         """The same linear problem after a step (g,) of the parameters and the best stations."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,13 +10,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class OwnColumns:
-    """e = 3 k + t columns, rows grouped by pose as in ``PoseRows``.
+    """e = 3 k + t columns of the P poses, each with B slots for centres of R rows, as in ``PoseRows``.
 
-    shift: (P, B R, 3) derivative of each row by the shift of its own ball. ball: (P, B) which of the k free balls a centre is, k where
-    it is none. k: number of free balls. other: (P, B R, t) columns of effects.
+    turn: (P, R, 3) derivative of a centre's rows by the shift of its ball; it is the same for all centres of a pose. ball: (P, B) which of
+    the k free balls a centre is, k where it is none. k: number of free balls. other: (P, B R, t) columns of effects.
     """
 
-    shift: np.ndarray
+    turn: np.ndarray
     ball: np.ndarray
     k: int
     other: np.ndarray
@@ -25,105 +25,116 @@ class OwnColumns:
     def size(self) -> int:
         return 3 * self.k + self.other.shape[2]
 
-    @property
-    def _by_centre(self) -> np.ndarray:
-        """(P, B, R, 3)."""
-        return self.shift.reshape(*self.ball.shape, -1, 3)
-
     @cached_property
-    def _in_order(self) -> bool:
+    def in_order(self) -> bool:
         """Whether every pose shows every ball once, in order."""
         return self.ball.shape[1] == self.k and bool(np.all(self.ball == np.arange(self.k)))
-
-    def scaled(self, scale: np.ndarray) -> OwnColumns:
-        """Rows times scale (P, B R)."""
-        return replace(self, shift=self.shift * scale[..., None], other=self.other * scale[..., None])
 
     @property
     def dense(self) -> np.ndarray:
         """(P, B R, e)."""
-        P, B = self.ball.shape
-        out = np.zeros((P, B, self.k + 1, self.shift.shape[1] // max(B, 1), 3))
-        out[np.arange(P)[:, None], np.arange(B), self.ball] = self._by_centre
-        balls = np.moveaxis(out[:, :, : self.k], 2, 3).reshape(P, self.shift.shape[1], 3 * self.k)
+        (P, B), R = self.ball.shape, self.turn.shape[1]
+        out = np.zeros((P, B, self.k + 1, R, 3))
+        out[np.arange(P)[:, None], np.arange(B), self.ball] = self.turn[:, None]
+        balls = np.moveaxis(out[:, :, : self.k], 2, 3).reshape(P, B * R, 3 * self.k)
         return np.concatenate([balls, self.other], axis=2)
-
-    def by_twist(self, G: np.ndarray) -> np.ndarray:
-        """(P, u, e): G' times the columns, G (P, B R, u)."""
-        Gt = np.swapaxes(G, 1, 2)
-        if not self.k:
-            return Gt @ self.other
-        P, B = self.ball.shape
-        single = np.swapaxes(self._by_centre, 2, 3) @ G.reshape(P, B, -1, G.shape[2])  # (P, B, 3, u)
-        if self._in_order:
-            balls = np.ascontiguousarray(np.moveaxis(single, 3, 1)).reshape(P, -1, 3 * self.k)
-            return np.concatenate([balls, Gt @ self.other], axis=2) if self.other.shape[2] else balls
-        out = np.zeros((P, self.k + 1, 3, G.shape[2]))
-        for b in range(B):  # a pose may show a ball twice
-            out[np.arange(P), self.ball[:, b]] += single[:, b]
-        balls = np.swapaxes(out[:, : self.k].reshape(P, 3 * self.k, -1), 1, 2)
-        return np.concatenate([balls, Gt @ self.other], axis=2) if self.other.shape[2] else np.ascontiguousarray(balls)
-
-    def gram(self, share: np.ndarray) -> np.ndarray:
-        """(e, e): products of the columns, poses weighted with share (P,)."""
-        out = np.zeros((self.size, self.size))
-        E, other, n = self._by_centre, self.other, 3 * self.k
-        weighted = E * share[:, None, None, None]
-        if n:
-            square = self._sum_by_ball(np.swapaxes(E, 2, 3) @ weighted)
-            place = np.arange(n).reshape(self.k, 3)
-            out[place[:, :, None], place[:, None, :]] = square
-        if t := other.shape[2]:
-            flat = other.reshape(-1, t)
-            out[n:, n:] = flat.T @ (other * share[:, None, None]).reshape(-1, t)
-            if n:
-                mixed = np.swapaxes(weighted, 2, 3) @ other.reshape(*E.shape[:3], t)
-                out[:n, n:] = self._sum_by_ball(mixed).reshape(n, t)
-                out[n:, :n] = out[:n, n:].T
-        return out
-
-    def product(self, rows: np.ndarray) -> np.ndarray:
-        """(e, m): the columns' products with rows (P, B R, m)."""
-        m = rows.shape[2]
-        other = np.tensordot(self.other, rows, axes=([0, 1], [0, 1]))
-        if not self.k:
-            return other
-        E = self._by_centre
-        balls = self._sum_by_ball(np.swapaxes(E, 2, 3) @ rows.reshape(*E.shape[:3], m))
-        return np.concatenate([balls.reshape(3 * self.k, m), other])
-
-    def _sum_by_ball(self, values: np.ndarray) -> np.ndarray:
-        """(k, 3, m): sums of values (P, B, 3, m) over the centres of each ball."""
-        if self._in_order:
-            return values.sum(axis=0)
-        flat = values.reshape(self.ball.size, -1)
-        ball = self.ball.ravel()
-        summed = np.stack([np.bincount(ball, column, self.k + 1) for column in flat.T], axis=1)
-        return summed[: self.k].reshape(self.k, *values.shape[2:])
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """(P, B R): the columns times a step (e,)."""
         n = 3 * self.k
         shift = np.concatenate([step[:n].reshape(self.k, 3), np.zeros((1, 3))])[self.ball]
-        return (self._by_centre @ shift[..., None]).reshape(self.shift.shape[:2]) + self.other @ step[n:]
+        out = (shift @ np.swapaxes(self.turn, 1, 2)).reshape(len(shift), -1)
+        return out + self.other @ step[n:] if self.other.shape[2] else out
 
-    def variance(self, G: np.ndarray, mixed: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """(P, B R): what the columns add to the variance of rows G y, y (u,) the twist of a pose: twice the covariance of G y with the
-        columns' part, and the variance of that. mixed: (P, u, e) covariance of y and the own parameters, own: (e, e) of these."""
-        E, n = self._by_centre, 3 * self.k
-        out = np.zeros(self.shift.shape[:2])
+    def by_ball(self, values: np.ndarray) -> np.ndarray:
+        """(P, R, k, ...): sums of values (P, R, B, ...) over the centres of each ball."""
+        if self.in_order:
+            return values
+        out = np.zeros((*values.shape[:2], self.k + 1, *values.shape[3:]))
+        every = np.arange(len(values))
+        for b in range(self.ball.shape[1]):  # a pose may show a ball twice
+            out[every, :, self.ball[:, b]] += values[:, :, b]
+        return out[:, :, : self.k]
+
+
+class WeightedOwnColumns:
+    """Own columns under weights of the centres and poses, axis by axis (P, R, B, ...), before any noise.
+
+    scale: (P, R, B) of the rows. G: (P, R, B, u) scaled rows by the twist of the pose. share: (P,) 0 or 1. precision, below, is (R,), of
+    each axis.
+    """
+
+    def __init__(self, columns: OwnColumns, scale: np.ndarray, G: np.ndarray, share: np.ndarray):
+        P, R, B, u = G.shape
+        self.columns, self.k, self.scale, self.share = columns, columns.k, scale, share
+        t = columns.other.shape[2]
+        self.other = columns.other.reshape(P, B, R, t).transpose(0, 2, 1, 3) * scale[..., None] if t else np.zeros((P, R, B, 0))
+        self.G = G
+        if self.k:
+            turn = columns.turn
+            self.twice = columns.by_ball(G * scale[..., None]).reshape(P, R, self.k * u)
+            each = columns.by_ball(scale**2) * share[:, None, None]
+            outer = (turn[..., :, None] * turn[..., None, :]).reshape(P, R, 9)
+            self.squares = np.stack([each[:, a].T @ outer[:, a] for a in range(R)])  # (R, k, 9): of each ball
+
+    def by_twist(self, precision: np.ndarray) -> np.ndarray:
+        """(P, u, e): products of the rows' derivatives by the twist with the columns."""
+        P, R, B, u = self.G.shape
+        parts = []
+        if self.k:
+            turn = self.columns.turn * precision[:, None]
+            balls = np.swapaxes(turn, 1, 2) @ self.twice
+            parts.append(np.ascontiguousarray(balls.reshape(P, 3, self.k, u).transpose(0, 3, 2, 1)).reshape(P, u, 3 * self.k))
+        if self.other.shape[3]:
+            rows = (self.G * precision[:, None, None]).reshape(P, R * B, u)
+            parts.append(np.swapaxes(rows, 1, 2) @ self.other.reshape(P, R * B, -1))
+        return parts[0] if len(parts) == 1 else np.concatenate([*parts, np.zeros((P, u, 0))], axis=2)
+
+    def gram(self, precision: np.ndarray) -> np.ndarray:
+        """(e, e): products of the columns."""
+        n, t = 3 * self.k, self.other.shape[3]
+        out = np.zeros((n + t, n + t))
         if n:
-            P, B = self.ball.shape
-            with_ball = np.zeros((P, self.k + 1, G.shape[2], 3))
-            with_ball[:, : self.k] = np.swapaxes(mixed[..., :n].reshape(P, -1, self.k, 3), 1, 2)
-            here = with_ball[np.arange(P)[:, None], self.ball]  # (P, B, u, 3)
             place = np.arange(n).reshape(self.k, 3)
-            of_ball = np.concatenate([own[place[:, :, None], place[:, None, :]], np.zeros((1, 3, 3))])[self.ball]
-            out += np.sum((2 * G.reshape(P, B, -1, G.shape[2]) @ here + E @ of_ball) * E, axis=3).reshape(out.shape)
-        if t := self.other.shape[2]:
-            against = 2 * G @ mixed[..., n:] + self.other @ own[n:, n:]
+            out[place[:, :, None], place[:, None, :]] = np.tensordot(precision, self.squares, 1).reshape(self.k, 3, 3)
+        if t:
+            weighted = self.other * (self.share[:, None, None, None] * precision[:, None, None])
+            out[n:, n:] = self.other.reshape(-1, t).T @ weighted.reshape(-1, t)
             if n:
-                between = np.concatenate([own[:n, n:].reshape(self.k, 3, t), np.zeros((1, 3, t))])[self.ball]
-                against += 2 * (E @ between).reshape(against.shape)
-            out += np.sum(against * self.other, axis=2)
+                mixed = self.columns.by_ball(weighted * self.scale[..., None])
+                out[:n, n:] = np.einsum("prkt,prc->kct", mixed, self.columns.turn).reshape(n, t)
+                out[n:, :n] = out[:n, n:].T
+        return out
+
+    def product(self, rows: np.ndarray) -> np.ndarray:
+        """(e, R): the columns' products with rows (P, R, B), axis by axis."""
+        R, parts = rows.shape[1], []
+        if self.k:
+            each = self.columns.by_ball(rows * self.scale)
+            turn = self.columns.turn
+            parts.append(np.stack([(each[:, a].T @ turn[:, a]).ravel() for a in range(R)], axis=1))
+        if self.other.shape[3]:
+            parts.append(np.einsum("prbt,prb->tr", self.other, rows))
+        return np.concatenate([*parts, np.zeros((0, R))])
+
+    def variance(self, mixed: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """(R,) sums over the rows of each axis of what the columns add to the variance of rows G y, y (u,) the twist of a pose: twice the
+        covariance of G y with the columns' part, and the variance of that. mixed: (P, u, e) covariance of y and the own parameters, own:
+        (e, e) of these."""
+        n, t = 3 * self.k, self.other.shape[3]
+        P, R, B, u = self.G.shape
+        out = np.zeros(R)
+        if n:
+            place = np.arange(n).reshape(self.k, 3)
+            out += self.squares.reshape(R, -1) @ own[place[:, :, None], place[:, None, :]].ravel()
+            with_ball = mixed[..., :n].reshape(P, u, self.k, 3) * self.share[:, None, None, None]
+            against = self.twice @ np.ascontiguousarray(with_ball.transpose(0, 2, 1, 3)).reshape(P, -1, 3)  # (P, R, 3)
+            out += 2 * np.einsum("prc,prc->r", against, self.columns.turn)
+        if t:
+            other = self.other * self.share[:, None, None, None]
+            rows = self.G.reshape(P, R * B, u) @ mixed[..., n:]
+            out += np.einsum("prbt,prbt->r", 2 * rows.reshape(P, R, B, t) + self.other @ own[n:, n:], other)
+            if n:
+                sums = np.einsum("prkt,prc->rkct", self.columns.by_ball(other * self.scale[..., None]), self.columns.turn)
+                out += 2 * sums.reshape(R, -1) @ own[:n, n:].ravel()
         return out

@@ -71,6 +71,11 @@ class ParameterLayout:
     def _gathered(self) -> dict[str, np.ndarray]:
         return {}
 
+    @cached_property
+    def turning(self) -> np.ndarray:
+        """Which of the free parameters of arm and hand-eye, the first of the solver's vector, are rotations (bool)."""
+        return np.array([unit == "rad" for b in self.blocks[:2] for unit, free in zip(b.units, b.free, strict=True) if free], dtype=bool)
+
     def spread(self, step: np.ndarray) -> list[np.ndarray]:
         """The solver's vector (g,) as one full array per block, zero where held."""
         out, start = [], 0

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.own_columns import OwnColumns
+from mbcacq.estimation.own_columns import OwnColumns, WeightedOwnColumns
 from mbcacq.estimation.whitening import PoseRows
 
 
@@ -83,49 +83,66 @@ class PoseColumns:
         return (self.basis @ twist[..., None])[..., 0] + self.own.change(step[f:])
 
 
+class WeightedRows:
+    """The rows of every pose under weights of the centres and poses, axis by axis and before any noise: what stays when the noise changes.
+
+    scale: (P, R, B) of the rows. G: (P, R, B, u) scaled derivative by the twist; squares: (P, R, u u) its products, axis by axis. share:
+    (P,) weight of the pose. counted: (R,) weight of all rows of an axis.
+    """
+
+    def __init__(self, rows: PoseRows, columns: PoseColumns, weight: np.ndarray, pose_weight: np.ndarray):
+        """weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of the observations; 1 full, 0 rejected."""
+        P, R, B, u = rows.n_poses, rows.width, rows.depth, columns.basis.shape[2]
+        self.rows, self.share = rows, pose_weight[rows.order]
+        scale = rows.pad(np.sqrt(weight)[:, None] / rows.sigma_scale)
+        self.scale = np.ascontiguousarray(scale.reshape(P, B, R).transpose(0, 2, 1))
+        self.G = np.empty((P, R, B, u))
+        np.multiply(columns.basis.reshape(P, B, R, u).transpose(0, 2, 1, 3), self.scale[..., None], out=self.G)
+        self.squares = (np.swapaxes(self.G, 2, 3) @ self.G).reshape(P, R, u * u)
+        self.counted = np.full(R, float(np.sum(weight * pose_weight[rows.pose_of_centre])))
+        self.own = WeightedOwnColumns(columns.own, self.scale, self.G, self.share)
+
+    def by_axis(self, residual: np.ndarray) -> np.ndarray:
+        """(P, R, B): rows (P, B R), scaled."""
+        P, R, B = self.scale.shape
+        return residual.reshape(P, B, R).transpose(0, 2, 1) * self.scale
+
+
 class PoseInformation:
     """The columns of every pose under a noise and weights.
 
-    G (P, B R, u), own (e columns), residual (P, B R): scaled rows. L = G'G (P, u, u), JG = K J'G (P, n, u), F (P, u, u), K (P, n, n).
-    N = T K T' (P, u, u): what the joint noise takes off L is L N L. own_twist = G' own (P, u, e). residual_joint = K J' residual (P, n),
-    white_residual = inv(S) residual (P, B R). share: (P,) weight of the pose.
+    L = G'G (P, u, u) of the rows scaled by the noise, JG = K J'G (P, n, u), F (P, u, u), K (P, n, n). N = T K T' (P, u, u): what the joint
+    noise takes off L is L N L. own_twist = G' own (P, u, e). residual_joint = K J' residual (P, n), white_residual = inv(S) residual
+    (P, R, B). precision: (R,) of each axis. share: (P,) weight of the pose.
     """
 
-    def __init__(self, rows: PoseRows, columns: PoseColumns, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray):
-        """weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of the observations; see ``Whitening``."""
-        self.rows, self.columns = rows, columns
-        self.scale = rows.pad(np.sqrt(weight)[:, None] / rows.row_sigma(noise))
-        self.centre_weight = rows.pad(np.broadcast_to(weight[:, None], (len(weight), rows.width)))
-        self.share = pose_weight[rows.order]
-        self.G = columns.basis * self.scale[..., None]
-        Gt = np.swapaxes(self.G, 1, 2)
-        self.L = Gt @ self.G
-        self.joints = columns.joints * rows.joint_sigma(noise)
-        JL = np.swapaxes(self.joints, 1, 2) @ self.L
+    def __init__(self, weighted: WeightedRows, columns: PoseColumns, noise: Noise):
+        self.weighted, self.columns, self.noise = weighted, columns, noise
+        self.rows, self.share, self.own = weighted.rows, weighted.share, weighted.own
+        P, u = len(self.share), weighted.G.shape[3]
+        self.precision = 1.0 / noise.row_sigma(self.rows.width) ** 2
+        self.L = (self.precision @ weighted.squares).reshape(P, u, u)
+        self.joints = columns.joints * self.rows.joint_sigma(noise)
+        Tt = np.swapaxes(self.joints, 1, 2)
+        JL = Tt @ self.L
         gram = JL @ self.joints
         diagonal = np.arange(gram.shape[1])
         gram[:, diagonal, diagonal] += 1.0
-        self.gram = gram
         self.K = np.linalg.inv(gram)
         self.JG = self.K @ JL
-        self.F = np.eye(self.L.shape[1]) - self.joints @ self.JG
-        self.N = self.joints @ self.K @ np.swapaxes(self.joints, 1, 2)
-        self.own = columns.own.scaled(self.scale)
-        self.own_twist = self.own.by_twist(self.G)
+        self.F = np.eye(u) - self.joints @ self.JG
+        self.N = self.joints @ self.K @ Tt
+        self.own_twist = self.own.by_twist(self.precision)
         self._set_residual(columns.residual)
 
-    def _by_joints(self, twist: np.ndarray) -> np.ndarray:
-        return self.K @ (np.swapaxes(self.joints, 1, 2) @ twist)
+    @classmethod
+    def of(cls, rows: PoseRows, columns: PoseColumns, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray) -> PoseInformation:
+        """weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of the observations; 1 full, 0 rejected."""
+        return cls(WeightedRows(rows, columns, weight, pose_weight), columns, noise)
 
-    def _set_residual(self, residual: np.ndarray) -> None:
-        self.residual = residual * self.scale
-        self.residual_twist, self.residual_joint, self.white_residual = self._whitened(self.residual)
-
-    def _whitened(self, scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(P, u) G'r, (P, n) K J'r and (P, B R) inv(S) r of scaled rows r (P, B R)."""
-        twist = np.swapaxes(self.G, 1, 2) @ scaled[..., None]
-        joint = self._by_joints(twist)
-        return twist[..., 0], joint[..., 0], scaled - (self.G @ (self.joints @ joint))[..., 0]
+    def with_noise(self, noise: Noise) -> PoseInformation:
+        """The same rows and weights under another noise."""
+        return PoseInformation(self.weighted, self.columns, noise)
 
     def with_residual(self, columns: PoseColumns) -> PoseInformation:
         """The same columns with another residual."""
@@ -134,18 +151,27 @@ class PoseInformation:
         out._set_residual(columns.residual)
         return out
 
-    @property
-    def log_det(self) -> float:
-        """Log determinant of the covariance of the scaled rows."""
-        return float(np.linalg.slogdet(self.gram)[1].sum())
+    def _set_residual(self, residual: np.ndarray) -> None:
+        self.residual_twist, self.residual_joint, self.white_residual = self._whitened(residual)
+
+    def _whitened(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(P, u) G'r, (P, n) K J'r and (P, R, B) inv(S) r of the scaled rows r of a residual (P, B R)."""
+        G, rows = self.weighted.G, self.weighted.by_axis(residual)
+        P, R, B, u = G.shape
+        flat = G.reshape(P, R * B, u)
+        twist = np.swapaxes(flat, 1, 2) @ (rows * self.precision[:, None]).reshape(P, R * B, 1)
+        joint = self.K @ (np.swapaxes(self.joints, 1, 2) @ twist)
+        white = rows - (flat @ (self.joints @ joint)).reshape(P, R, B)
+        white *= np.sqrt(self.precision)[:, None]
+        return twist[..., 0], joint[..., 0], white
 
     def chi2(self, residual: np.ndarray) -> float:
         """Sum of squares of a residual (P, B R), whitened as this one."""
-        _, joint, white = self._whitened(residual * self.scale)
+        _, joint, white = self._whitened(residual)
         return self._squares(white, joint)
 
     def _squares(self, white: np.ndarray, joint: np.ndarray) -> float:
-        return float(self.share @ (np.einsum("pi,pi->p", white, white) + np.einsum("pi,pi->p", joint, joint)))
+        return float(self.share @ (np.einsum("prb,prb->p", white, white) + np.einsum("pi,pi->p", joint, joint)))
 
     @property
     def twist_information(self) -> np.ndarray:
@@ -156,20 +182,35 @@ class PoseInformation:
     def normal_equations(self) -> NormalBlocks:
         """Sums over all poses and over those of each station."""
         A, S, share = self.columns.twists, self.columns.station, self.share[:, None, None]
-        f, e = A.shape[2], self.own.size
+        (P, u, f), e = A.shape, self.own.columns.size
         information, Ft = self.twist_information, np.swapaxes(self.F, 1, 2) * share
-        moved, own, rest = information @ A, Ft @ self.own_twist, Ft @ self.residual_twist[..., None]
-        H, b = np.empty((f + e, f + e)), np.empty(f + e)
-        H[:f, :f], b[:f] = flat_product(A, moved), flat_product(A, rest)[:, 0]
-        H[:f, f:] = flat_product(A, own)
-        H[f:, :f] = H[:f, f:].T
+        right = np.empty((P, u, f + e + 6))
+        right[..., :f], right[..., f : f + e], right[..., f + e :] = information @ A, Ft @ self.own_twist, information @ S
+        H = np.empty((f + e, f + e))
+        H[:f] = flat_product(A, right[..., : f + e])
         if e:
-            H[f:, f:] = self.own.gram(self.share) - flat_product(self.own_twist, self.N @ self.own_twist * share)
-            b[f:] = self.own.product(self.white_residual[..., None] * share)[:, 0]
-        St, by_station = np.swapaxes(S, 1, 2), self.rows.by_station
-        Hsg = np.concatenate([by_station(St @ moved), by_station(St @ own)], axis=2)
-        chi2 = self._squares(self.white_residual, self.residual_joint)
-        return NormalBlocks((H + H.T) / 2, b, chi2, by_station(St @ (information @ S)), Hsg, by_station(St @ rest)[..., 0])
+            H[f:, :f] = H[:f, f:].T
+            H[f:, f:] = self.own.gram(self.precision) - flat_product(self.own_twist, self.N @ self.own_twist * share)
+        by_station = self.rows.station_products(S, right)
+        b, bs, chi2 = self.right_hand_side()
+        return NormalBlocks((H + H.T) / 2, b, chi2, by_station[..., f + e :], by_station[..., : f + e], bs)
+
+    def right_hand_side(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Products of the residual with the columns, (g,) and those (S', 6) of the stations, and its chi square."""
+        columns = self.columns
+        rest = np.swapaxes(self.F, 1, 2) @ (self.residual_twist * self.share[:, None])[..., None]
+        b = flat_product(columns.twists, rest)[:, 0]
+        if self.own.columns.size:
+            rows = self.white_residual * (self.share[:, None, None] * np.sqrt(self.precision)[:, None])
+            b = np.concatenate([b, self.own.product(rows).sum(axis=1)])
+        bs = self.rows.station_products(columns.station, rest)[..., 0]
+        return b, bs, self._squares(self.white_residual, self.residual_joint)
+
+    @property
+    def log_det(self) -> float:
+        """Log determinant of the covariance of the rows in use, up to what does not depend on the noise."""
+        of_joints = -np.linalg.slogdet(self.K)[1] @ self.share
+        return float(of_joints - np.log(self.precision) @ self.weighted.counted)
 
 
 def flat_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mbcacq.estimation.forward_model import Prediction
 from mbcacq.estimation.linearization import Lineariser, Linearization
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
 from mbcacq.estimation.options import Noise
@@ -32,13 +33,24 @@ class Weights:
 
 
 @dataclass(frozen=True)
+class Step:
+    """A step (g,) of the parameters and (S', 6) of the stations in use, from a solution within its linear problem."""
+
+    start: Solution
+    layout: ParameterLayout
+    parameters: np.ndarray
+    stations: np.ndarray
+
+
+@dataclass(frozen=True)
 class Solution:
     """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows.
 
-    exact: whether the problem was linearised at this estimate, and not at one from which a step of the linear problem led here.
+    origin: estimate at which the residual was evaluated. step: what led from there here within the linear problem; None where the
+    residual is that of the estimate itself. turned: rad, at most, of any rotation since the columns were made.
     """
 
-    estimate: Estimate
+    origin: Estimate
     linear: Linearization
     poses: PoseInformation
     normal: Normal
@@ -46,7 +58,19 @@ class Solution:
     noise: Noise
     weights: Weights
     iterations: int
-    exact: bool = True
+    turned: float = 0.0
+    step: Step | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether the residual was evaluated at the estimate."""
+        return self.step is None
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        if self.step is None:
+            return self.origin
+        return moved_estimate(self.origin, self.step.layout, self.normal.rows.stations, self.step.parameters, self.step.stations)
 
     @property
     def cost(self) -> float:
@@ -73,46 +97,79 @@ class Solution:
 
 def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: Weights, iterations: int = 0) -> Solution:
     """The whitened normal equations at an estimate."""
-    linear = lineariser(estimate)
+    return _system(lineariser, estimate, lineariser(estimate), noise, weights, iterations)
+
+
+def _system(lineariser: Lineariser, estimate: Estimate, linear: Linearization, noise: Noise, weights: Weights, iterations: int) -> Solution:
     prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, lineariser.rows.stations)
-    poses = PoseInformation(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
+    poses = PoseInformation.of(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
     normal = Normal(lineariser.rows, poses.normal_equations(), prior)
     return Solution(estimate, linear, poses, normal, prior, noise, weights, iterations)
 
 
 def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weights) -> Solution:
-    """The system at the same estimate with other noise or weights."""
+    """The system with other noise or weights, at the estimate where the residual was evaluated."""
     if noise is at.noise and weights is at.weights:
         return at
-    poses = PoseInformation(lineariser.rows, at.linear.columns, noise, weights.centre, weights.pose)
+    at = at if at.step is None else at.step.start
+    if weights is at.weights:
+        poses = at.poses.with_noise(noise)
+    else:
+        poses = PoseInformation.of(lineariser.rows, at.linear.columns, noise, weights.centre, weights.pose)
     normal = Normal(lineariser.rows, poses.normal_equations(), at.prior)
     return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
 
 
 def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
-    """The same linear problem after a step (g,) of the parameters and the best stations."""
+    """The same linear problem after a step (g,) of the parameters and the best stations; ``at`` must be exact."""
     rows, columns = lineariser.rows, at.linear.columns
     station_step = at.normal.station_step(step)
     residual = columns.residual - columns.change(step, station_step[rows.run])
     linear = replace(at.linear, residual=rows.unpad(residual), columns=replace(columns, residual=residual))
-    estimate = _moved(lineariser, at, step, station_step)
     prior = replace(at.prior, offset=at.prior.offset + step, station_offset=at.prior.station_offset + station_step)
     poses, normal = at.poses.with_residual(linear.columns), at.normal.after(step)
-    return replace(at, estimate=estimate, linear=linear, poses=poses, normal=normal, prior=prior, exact=False)
+    taken = Step(at, lineariser.layout, step, station_step)
+    return replace(at, linear=linear, poses=poses, normal=normal, prior=prior, step=taken)
 
 
-def _is_small(layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> bool:
-    """Whether no rotation of the arm, the hand-eye or a station is so large that the problem is not linear over it."""
-    turning = np.array([unit == "rad" for b in layout.blocks[:2] for unit, free in zip(b.units, b.free, strict=True) if free], dtype=bool)
+def evaluated(lineariser: Lineariser, at: Solution) -> Solution:
+    """The system with the residual at its estimate; its columns are made anew where a rotation since they were made is not small."""
+    if at.step is None:
+        return at
+    turned = at.turned + largest_rotation(lineariser.layout, at.step.parameters, at.step.stations)
+    prediction, residual = lineariser.residual(at.estimate)
+    if turned > LINEAR_ROTATION:
+        linear = lineariser.at(at.estimate.state.chain, prediction, residual)
+        return _system(lineariser, at.estimate, linear, at.noise, at.weights, at.iterations)
+    return _with_residual(lineariser, at, at.estimate, prediction, residual, turned)
+
+
+def _with_residual(
+    lineariser: Lineariser, at: Solution, estimate: Estimate, prediction: Prediction, residual: np.ndarray, turned: float
+) -> Solution:
+    """The system at a nearby estimate with the columns as they are."""
+    columns = replace(at.linear.columns, residual=lineariser.rows.pad(residual))
+    prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, lineariser.rows.stations)
+    poses = at.poses.with_residual(columns)
+    normal = at.normal.with_right_hand_side(*poses.right_hand_side(), prior)
+    linear = Linearization(prediction, residual, columns)
+    return replace(at, origin=estimate, linear=linear, poses=poses, normal=normal, prior=prior, turned=turned, step=None)
+
+
+def largest_rotation(layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> float:
+    """Largest rotation (rad) of the arm's links, the hand-eye or a station in a step."""
+    turning = layout.turning
     largest = np.abs(step[: len(turning)][turning]).max(initial=0.0)
-    return max(largest, np.abs(station_step[:, 3:]).max(initial=0.0)) < LINEAR_ROTATION
+    return float(max(largest, np.abs(station_step[:, 3:]).max(initial=0.0)))
 
 
-def _moved(lineariser: Lineariser, at: Solution, step: np.ndarray, station_step: np.ndarray) -> Estimate:
+def moved_estimate(
+    estimate: Estimate, layout: ParameterLayout, stations: np.ndarray, step: np.ndarray, station_step: np.ndarray
+) -> Estimate:
     """The estimate after a step (g,) and local twists (S', 6) of the stations in use."""
-    whole = np.zeros((len(at.estimate.state.T_base_station), 6))
-    whole[lineariser.rows.stations] = station_step
-    return at.estimate.moved(lineariser.layout, step, whole)
+    whole = np.zeros((len(estimate.state.T_base_station), 6))
+    whole[stations] = station_step
+    return estimate.moved(layout, step, whole)
 
 
 def solve(
@@ -124,33 +181,46 @@ def solve(
     tolerance: float = 1e-6,
     limit: int = 30,
     within_linear: bool = False,
+    reuse: float = LINEAR_ROTATION,
 ) -> Solution:
     """Iterate until the next step would take less than ``tolerance`` off the cost (chi square).
 
     A ``Solution`` of the same lineariser as start saves evaluating it anew. within_linear: a small step is the last, and is taken
-    within the linear problem; then the solution is not ``exact``.
+    within the linear problem; then the solution is not ``exact``. reuse: rotation (rad) over which columns are kept from step to step.
     """
     layout = lineariser.layout
     damping, share = 0.0, 1.0
-    if isinstance(start, Solution) and not (within_linear or start.exact):
-        start = start.estimate
-    now = reweighted(lineariser, start, noise, weights) if isinstance(start, Solution) else system(lineariser, start, noise, weights)
+    taken = 0.0
+    if isinstance(start, Solution):
+        now = reweighted(lineariser, start if within_linear else evaluated(lineariser, start), noise, weights)
+        if start.step is not None and now.step is None:
+            taken = now.normal.decrease(start.step.parameters) if within_linear else 0.0
+    else:
+        now = system(lineariser, start, noise, weights)
     for iteration in range(1, limit + 1):
         step = gauss_newton_step(now.normal, layout.gather("scale"), damping)
         promised = now.normal.decrease(step)
         if promised < tolerance or share < SMALLEST_SHARE:
             break
-        if within_linear and not damping and promised < LINEAR_DECREASE and _is_small(layout, step, now.normal.station_step(step)):
-            return stepped(lineariser, now, step)
-        if not now.exact:
-            now = system(lineariser, now.estimate, noise, weights, iteration)
+        if now.step is not None:
+            now = evaluated(lineariser, now)
             continue
-        candidate = _moved(lineariser, now, share * step, share * now.normal.station_step(step))
-        trial = system(lineariser, candidate, noise, weights, iteration)
+        station_step = now.normal.station_step(step)
+        turned = now.turned + share * largest_rotation(layout, step, station_step)
+        if within_linear and not damping and promised - taken < LINEAR_DECREASE and turned < LINEAR_ROTATION:
+            return stepped(lineariser, now, step)
+        candidate = moved_estimate(now.origin, layout, lineariser.rows.stations, share * step, share * station_step)
+        prediction, residual = lineariser.residual(candidate)
+        prior = prior_rows(lineariser.obs.cell, layout, candidate, lineariser.rows.stations)
         # The weights depend weakly on the estimate; a step is judged by those it was computed with.
-        cost = now.poses.chi2(trial.linear.columns.residual) + trial.prior.cost
+        cost = now.poses.chi2(lineariser.rows.pad(residual)) + prior.cost
         if cost <= now.cost * (1 + 1e-9) + tolerance:
-            now, damping, share = trial, damping / 10 if damping > 1e-3 else 0.0, 1.0
+            if turned < reuse:
+                now = replace(_with_residual(lineariser, now, candidate, prediction, residual, turned), iterations=iteration)
+            else:
+                linear = lineariser.at(candidate.state.chain, prediction, residual)
+                now = _system(lineariser, candidate, linear, noise, weights, iteration)
+            damping, share, taken = damping / 10 if damping > 1e-3 else 0.0, 1.0, 0.0
         else:
             # Damping holds back the parameters only; the share holds back the stations as well.
             damping, share = max(10 * damping, 1e-2), share / 4

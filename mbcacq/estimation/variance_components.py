@@ -24,6 +24,7 @@ AXIS = 0.25  # deviation of an axis of the instrument from the level that all ax
 COMMON = 1.0  # the level that all joints of an arm share
 JOINT = 0.15  # deviation of a joint from that level
 EXACT = 1e-3  # a figure that is taken as it is
+LARGEST_STEP = 0.45  # of a scored log sigma, which may not reach 1/2; the noise grows by at most 3.2 at a time
 # No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
 LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
 
@@ -78,27 +79,43 @@ def unpack(theta: np.ndarray) -> Noise:
     return Noise(value[:3], value[3:-1], float(value[-1]))
 
 
+def between(noise: Noise, other: Noise) -> Noise:
+    """The noise halfway between two, of the logarithms."""
+    return unpack((pack(noise) + pack(other)) / 2)
+
+
 def restricted_maximum_likelihood(
     system: Callable[[Noise], PoseSystem], start: Noise, prior: NoisePrior, rounds: int = 12, tolerance: float = 0.02
 ) -> Noise:
     """Most probable noise of a linear problem, whose whitened system under any noise ``system`` gives."""
     noise = start
     for _ in range(rounds):
-        noise, change = reml_step(system(noise), noise, prior)
-        if change < tolerance:
+        before, (noise, _) = noise, reml_step(system(noise), noise, prior)
+        if np.abs(pack(noise) - pack(before)).max() < tolerance:
             break
     return noise
 
 
 def reml_step(system: PoseSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
-    """One step of average-information scoring (REML); also the largest change of a logarithm."""
+    """One step of average-information scoring (REML); also the rise of the log posterior density that its quadratic model promises.
+
+    Of one variance component alone, q times as large as supposed, the scored step of log sigma is s = (q - 1) / 2q where log(q) / 2 leads
+    to the maximum; so -log(1 - 2 s) / 2 is taken, which is s to first order.
+    """
     score, information = reml_score_and_information(system, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
     least = np.log(np.concatenate([np.full(3, LEAST_POINT), np.full(len(noise.joint), LEAST_JOINT), [LEAST_TURN]]))
-    moved = np.maximum(theta + np.clip(step, -1.0, 1.0), least)
-    return unpack(moved), float(np.abs(moved - theta).max())
+    moved = np.maximum(theta - 0.5 * np.log1p(-2 * np.minimum(step, LARGEST_STEP)), least)
+    return unpack(moved), 0.5 * float(step @ score)
+
+
+def log_restricted_posterior(system: PoseSystem, noise: Noise, prior: NoisePrior) -> float:
+    """Log of the restricted likelihood of a noise, with its prior, up to a constant; the residual is what the best fit leaves."""
+    normal = system.normal
+    log_det = system.poses.log_det + float(np.linalg.slogdet(_regular(normal.information))[1]) + normal.station_log_det
+    return prior.log_density(noise) - 0.5 * (log_det + normal.cost)
 
 
 def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
@@ -106,40 +123,38 @@ def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.nda
 
     From the twists of the poses; only the balls and the effects have rows of their own.
     """
-    poses, rows = system.poses, system.poses.rows
-    n, share = len(noise.joint), poses.share
+    poses, n = system.poses, len(noise.joint)
+    share, precision, white = poses.share, poses.precision, poses.white_residual
+    share_of_pose = share[:, None, None]
+    P, R, B = white.shape
     variance = _PoseVariance(system)
-    axes = np.minimum(np.tile(np.arange(rows.width), rows.depth), 3)[:, None] == np.arange(4)  # (B R, 4): scanner's axes and turn
     # Scanner: the rows of one axis each.
-    r = poses.white_residual
-    Jt = np.swapaxes(poses.joints, 1, 2)
-    absorbed = np.einsum("pmu,pmu->pm", poses.G @ poses.N, poses.G)
-    lever = variance.of_rows()
-    weight = share[:, None] * poses.centre_weight
-    by_axis = (weight * (share[:, None] * (r**2 + lever) - 1 + absorbed)).sum(axis=0) @ axes
+    weighted = white * share_of_pose
+    squares = np.einsum("prb,prb->r", weighted, white)
+    absorbed = (poses.weighted.squares @ (poses.N * share_of_pose).reshape(P, -1, 1)).sum(axis=0)[:, 0]
+    by_axis = squares + precision * (absorbed + variance.of_axes()) - poses.weighted.counted
     # Joints: one column a pose.
     b = share[:, None] * poses.residual_joint
     diagonal = 1 - np.diagonal(poses.K, axis1=1, axis2=2)
-    by_joint = np.sum(b**2 + share[:, None] * (share[:, None] * variance.of_joints() - diagonal), axis=0)
-    score = np.concatenate([by_axis[:3], by_joint, by_axis[3:]])
+    by_joint = np.sum(b**2 - share[:, None] * diagonal, axis=0) + variance.of_joints()
+    score = np.concatenate([by_axis[:3], by_joint, [by_axis[3:].sum()]])
     # Average information: Y' P Y of the images Y, one of each component, from products with the columns.
-    image = (weight * r)[:, :, None] * axes
-    image_twist = np.swapaxes(poses.G, 1, 2) @ image
+    fold = np.minimum(np.arange(R), 3)[:, None] == np.arange(4)  # (R, 4): scanner's axes and turn
+    image = weighted * np.sqrt(precision)[:, None]
+    image_twist = np.swapaxes((image[:, :, None] @ poses.weighted.G)[:, :, 0], 1, 2) @ fold
+    Jt = np.swapaxes(poses.joints, 1, 2)
     image_joint = Jt @ image_twist
     K_image = poses.K @ image_joint
     square = np.zeros((n + 4, n + 4))
     order = np.r_[:3, n + 3]
-    between = np.tensordot(share[:, None, None] * image_joint, K_image, axes=([0, 1], [0, 1]))
-    square[np.ix_(order, order)] = np.diag(np.einsum("p,pmc,pmc->c", share, image, image)) - between
-    mixed = np.einsum("p,pj,pjc->jc", share, b, K_image)
+    square[np.ix_(order, order)] = np.diag(squares @ fold) - flat_product(image_joint, K_image)
+    mixed = np.einsum("pj,pjc->jc", b, K_image)
     square[3 : n + 3, order], square[order, 3 : n + 3] = mixed, mixed.T
-    square[3 : n + 3, 3 : n + 3] = np.diag(np.einsum("p,pj,pj->j", share, b, b)) - np.einsum("p,pj,pk,pjk->jk", share, b, b, poses.K)
+    square[3 : n + 3, 3 : n + 3] = np.diag(np.sum(b**2, axis=0)) - np.einsum("pj,pk,pjk->jk", b, b, poses.K)
     twist = np.concatenate([np.swapaxes(poses.F, 1, 2) @ image_twist, np.swapaxes(poses.JG * b[..., None], 1, 2)], axis=2)
-    own_joint = poses.K @ (Jt @ poses.own_twist)
-    by_image = poses.own.product(share[:, None, None] * image) - flat_product(poses.N @ poses.own_twist, share[:, None, None] * image_twist)
-    own = [by_image, np.einsum("p,pj,pje->ej", share, b, own_joint)]
+    by_image = poses.own.product(image) @ fold - flat_product(poses.own_twist, poses.N @ image_twist)
+    own = [by_image, flat_product(poses.own_twist, np.swapaxes(poses.K @ Jt * b[..., None], 1, 2))]
     twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
-    twist *= share[:, None, None]
     by_station, by_parameter = variance.projections(twist, own)
     return score, 2 * (square - by_parameter.T @ by_parameter - by_station.T @ by_station)
 
@@ -150,37 +165,42 @@ class _PoseVariance:
 
     def __init__(self, system: PoseSystem):
         self.poses, self.normal = system.poses, system.normal
-        poses, columns, run = system.poses, system.poses.columns, system.poses.rows.run
+        poses, columns, rows = system.poses, system.poses.columns, system.poses.rows
         self.f = system.normal.size - columns.own.size
         self.moved, self.station = columns.twists, columns.station
         self.root = _inverse_root(self.normal)
-        y = self.station @ self.normal.station_root[run]
-        x = -y @ self.normal.reduced[run]
+        y = rows.of_stations(self.station, self.normal.station_root)
+        x = rows.of_stations(y, -self.normal.reduced)
         x[..., : self.f] += self.moved
         x, y = poses.F @ x, poses.F @ y
-        x[..., self.f :] -= poses.N @ poses.own_twist
-        x = (x.reshape(-1, x.shape[2]) @ self.root.T).reshape(x.shape)
+        if columns.own.size:
+            x[..., self.f :] -= poses.N @ poses.own_twist
+        x = (x.reshape(-1, system.normal.size) @ self.root.T).reshape(x.shape)
         own = self.root[:, self.f :]
         self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
-        self.mixed, self.own = x @ own, own.T @ own
+        self.mixed, self.own = (x.reshape(-1, system.normal.size) @ own).reshape(poses.own_twist.shape), own.T @ own
 
-    def of_rows(self) -> np.ndarray:
-        """(P, B R): variance of the rows."""
-        G = self.poses.G
-        return np.einsum("pmu,pmu->pm", G @ self.twist, G) + self.poses.own.variance(G, self.mixed, self.own)
+    def of_axes(self) -> np.ndarray:
+        """(R,): sum of the variances of the rows of each axis, in units of the axis' variance."""
+        squares, share = self.poses.weighted.squares, self.poses.share[:, None, None]
+        levers = (squares @ (self.twist * share).reshape(len(squares), -1, 1)).sum(axis=0)[:, 0]
+        return levers + self.poses.own.variance(self.mixed, self.own)
 
     def of_joints(self) -> np.ndarray:
-        """(P, n): variance of the joints' columns times the rows."""
-        T = np.swapaxes(self.poses.joints, 1, 2)
-        by_twist, by_own = T @ self.poses.L, T @ self.poses.own_twist
-        against = 2 * (by_twist @ self.mixed) + by_own @ self.own
-        return np.einsum("pmu,pmu->pm", by_twist @ self.twist, by_twist) + np.einsum("pme,pme->pm", against, by_own)
+        """(n,): sums of the variances of the joints' columns times the rows."""
+        poses = self.poses
+        total = poses.L @ self.twist @ poses.L
+        if poses.own.columns.size:
+            against = 2 * (poses.L @ self.mixed) + (poses.own_twist.reshape(-1, len(self.own)) @ self.own).reshape(self.mixed.shape)
+            total += against @ np.swapaxes(poses.own_twist, 1, 2)
+        T = poses.joints
+        return np.einsum("puj,puj->j", T * poses.share[:, None, None], total @ T)
 
     def projections(self, twist: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Products of k images with what was estimated, of unit variance: (6 S', k) and (g, k). twist: (P, u, k) and own: (e, k) are
         their products with the columns."""
         k = twist.shape[2]
-        y = np.swapaxes(self.normal.station_root, 1, 2) @ self.poses.rows.by_station(np.swapaxes(self.station, 1, 2) @ twist)
+        y = np.swapaxes(self.normal.station_root, 1, 2) @ self.poses.rows.station_products(self.station, twist)
         A = np.concatenate([flat_product(self.moved, twist), own])
         flat = y.reshape(-1, k)
         return flat, self.root @ (A - self.normal.reduced.reshape(-1, len(A)).T @ flat)

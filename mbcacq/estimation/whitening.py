@@ -5,6 +5,8 @@ All arrays (P, B R, k): B is the largest number of centres of a pose, poses with
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from mbcacq.estimation.options import Noise
@@ -61,6 +63,33 @@ class PoseRows:
         out = np.empty_like(blocks)
         out[self.order] = blocks
         return out
+
+    @cached_property
+    def _even(self) -> bool:
+        """Whether every station in use has as many poses as the next."""
+        return self.n_poses % len(self.first) == 0 and bool(np.all(np.diff(self.first) == self.n_poses // len(self.first)))
+
+    def station_products(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """(S', k, m): sums of left' right over the poses of each station in use, left (P, u, k) and right (P, u, m)."""
+        (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
+        a, b = left.reshape(P * u, k), right.reshape(P * u, m)
+        if self._even:
+            return np.swapaxes(a.reshape(count, -1, k), 1, 2) @ b.reshape(count, -1, m)
+        out = np.empty((count, k, m))
+        for s, (start, end) in enumerate(zip(u * self.first, u * np.r_[self.first[1:], P], strict=True)):
+            np.matmul(a[start:end].T, b[start:end], out=out[s])
+        return out
+
+    def of_stations(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """(P, u, m): left (P, u, k) of each pose times right (S', k, m) of its station."""
+        (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
+        a = left.reshape(P * u, k)
+        if self._even:
+            return (a.reshape(count, -1, k) @ right).reshape(P, u, m)
+        out = np.empty((P * u, m))
+        for s, (start, end) in enumerate(zip(u * self.first, u * np.r_[self.first[1:], P], strict=True)):
+            np.matmul(a[start:end], right[s], out=out[start:end])
+        return out.reshape(P, u, m)
 
     def by_station(self, per_pose: np.ndarray) -> np.ndarray:
         """Sums (P, ...) over the poses of each station in use: (S', ...), in the order of ``stations``."""

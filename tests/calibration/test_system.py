@@ -6,11 +6,12 @@ from cells import iiwa, scanner_cell, tracker_cell
 
 from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import parameters, variance_components
+from mbcacq.estimation.adjustment import NOISE_GAIN, adjust_recording
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_information import NormalBlocks
-from mbcacq.estimation.solver import Weights, gauss_newton_step, stepped, system
+from mbcacq.estimation.solver import Weights, evaluated, gauss_newton_step, reweighted, solve, stepped, system
 from mbcacq.estimation.terms import Part, term
 
 
@@ -137,12 +138,12 @@ def test_redundant_parameters_are_held_by_name():
     assert {"theta_1", "d_1", "d_2", "beta_3", "theta_6", "beta_6"} <= set(layout.held)
 
 
-def weighted_system(kind, rng, hold=(), more=1):
+def weighted_system(kind, rng, hold=(), kinematics=True, more=1):
     """A system with an effect, with centres and poses rejected, and its normal equations from whitened rows."""
     cell = simulated(kind, rng, more)
     obs = cell.observations
     effect = term("effect", [Part("joint", 1, 0, rng.normal(size=(obs.n_poses, 2)))], sigma=1e-4)
-    options = CalibrationOptions(terms=(effect,), hold=hold)
+    options = CalibrationOptions(terms=(effect,), hold=hold, kinematics=kinematics)
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     noise = Noise(np.array([0.01, 0.02, 0.03]), rng.uniform(1e-5, 1e-4, obs.cell.robot.n), 2e-4)
@@ -226,3 +227,52 @@ def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(k
     np.testing.assert_allclose(there.normal.gradient / size, again.gradient / size, rtol=0, atol=1e-8 * np.sqrt(at.cost))
     np.testing.assert_allclose(there.cost, again.cost, rtol=1e-9)
     assert not there.exact
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_scores_are_derivatives_of_the_log_posterior(kind):
+    lineariser, at, _ = weighted_system(kind, np.random.default_rng(7), kinematics=False)
+    prior = variance_components.noise_prior(lineariser.obs.cell)
+    theta = variance_components.pack(at.noise)
+
+    def fitted(theta):
+        there = reweighted(lineariser, at, variance_components.unpack(theta), at.weights)
+        return stepped(lineariser, there, gauss_newton_step(there.normal, lineariser.layout.gather("scale"), 0.0)).system
+
+    def log_posterior(theta):
+        return variance_components.log_restricted_posterior(fitted(theta), variance_components.unpack(theta), prior)
+
+    score, _ = variance_components.reml_score_and_information(fitted(theta), at.noise)
+    difference = [(log_posterior(theta + e) - log_posterior(theta - e)) / 2e-4 for e in 1e-4 * np.eye(len(theta))]
+    np.testing.assert_allclose(score - prior.precision @ (theta - prior.centre), difference, rtol=1e-4, atol=1e-3)
+
+
+def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
+    # Joints a hundred times as noisy as the data sheet says: far from where the search begins.
+    obs = scanner_cell(np.random.default_rng(8), stations=6, joint_rad=1e-3).observations
+    found = adjust_recording(obs, CalibrationOptions(refuse=False))
+    prior = variance_components.noise_prior(obs.cell)
+    theta = variance_components.pack(found.noise)
+
+    def log_posterior(theta):
+        noise = variance_components.unpack(theta)
+        there = reweighted(found.lineariser, found.solution, noise, found.weights)
+        step = gauss_newton_step(there.normal, found.lineariser.layout.gather("scale"), 0.0)
+        return variance_components.log_restricted_posterior(stepped(found.lineariser, there, step).system, noise, prior)
+
+    here = log_posterior(theta)
+    assert all(log_posterior(theta + s * e) < here + NOISE_GAIN for e in np.eye(len(theta)) for s in (-0.2, -0.02, 0.02, 0.2))
+
+
+def test_columns_are_kept_while_nothing_turns_and_made_anew_otherwise():
+    lineariser, begin, _ = weighted_system("scanner", np.random.default_rng(9), kinematics=False)
+    at = system(lineariser, solve(lineariser, begin, begin.noise, begin.weights).estimate, begin.noise, begin.weights)
+    step = lineariser.layout.gather("scale")
+    near, far = stepped(lineariser, at, 1e-6 * step), stepped(lineariser, at, 0.02 * step)
+    for there, kept in ((near, True), (far, False)):
+        again = evaluated(lineariser, there)
+        assert again.exact
+        assert (again.linear.columns.basis is at.linear.columns.basis) == kept
+        np.testing.assert_allclose(again.linear.residual, lineariser.residual(again.estimate)[1], rtol=0, atol=1e-12)
+        normal = system(lineariser, again.estimate, at.noise, at.weights).normal
+        np.testing.assert_allclose(again.cost, normal.cost, rtol=1e-7)

@@ -139,21 +139,41 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
 
 
-def test_what_a_movement_leaves_behind_is_found_by_its_length(plan):
-    clean = simulated.observe(plan, 8, [])
+def moved_to(plan, seed, size):
+    """A recording whose joint 4 stands ahead of what it reports, by up to ``size`` (rad), after each movement; and by how much (P,)."""
+    clean = simulated.observe(plan, seed, [])
     movement = np.random.default_rng(4).choice([-1.0, 1.0], clean.q.shape) * np.geomspace(0.001, 0.5, clean.n_poses)[:, None]
-    ahead = 3e-4 * np.tanh(movement[:, 3] / np.radians(1.0))
+    ahead = size * np.tanh(movement[:, 3] / np.radians(1.0))
     q = clean.q.copy()
-    q[:, 3] -= ahead  # the arm stands where it was measured, and reports less
-    obs = replace(clean, q=q, movement=movement)
+    q[:, 3] -= ahead
+    return replace(clean, q=q, movement=movement), ahead
+
+
+@pytest.fixture(scope="module")
+def after_movements(plan):
+    obs, ahead = moved_to(plan, 8, 3e-4)
     here = Covariates(obs)
     wanted = tuple(unmodelled.group(here, f"A{i}", f"movement_{i}") for i in (2, 4))
-    found = calibrate_with_effects(obs, OPTIONS, EffectModel(obs.cell.robot, wanted, LearntRecording.of(obs)))
+    return calibrate_with_effects(obs, OPTIONS, EffectModel(obs.cell.robot, wanted, LearntRecording.of(obs))), obs, ahead
+
+
+def test_what_a_movement_leaves_behind_is_found_by_its_length(after_movements):
+    found, obs, ahead = after_movements
     turned = found.effects.displacements(obs).joint
     assert np.sqrt(np.mean((turned[:, 3] - ahead) ** 2)) < 0.2 * np.sqrt(np.mean(ahead**2))
     assert np.sqrt(np.mean(turned[:, 1] ** 2)) < 0.05 * np.sqrt(np.mean(ahead**2))
     for other in (replace(obs, movement=None), replace(obs, pose_id=obs.pose_id + 1000)):  # at rest; in another recording
         assert not np.any(found.effects.displacements(other).joint)
+
+
+def test_the_uncertainty_elsewhere_includes_what_movements_leave_behind_there(plan, after_movements):
+    found = after_movements[0]
+    other, _ = moved_to(plan, 8, -3e-4)  # of the same size, at another speed with the other sign
+    other = replace(other, pose_id=other.pose_id + 1000)
+    stated = check_transfer(other, found).normalised_error.rms
+    silent = check_transfer(other, replace(found, effects=found.effects.select(lambda t: False))).normalised_error.rms
+    assert 0.7 < stated < 1.5
+    assert silent > 2 * stated
 
 
 def test_leaving_the_learnt_range_is_said(recording, fitted):

@@ -15,7 +15,7 @@ from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
-from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 
 UNMODELLED = "unknown"
 STEADY = 0.05  # change of a logarithm of the noise below which its estimation ends
@@ -111,21 +111,31 @@ def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple
 
 def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis:
     """The hypothesis with its noise estimated anew, from a start."""
-    point = start
-    sized, log_density, gradient, information = at_noise(point, members)
+    point, extended = start, with_members(start.linear, members)
+    sized, log_density, gradient, information = at_noise(point, members, extended)
     for _ in range(rounds):
         new, change = point.moved(gradient, information)
         if change < STEADY:
             break
         point = new
-        sized, log_density, gradient, information = at_noise(point, members)
+        sized, log_density, gradient, information = at_noise(point, members, extended)
     return Hypothesis(sized, point, integrated(log_density, gradient, information), log_prior)
 
 
-def at_noise(point: NoisePoint, members: Sequence[Member]) -> tuple[tuple[Member, ...], float, np.ndarray, np.ndarray]:
-    """The effects at their most probable sizes, the log density of data and noise, and its gradient and information by the noise."""
-    nothing = np.zeros((*point.linear.residual.shape, 0))
-    system = point.with_effects(np.concatenate([nothing, *(columns_of(point.linear, m) for m in members)], axis=2))
+def with_members(linear: LinearProblem, members: Sequence[Member]) -> ExtendedProblem:
+    """Geometry and effects, of coefficients in typical sizes without a prior."""
+    columns = np.concatenate([np.zeros((*linear.residual.shape, 0)), *(columns_of(linear, m) for m in members)], axis=2)
+    return linear.extended(columns, np.full(columns.shape[2], np.inf))
+
+
+def at_noise(
+    point: NoisePoint, members: Sequence[Member], extended: ExtendedProblem
+) -> tuple[tuple[Member, ...], float, np.ndarray, np.ndarray]:
+    """The effects at their most probable sizes, the log density of data and noise, and its gradient and information by the noise.
+
+    extended: geometry and effects of the recording.
+    """
+    system = point.with_effects(extended, sum(m.candidate.k for m in members))
     sized, log_factor = with_sizes(members, system.A, system.a)
     weight = np.concatenate([np.zeros(0), *(np.full(m.candidate.k, m.size**-2) for m in sized)])
     return sized, system.log_likelihood + log_factor, *system.score(weight)
@@ -145,7 +155,7 @@ def first_order(members: Sequence[Member], start: NoisePoint, log_prior: float) 
 
 def under(point: NoisePoint, members: Sequence[Member], log_prior: float) -> Hypothesis:
     """The same with the evidence under that noise, as it is."""
-    sized, log_density, _, information = at_noise(point, members)
+    sized, log_density, _, information = at_noise(point, members, with_members(point.linear, members))
     return Hypothesis(sized, point, log_density - 0.5 * float(np.linalg.slogdet(information)[1]), log_prior)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, unpack
@@ -45,17 +45,16 @@ class NoisePoint:
         """The projected problem, in which candidates are compared."""
         return CandidateScoring.of(self.linear, self.complete_noise)
 
-    def with_effects(self, columns: np.ndarray) -> EffectsSystem:
-        """The normal equations of effects with columns (M, R, k), of coefficients near one, beyond the geometry."""
-        k = columns.shape[2]
-        system = self.linear.whitened(self.complete_noise, columns, np.full(k, np.inf))
+    def with_effects(self, extended: ExtendedProblem, k: int) -> EffectsSystem:
+        """The normal equations of effects with k coefficients near one beyond the geometry. extended: of the geometry and their columns."""
+        system = extended.at(self.complete_noise)
         normal, g = system.normal, system.normal.size - k
         root = np.linalg.cholesky(normal.information[:g, :g])
         reduced = solve_triangular(root, np.c_[normal.information[:g, g:], normal.gradient[:g]], lower=True)
         A = normal.information[g:, g:] - reduced[:, :k].T @ reduced[:, :k]
         a = normal.gradient[g:] - reduced[:, :k].T @ reduced[:, k]
         chi2 = normal.cost - float(np.sum(normal.station_b**2) + reduced[:, k] @ reduced[:, k])
-        scale = self.linear.keep[:, None] * np.log(self.linear.rows.row_sigma(self.noise))
+        scale = self.linear.keep[:, None] * np.log(self.linear.rows.sigma_scale)
         log_det = system.poses.log_det + 2 * np.sum(scale) + normal.station_log_det + 2 * np.log(np.diag(root)).sum()
         return EffectsSystem(self, system, A, a, -0.5 * (float(log_det) + chi2) + self.prior.log_density(self.noise))
 

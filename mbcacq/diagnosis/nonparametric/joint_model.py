@@ -37,8 +37,8 @@ def columns_of(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsMod
 
 def noise_with(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None, start: Noise, prior: NoisePrior) -> Noise:
     """Restricted maximum likelihood estimate of the noise with a model in place."""
-    columns, sigma = effect_columns(linear, model, smooth)
-    return restricted_maximum_likelihood(lambda noise: linear.system(noise, columns, sigma), start, prior)
+    extended = linear.extended(*effect_columns(linear, model, smooth))
+    return restricted_maximum_likelihood(lambda noise: extended.at(noise).after_fit(), start, prior)
 
 
 def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> CandidateScoring:
@@ -72,11 +72,11 @@ def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
 def poses_by_joints(linear: LinearProblem, residual: np.ndarray, noise: Noise, weights: Weights) -> PoseInformation:
     """The poses of a linear problem with no columns but those of the joints; residual: (M, R)."""
     rows, J = linear.rows, linear.joint
-    n, none = J.shape[2], OwnColumns(np.zeros((*J.shape[:2], 3)), np.zeros((len(J), rows.depth), int), 0, np.zeros((*J.shape[:2], 0)))
+    n, none = J.shape[2], OwnColumns(np.zeros((len(J), rows.width, 3)), np.zeros((len(J), rows.depth), int), 0, np.zeros((*J.shape[:2], 0)))
     columns = PoseColumns(
         J, np.zeros((len(J), n, 0)), np.zeros((len(J), n, 6)), np.broadcast_to(np.eye(n), (len(J), n, n)), none, rows.pad(residual)
     )
-    return PoseInformation(rows, columns, noise, weights.centre, weights.pose)
+    return PoseInformation.of(rows, columns, noise, weights.centre, weights.pose)
 
 
 def relinearized(linear: LinearProblem, model: EffectSet, noise: Noise) -> LinearProblem:
