@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/ball_shift.py        some seconds
 
 The poses are those of the tests (128, every ball seen in 72 of them, centres to 5 to 9 um, balls certified to 1 um). The estimate of a
-shift is normal about the true one with the covariance that these poses give, all geometry free; of draws of it the evidence is computed as the
-diagnosis does, and compared with its bound. No other effect competes. "Best test" knows which ball it is, and errs as seldom.
+shift is normal about the true one with the covariance that these poses give, all geometry free; of draws of it the evidence is computed
+as the diagnosis does, and compared with its bound. No other effect competes. "Best test" knows which ball it is, and errs as seldom.
 """
 
 from __future__ import annotations
