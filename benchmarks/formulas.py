@@ -40,8 +40,8 @@ once geometry has absorbed what it can; the catalogue has none of these. `mbcacq
 ]
 
 
-# Kinds whose form (tanh, exp of a travel) no sum of terms of the dictionary is: a formula of them is right where all its terms are functions
-# of the true covariates, which these are.
+# Kinds whose form (tanh, exp of a travel) no sum of terms of the dictionary is: a formula of them is right where all its terms are
+# functions of the true covariates.
 OF_COVARIATES = {"axis_wobble": "q", "cable_drag": "q", "link_bending": "gravity", "loose_anchor": "gravity", "short_memory": "direction"}
 
 
