@@ -49,7 +49,8 @@ def recording(loaded: LoadedPlan, motion: FourierMotion, seed: int, number: int)
 
 def stored_result(found: MotionDiagnosis) -> str:
     names = [f"{e.name} at {'+'.join(e.where)}" for e in found.named_effects]
-    return f"{found.verdict}: {', '.join(names) or 'nothing'}"
+    open_ones = [f"; not told apart: {' and '.join(n.effects)} (odds {n.odds:.2f})" for n in found.not_separable if n.odds is not None]
+    return f"{found.verdict}: {', '.join(names) or 'nothing'}{''.join(open_ones)}"
 
 
 def measured(seed: int) -> dict[str, Any]:

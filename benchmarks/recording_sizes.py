@@ -124,12 +124,12 @@ def outcome(job: tuple[str, int, float, int, int]) -> dict:
 
 
 def judged(record: dict) -> str:
-    """'right', 'undecided' (nothing said, or said that it cannot be told) or 'wrong'."""
+    """'right', 'none' or 'cannot_tell' of an effect that is there, or 'wrong'."""
     effect = EFFECTS[record["job"][3]]
     if effect is None:
         return "right" if record["verdict"] in ("none", "cannot_tell") and not record["effects"] else "wrong"
     if record["verdict"] in ("none", "cannot_tell"):
-        return "undecided"
+        return record["verdict"]
     return "right" if record["effects"] == [f"{effect[0]}:{'+'.join(effect[1])}"] else "wrong"
 
 
@@ -142,13 +142,13 @@ def counts(records: list[dict]) -> str:
     """Columns of the tables: nothing injected, then one effect."""
     clean, with_effect = ([r for r in records if (r["job"][3] == 0) is none] for none in (True, False))
     alarms, judgements = sum(judged(r) == "wrong" for r in clean), [judged(r) for r in with_effect]
-    found = " | ".join(str(judgements.count(what)) for what in ("right", "undecided", "wrong"))
+    found = " | ".join(str(judgements.count(what)) for what in ("right", "cannot_tell", "none", "wrong"))
     limit = f"{100 * upper_limit(alarms, len(clean)):.1f} %" if clean else ""
     return f"{len(clean)} | {alarms} | {limit} | {len(judgements)} | {found} | {np.median([r['seconds'] for r in records]):.1f}"
 
 
 def report(records: list[dict]) -> str:
-    head, rule = "cells | false alarms | at most (95 %) | with an effect | right | undecided | wrong | s (median) |", "--:|" * 8
+    head, rule = "cells | false alarms | at most (95 %) | with an effect | right | cannot_tell | none | wrong | s (median) |", "--:|" * 9
 
     def table(names: str, key: Callable[[dict], tuple]) -> list[str]:
         values = sorted({key(r) for r in records})
@@ -163,15 +163,14 @@ def report(records: list[dict]) -> str:
         f"Made by `python benchmarks/recording_sizes.py`: a sample of {len(records)} simulated cells, as many of every row as the table",
         "says. False alarms: an effect, or another verdict than `none` and `cannot_tell`, where nothing was injected.",
         f"With one plain effect ({effects}): right is that effect and no other,",
-        "undecided is `none` or `cannot_tell`, wrong is all else. Limits are those of Clopper and Pearson; a row of few cells says little.",
+        "wrong is all but that, `cannot_tell` and `none`. Limits are those of Clopper and Pearson; a row of few cells says little.",
         "",
         *table("all", lambda r: ("all",)),
         *table("poses", lambda r: (r["job"][1],)),
         *table("instrument", lambda r: (r["job"][0],)),
         *table("stated noise / true", lambda r: (r["job"][2],)),
         *table("instrument | poses | stated noise / true", lambda r: tuple(r["job"][:3])),
-        "Wrong ones:",
-        "",
+        *(["Wrong ones:", ""] if wrong else ["None was wrong."]),
         *[f"- {' '.join(str(part) for part in r['job'])}: {r['verdict']}, {', '.join(r['effects']) or 'no effect'}" for r in wrong],
     ]
     return "\n".join(lines) + "\n"
