@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq.design.options import DesignOptions
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan.clearance import Clearance
+from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.expansion import aim_points, visible_balls
 from mbcacq.plan.field_of_view import T_base_scanner
 from mbcacq.plan.ik_selection import select_solutions, wrist_bend
@@ -73,7 +73,7 @@ class _Choice:
 
     def __init__(self, loaded: LoadedPlan, options: DesignOptions) -> None:
         self._loaded, self._options = loaded, options
-        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot), Clearance(loaded)
+        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot), clearance_of(loaded)
 
     def at_station(self, station: str, aim: int | None, views: list[View]) -> list[CandidateView]:
         """Those of ``views`` of one ball, or of all (None), that can be taken."""
