@@ -1,8 +1,8 @@
 """CSV tables (RFC 4180, with a header) column by column, with file, line and column in every error message.
 
 The separator is the comma; the semicolon or the tab of a spreadsheet that writes decimal commas is read as well: then '1,5' is a number,
-and a cell with a point beside such cells is refused, since the point may separate thousands. Such a table may be in Windows-1252 or UTF-16 too,
-and rows of nothing but empty cells are left out of it.
+and a cell with a point beside such cells is refused, since the point may separate thousands. Such a table may be in Windows-1252 or
+UTF-16 too, and rows of nothing but empty cells are left out of it.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def _text(path: Path) -> str:
 
 
 def _windows_text(data: bytes) -> str | None:
-    """What a spreadsheet wrote in Windows-1252: only where it separates by semicolons or tabs, for other bytes that are no UTF-8 are damage."""
+    """A table in Windows-1252 that separates by semicolons or tabs, as spreadsheets do; in any other such bytes are damage."""
     try:
         text = data.decode("cp1252")
     except UnicodeDecodeError:
