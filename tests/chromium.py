@@ -25,6 +25,7 @@ FLAGS = [
     "--disable-dev-shm-usage",
     "--remote-debugging-pipe",
 ]
+PATIENCE_S = 240.0  # on a loaded machine a browser takes minutes to start; one that has ended is noticed at once
 
 
 def program() -> str | None:
@@ -45,6 +46,8 @@ class Browser:
             a, b = os.dup(theirs_in), os.dup(theirs_out)
             os.dup2(a, 3)
             os.dup2(b, 4)
+            for number in (3, 4):  # dup2 onto itself leaves it closed to the new program
+                os.set_inheritable(number, True)
 
         self._child = subprocess.Popen(
             [program(), *FLAGS, f"--user-data-dir={self._profile}", f"--window-size={width},{height}", "about:blank"],
@@ -61,7 +64,7 @@ class Browser:
         page = next(t["targetId"] for t in targets if t["type"] == "page")
         self._session = None
         self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Network", "Log"):
+        for domain in ("Page", "Runtime", "Network", "Log", "Inspector"):
             self.call(f"{domain}.enable")
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=mobile)
 
@@ -79,7 +82,7 @@ class Browser:
         os.close(self._out)
         shutil.rmtree(self._profile, ignore_errors=True)
 
-    def open(self, path: Path, drawn: str = "document.documentElement.dataset.drawn === 'all'", timeout: float = 60.0) -> float:
+    def open(self, path: Path, drawn: str = "document.documentElement.dataset.drawn === 'all'", timeout: float = PATIENCE_S) -> float:
         """Open a file and wait until all of it is drawn. Returns the seconds until its load event."""
         self.call("Page.navigate", url=path.absolute().as_uri())
         deadline = time.monotonic() + timeout
@@ -124,7 +127,7 @@ class Browser:
             data = data[os.write(self._out, data) :]
         return self._number
 
-    def _receive(self, timeout: float = 60.0) -> dict:
+    def _receive(self, timeout: float = PATIENCE_S) -> dict:
         while b"\0" not in self._buffer:
             if not select.select([self._in], [], [], timeout)[0]:
                 raise TimeoutError("the browser does not answer")
@@ -139,6 +142,8 @@ class Browser:
         method, params = message.get("method"), message.get("params", {})
         if method == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
+        elif method == "Inspector.targetCrashed":  # the browser itself lives on and would never answer
+            raise ConnectionError("the page's process has ended; was there too little memory?")
         elif method == "Runtime.exceptionThrown":
             self.console.append(
                 str(params["exceptionDetails"].get("exception", params["exceptionDetails"]).get("description", params))[:400]

@@ -37,7 +37,7 @@ def effects(result: dict[str, Any]) -> list[str]:
     if unknown:
         count = sum(len(t["names"]) for t in unknown)
         places = ", ".join(dict.fromkeys("+".join(t["where"]) for t in unknown))
-        out.append(f"  unknown: {len(unknown)} groups of {count} basis functions at {places}")
+        out.append(f"  unmodelled effect: {len(unknown)} groups of {count} basis functions at {places}")
     return out
 
 

@@ -9,13 +9,15 @@ import numpy as np
 from mbcacq.design.options import DesignOptions
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan.clearance import Clearance
-from mbcacq.plan.expansion import aim_points, visible_balls
-from mbcacq.plan.field_of_view import T_base_scanner
-from mbcacq.plan.ik_selection import select_solutions, wrist_bend
+from mbcacq.plan.clearance import clearance_of
+from mbcacq.plan.expansion import aim_points
+from mbcacq.plan.field_of_view import T_base_scanner, margin
+from mbcacq.plan.ik_selection import cheapest_from_home, wrist_bend
 from mbcacq.plan.inverse_kinematics import inverse_kinematics, wrist_axis
 from mbcacq.plan.occlusion import occluded
 from mbcacq.plan.schema import View
+
+AT_ONCE = 250  # views whose postures are looked for together: many share the cost of a call, more of them memory
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,12 @@ def candidates(
     options, rng = options or DesignOptions(), np.random.default_rng(seed)
     choice = _Choice(loaded, options)
     steepest_deg = min(steepest_deg, np.degrees(loaded.planning.steepest_view))
-    out: list[CandidateView] = []
+    seen: list[_SeenView] = []
     for station in stations:
         single = single_aims(loaded, station)
         for aim in single:
-            out += choice.at_station(station, aim, random_views(options.views_per_station // len(single), steepest_deg, rng, options))
-    return out
+            seen += choice.seen(station, aim, random_views(options.views_per_station // len(single), steepest_deg, rng, options))
+    return [c for k in range(0, len(seen), AT_ONCE) for c in choice.taken(seen[k : k + AT_ONCE])]
 
 
 def single_aims(loaded: LoadedPlan, station: str) -> list[int] | list[None]:
@@ -68,53 +70,63 @@ def single_aims(loaded: LoadedPlan, station: str) -> list[int] | list[None]:
     return list(artefact.ball_ids) if size > 2 * max(loaded.plan.scanner.field_of_view.far_half_mm) else [None]
 
 
+@dataclass(frozen=True)
+class _SeenView:
+    """A view that shows enough balls, with the flange's pose (4, 4) and the balls in view."""
+
+    station: str
+    aim: int | None
+    view: View
+    flange: np.ndarray
+    balls: tuple[int, ...]
+
+
 class _Choice:
     """Keeps of many views those that can be taken."""
 
     def __init__(self, loaded: LoadedPlan, options: DesignOptions) -> None:
         self._loaded, self._options = loaded, options
-        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot), Clearance(loaded)
+        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot), clearance_of(loaded)
 
-    def at_station(self, station: str, aim: int | None, views: list[View]) -> list[CandidateView]:
-        """Those of ``views`` of one ball, or of all (None), that can be taken."""
-        cell, T_base_station = self._loaded.cell, self._loaded.cell.station(station).planned_pose
+    def seen(self, station: str, aim: int | None, views: list[View]) -> list[_SeenView]:
+        """Those of ``views`` of one ball, or of all (None), that show enough balls, none of which hides another."""
+        cell, planning, field = self._loaded.cell, self._loaded.planning, self._loaded.plan.scanner.field_of_view
+        T_base_station = cell.station(station).planned_pose
         artefact = cell.artefact(cell.station(station).artefact)
+        ids, radii = np.array(artefact.ball_ids), artefact.diameters / 2
         point = aim_points(artefact, "all" if aim is None else (aim,))[0]
-        fewest = min(self._options.fewest_balls, len(artefact.ball_ids)) if aim is None else 1
+        fewest = min(self._options.fewest_balls, len(ids)) if aim is None else 1
         T_base_scanners = np.stack([T_base_scanner(T_base_station, point, v) for v in views])
         flanges = T_base_scanners @ se3.inverse(cell.T_flange_scanner)
         xyz = se3.apply(se3.inverse(T_base_scanners)[:, None] @ T_base_station, artefact.centres)
+        inside = margin(field, xyz, radii) >= 0
         out = []
-        for view, flange, centres, found in zip(views, flanges, xyz, self._solver.solutions(flanges), strict=True):
-            balls = self._unhidden(station, flange, centres, fewest)
-            q = self._posture(found, view, station) if balls else None
-            if q is not None:
-                out.append(CandidateView(station, aim, view, self._pose(len(out), station, q, balls)))
+        for k in np.flatnonzero(inside.sum(axis=1) >= fewest):
+            hidden = [behind for _, behind in occluded(xyz[k], radii, field, planning.hidden_share)]
+            if not inside[k, hidden].any():
+                out.append(_SeenView(station, aim, views[k], flanges[k], tuple(ids[inside[k]].tolist())))
         return out
 
-    def _unhidden(self, station: str, flange: np.ndarray, centres: np.ndarray, fewest: int) -> tuple[int, ...]:
-        """The balls in view, or none where they are too few or one hides another."""
-        planning, field = self._loaded.planning, self._loaded.plan.scanner.field_of_view
-        artefact = self._loaded.cell.artefact(self._loaded.cell.station(station).artefact)
-        balls = visible_balls(self._loaded, station, flange)
-        if len(balls) < fewest:
-            return ()
-        hidden = {artefact.ball_ids[b] for _, b in occluded(centres, artefact.diameters / 2, field, planning.hidden_share)}
-        return () if hidden & set(balls) else balls
+    def taken(self, seen: list[_SeenView]) -> list[CandidateView]:
+        """Those that the arm can take."""
+        postures = [(v, q) for v, q in zip(seen, self._postures(seen), strict=True) if q is not None]
+        return [CandidateView(v.station, v.aim, v.view, self._pose(k, v.station, q, v.balls)) for k, (v, q) in enumerate(postures)]
 
-    def _posture(self, found: np.ndarray, view: View, station: str) -> np.ndarray | None:
-        """Of the positions (k, n) that reach a view the one that the plan's expansion will take, or None where that one is poor."""
+    def _postures(self, seen: list[_SeenView]) -> list[np.ndarray | None]:
+        """Of the positions that reach each view the one that the plan's expansion will take, or None where that one is poor."""
         loaded, robot, options = self._loaded, self._loaded.cell.robot, self._options
-        found = found[{"positive": 1, "negative": -1, "any": 0}[view.wrist] * found[:, wrist_axis(robot.n)] >= 0]
-        if not len(found):
-            return None
-        q = found[select_solutions(loaded, [found], [False])[0]]
+        sign = [{"positive": 1, "negative": -1, "any": 0}[v.view.wrist] for v in seen]
+        reached = self._solver.solutions(np.stack([v.flange for v in seen])) if seen else []
+        found = [q[s * q[:, wrist_axis(robot.n)] >= 0] for s, q in zip(sign, reached, strict=True)]
+        chosen = [q[k] if len(q) else None for q, k in zip(found, cheapest_from_home(loaded, found), strict=True)]
+        return [None if q is None or self._is_poor(q, v.station, options) else q for v, q in zip(seen, chosen, strict=True)]
+
+    def _is_poor(self, q: np.ndarray, station: str, options: DesignOptions) -> bool:
+        loaded, robot = self._loaded, self._loaded.cell.robot
         near_limit = np.minimum(q - robot.limits[:, 0], robot.limits[:, 1] - q).min() < options.limit_margin
         if near_limit or wrist_bend(robot.chain, q[None])[0] < options.wrist_bend:
-            return None
-        if self._clearance.at(q, station).distance < loaded.plan.clearance_mm + options.spare_clearance_mm:
-            return None
-        return q
+            return True
+        return self._clearance.at(q, station).distance < loaded.plan.clearance_mm + options.spare_clearance_mm
 
     def _pose(self, number: int, station: str, q: np.ndarray, balls: tuple[int, ...]) -> PlannedPose:
         return PlannedPose(

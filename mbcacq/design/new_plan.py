@@ -22,7 +22,7 @@ from mbcacq.geometry import se3
 from mbcacq.model import shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.plan import LoadedPlan
-from mbcacq.plan.clearance import Clearance
+from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.feasibility import check
 from mbcacq.plan.inverse_kinematics import inverse_kinematics
@@ -283,7 +283,7 @@ def _text(head: dict[str, Any], places: list[dict[str, Any]], artefact: str, ste
 def _without_errors(loaded: LoadedPlan, progress: Callable[[str], None]) -> tuple[LoadedPlan, int]:
     """The plan without the views that its checks refuse, and how many those were. Raises ConfigError where a step would lose all."""
     left_out = 0
-    clearance = Clearance(loaded)
+    clearance = clearance_of(loaded)
     near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
     if near.distance < loaded.plan.clearance_mm:
         raise ConfigError(

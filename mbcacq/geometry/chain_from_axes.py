@@ -9,7 +9,9 @@ import numpy as np
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 
-PARALLEL = 1e-6  # rad: axes that differ by less are parallel, and their row gets the d of zero that Hayati gives it
+# rad: axes that differ by less get the row with d of zero that Hayati gives to parallel ones. It is exact at any angle; between the
+# nearly parallel axes of a calibrated arm the common normal lies kilometres away.
+PARALLEL = 0.05
 INTERSECTING_MM = 1e-6  # mm: axes that pass closer meet
 NEAR_ZERO = 1e-12
 

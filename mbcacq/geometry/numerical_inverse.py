@@ -139,7 +139,7 @@ class NumericalInverse:
         """(P, 6, n) of the flange's origin (share of the reach) and orientation (rad) by the controller's joint angles."""
         axis = self.chain.sign[:, None] * frames[:, :-1, :3, 2]
         lever = frames[:, -1:, :3, 3] - frames[:, :-1, :3, 3]
-        return np.concatenate([np.cross(axis, lever) / self._reach, axis], axis=2).swapaxes(1, 2)
+        return np.concatenate([se3.cross(axis, lever) / self._reach, axis], axis=2).swapaxes(1, 2)
 
     def _solve(self, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where each start (S, n) ends for its target (S, 4, 4), and which of them solved it."""

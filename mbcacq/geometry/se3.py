@@ -38,10 +38,17 @@ def rotation_exp(w: np.ndarray) -> np.ndarray:
 
 def rotation_log(rotation: np.ndarray) -> np.ndarray:
     """Matrices (..., 3, 3) -> rotation vectors (..., 3) rad, angle in [0, pi]; exact up to and including half a turn."""
-    from scipy.spatial.transform import Rotation
-
     flat = np.asarray(rotation, dtype=float).reshape(-1, 3, 3)
-    return Rotation.from_matrix(flat).as_rotvec().reshape(*rotation.shape[:-2], 3)
+    axis = 0.5 * np.stack([flat[:, 2, 1] - flat[:, 1, 2], flat[:, 0, 2] - flat[:, 2, 0], flat[:, 1, 0] - flat[:, 0, 1]], axis=1)
+    sine, cosine = np.sqrt(np.einsum("ni,ni->n", axis, axis)), 0.5 * (np.einsum("nii->n", flat) - 1.0)
+    out = axis * (np.arctan2(sine, cosine) / np.where(sine > 0, sine, 1.0))[:, None]
+    out[sine == 0] = 0.0
+    obtuse = cosine < -0.9
+    if obtuse.any():  # the axis fades from the antisymmetric part; it is in the symmetric one
+        from scipy.spatial.transform import Rotation
+
+        out[obtuse] = Rotation.from_matrix(flat[obtuse]).as_rotvec()
+    return out.reshape(*rotation.shape[:-2], 3)
 
 
 def exp(twist: np.ndarray) -> np.ndarray:

@@ -36,6 +36,13 @@ class Closest:
     b: str
 
 
+def clearance_of(loaded: LoadedPlan) -> Clearance:
+    """The clearance of a plan, which remembers what it has examined."""
+    if "clearance" not in loaded.computed:
+        loaded.computed["clearance"] = Clearance(loaded)
+    return loaded.computed["clearance"]
+
+
 class Clearance:
     """Distances in one cell. Surroundings that the plan does not name do not count."""
 
@@ -43,10 +50,18 @@ class Clearance:
         self._loaded, self._chain = loaded, loaded.cell.robot.chain
         self._pairs: dict[str | None, list[Pair]] = {}
         self._spheres: dict[str | None, EnclosingSpheres] = {}
+        self._at: dict[tuple[bytes, str | None], Closest] = {}
+        self._along: dict[tuple[bytes, bytes, str | None, float], Closest | None] = {}
 
     def at(self, q: np.ndarray, station: str | None) -> Closest:
         """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away). Two that are as far apart as can be asked of
         them do not count."""
+        key = q.tobytes(), station
+        if key not in self._at:
+            self._at[key] = self._closest(q, station)
+        return self._at[key]
+
+    def _closest(self, q: np.ndarray, station: str | None) -> Closest:
         pairs, frames = self.pairs(station), self._chain.frames(q[None])
         posture, bound = Posture(frames[0]), self._spheres[station].gaps(frames)[0]
         closest = Closest(np.inf, "", "")
@@ -65,6 +80,12 @@ class Clearance:
         between two examined postures, except within the last ``finest_travel_mm``. The gap of two spheres around the bodies is no more
         than their distance, and is enough for most pairs.
         """
+        key = start.tobytes(), end.tobytes(), station, needed
+        if key not in self._along:
+            self._along[key] = self._examined_segment(start, end, station, needed)
+        return self._along[key]
+
+    def _examined_segment(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
         pairs = self.pairs(station)
         sweep = (
             np.array([p.lever for p in pairs]).reshape(-1, len(start)) @ np.abs(end - start) / 2

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.plan.clearance import Clearance, Closest
+from mbcacq.plan.clearance import Closest, clearance_of
 from mbcacq.plan.expansion import expand_reachable, unreachable_sentence
 from mbcacq.plan.findings import PlanFinding, finding
 from mbcacq.plan.motion_limits import axis_limits, requested_limits
@@ -124,7 +124,7 @@ def _singularities(loaded: LoadedPlan, q: np.ndarray) -> Iterator[tuple[str, str
 
 def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """Distances at the poses and at home."""
-    clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
+    clearance, needed = clearance_of(loaded), loaded.plan.clearance_mm
     near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
     if near.distance < needed:
         place = f"{loaded.path}:{loaded.lines.get(('robot', 'home_deg'), 1)}"
@@ -142,7 +142,7 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
     _, obstructed = find_paths(loaded, poses) if routes is None else routes
     if not obstructed:
         return
-    clearance, needed = Clearance(loaded), loaded.plan.clearance_mm
+    clearance, needed = clearance_of(loaded), loaded.plan.clearance_mm
     spoiled = {p.number for p in poses if clearance.at(p.q, p.station).distance < needed}
     by_number = {p.number: (before, p) for before, p in zip([None, *poses], poses, strict=False)}
     for each in obstructed:

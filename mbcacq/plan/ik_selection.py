@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.plan.planned import LoadedPlan
 
@@ -19,7 +20,7 @@ def select_solutions(loaded: LoadedPlan, options: list[np.ndarray], restart: lis
         return []
     robot, limits = loaded.cell.robot, loaded.planning
     home = np.radians(loaded.plan.robot.home_deg)
-    speed = np.full(robot.n, limits.assumed_top_speed) if robot.speed is None else robot.speed
+    speed = _speed(loaded)
     came_from: list[np.ndarray] = []
     cost = np.zeros(1)
     before, front = home[None], reaches_forward(robot.chain, home[None])[0]
@@ -39,6 +40,31 @@ def select_solutions(loaded: LoadedPlan, options: list[np.ndarray], restart: lis
     return chosen[::-1]
 
 
+def cheapest_from_home(loaded: LoadedPlan, options: list[np.ndarray]) -> list[int]:
+    """Index of the position that ``select_solutions`` takes of each set (k, n) rad where the arm comes from home; 0 of an empty set."""
+    every = np.concatenate([np.empty((0, loaded.cell.robot.n)), *options])
+    if not len(every):
+        return [0] * len(options)
+    cost = _from_home(loaded, every)
+    ends = np.cumsum([len(q) for q in options])
+    return [int(np.argmin(of)) if len(of) else 0 for of in np.split(cost, ends[:-1])]
+
+
+def _from_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
+    """(k,) s: cost of positions (k, n) rad to which the arm comes from home."""
+    robot, home = loaded.cell.robot, np.radians(loaded.plan.robot.home_deg)[None]
+    motion = _motion_cost(home, q, _speed(loaded), loaded.planning.mean_joint_share)[0]
+    front = reaches_forward(robot.chain, home)[0]
+    reach_back = loaded.planning.reach_back_s * (reaches_forward(robot.chain, q) != front)
+    return motion + _posture_cost(loaded, q) + reach_back
+
+
+def _speed(loaded: LoadedPlan) -> np.ndarray:
+    """(n,) rad/s."""
+    robot = loaded.cell.robot
+    return np.full(robot.n, loaded.planning.assumed_top_speed) if robot.speed is None else robot.speed
+
+
 def reaches_forward(chain: Chain, q: np.ndarray) -> np.ndarray:
     """(P,) bool: the last axis lies on the side of axis 1 that the arm faces, not behind it."""
     frames = chain.frames(q)
@@ -48,7 +74,7 @@ def reaches_forward(chain: Chain, q: np.ndarray) -> np.ndarray:
 def wrist_bend(chain: Chain, q: np.ndarray) -> np.ndarray:
     """(P,) rad between the lines of the last axis and the last but two, within a quarter turn: 0 where the wrist is straight."""
     z = chain.frames(q)[:, :-1, :3, 2]
-    return np.arctan2(np.linalg.norm(np.cross(z[:, -3], z[:, -1]), axis=1), np.abs(np.einsum("pi,pi->p", z[:, -3], z[:, -1])))
+    return np.arctan2(np.linalg.norm(se3.cross(z[:, -3], z[:, -1]), axis=1), np.abs(np.einsum("pi,pi->p", z[:, -3], z[:, -1])))
 
 
 def _motion_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray, mean_joint_share: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.errors import SafetyStop
-from mbcacq.plan.clearance import Clearance
+from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
@@ -60,7 +60,7 @@ def segments(
 
 def refuse_unsafe(loaded: LoadedPlan, motions: Sequence[MotionSegment]) -> None:
     """Joint limits, workspace and clearance along every segment. Raises SafetyStop naming the first that fails."""
-    clearance = Clearance(loaded)
+    clearance = clearance_of(loaded)
     for segment in motions:
         pose = segment.pose
         where = "on the way home" if pose is None else f"on the way to pose {pose.number} (step '{pose.step_name}')"

@@ -50,7 +50,7 @@ def occluded(xyz: np.ndarray, radius: np.ndarray, field: FieldOfView, hidden_sha
     ray = xyz - camera
     distance = np.linalg.norm(ray, axis=1)
     direction = ray / distance[:, None]
-    aside = np.linalg.norm(np.cross(direction[:, None], ray[None]), axis=-1)  # [i, j]: distance of ball j from the ray to ball i
+    aside = np.linalg.norm(se3.cross(direction[:, None], ray[None]), axis=-1)  # [i, j]: distance of ball j from the ray to ball i
     front = distance[None] < distance[:, None]
     hides = front & (aside < hidden_share * (radius[:, None] + radius[None]))
     np.fill_diagonal(hides, False)

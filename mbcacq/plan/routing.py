@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.geometry import se3
-from mbcacq.plan.clearance import Clearance, Closest
+from mbcacq.plan.clearance import Closest, clearance_of
 from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
@@ -116,7 +116,7 @@ class Router:
         self._loaded = loaded
         self._found: dict[tuple[str, bytes, bytes], list[np.ndarray] | None] = {}
         self.home = np.radians(loaded.plan.robot.home_deg)
-        self.clearance = Clearance(loaded)
+        self.clearance = clearance_of(loaded)
         self._needed = loaded.plan.clearance_mm
         self.solver = inverse_kinematics(loaded.cell.robot, self.home)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -77,12 +78,12 @@ def sphere_fits(
     if view is None:
         centres, gate, view = _view_from_caps(work, centres, radii, gate, ceiling)
     centres, state = _converged(work, centres, radii, gate, ceiling, view, np.cos(max_incidence))
-    fits = []
+    fits, disk = [], _across(view) / np.sin(max_incidence)
     for j in range(len(radii)):
-        used = state.w[j] > 0
-        u, f, w = state.u[j].T[used], state.f[j][used], state.w[j][used]
-        f = f - u @ state.step[j]
-        fits.append(_summary(centres[j], u, f, w, state.normal[j], view, max_incidence) if len(f) >= MIN_POINTS else None)
+        used = np.flatnonzero(state.w[j])
+        u, f, w = state.u[j].take(used, axis=1), state.f[j].take(used), state.w[j].take(used)
+        f -= state.step[j] @ u
+        fits.append(_summary(centres[j], u, f, w, state.normal[j], disk) if len(f) >= MIN_POINTS else None)
     return fits
 
 
@@ -166,38 +167,50 @@ class _Work:
         return _State(offset, f, w, normal, step, noise)
 
 
-def _summary(centre, u, f, w, normal, view, max_incidence) -> SphereFit:
+def _summary(centre, u, f, w, normal, disk) -> SphereFit:
+    """u: (3, n) directions of the points used, f (n,) mm, w (n,); disk: see ``_coverage``."""
     total = float(w.sum())
-    variance = float(w @ f**2) / max(total - 3, 1.0) / VARIANCE_SHARE
+    variance = float(w @ (f * f)) / max(total - 3, 1.0) / VARIANCE_SHARE
     covariance = COVARIANCE_FACTOR * variance * np.linalg.inv(normal + 1e-12 * np.eye(3))
     # one more Gauss-Newton step with the radius free: f = u dc + dR
     free = np.empty((4, 4))
     free[:3, :3], free[3, 3] = normal, total
-    free[:3, 3] = free[3, :3] = u.T @ w
+    free[:3, 3] = free[3, :3] = u @ w
     inverse = np.linalg.inv(free + 1e-12 * np.eye(4))
-    radius_error = float(inverse[3] @ np.append(u.T @ (w * f), w @ f))
+    radius_error = float(inverse[3] @ np.append(u @ (w * f), w @ f))
     return SphereFit(
         centre,
         covariance,
         float(np.sqrt(variance)),
-        float(np.sqrt(np.mean(f**2))),
+        float(np.sqrt(f @ f / len(f))),
         len(f),
-        _coverage(u, view, max_incidence),
+        _coverage(disk @ u),
         radius_error,
         float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
     )
 
 
-def _coverage(u: np.ndarray, view: np.ndarray, max_incidence: float) -> float:
-    """Share of the cells of the disk, along ``view``, that hold a point; fewer cells where there are few points."""
-    cells = int(np.clip(np.sqrt(len(u) / 4), 4, 12))
+def _across(view: np.ndarray) -> np.ndarray:
+    """Two unit vectors (2, 3) across a view (3,)."""
     side = np.cross(view, np.eye(3)[np.argmin(np.abs(view))])
-    side /= np.linalg.norm(side)
-    plane = np.stack([side, np.cross(view, side)], axis=1)
-    disk = u @ plane / np.sin(max_incidence)
-    index = np.clip(((disk + 1) * (cells / 2)).astype(int), 0, cells - 1)
-    covered = np.zeros((cells, cells), dtype=bool)
-    covered[index[:, 0], index[:, 1]] = True
-    middle = (np.arange(cells) + 0.5) / (cells / 2) - 1
-    inside = middle[:, None] ** 2 + middle**2 < 1
+    side /= np.linalg.norm(side) or 1.0
+    return np.stack([side, np.cross(view, side)])
+
+
+def _coverage(place: np.ndarray) -> float:
+    """Share of the cells of the unit disk that hold a point; fewer cells where there are few points.
+
+    place: (2, n) of the points on the disk, which is the cap within the limit of incidence seen along the view.
+    """
+    cells = int(np.clip(np.sqrt(place.shape[1] / 4), 4, 12))
+    row, column = np.clip(((place + 1) * (cells / 2)).astype(int), 0, cells - 1)
+    covered = np.bincount(row * cells + column, minlength=cells * cells) > 0
+    inside = _inside(cells)
     return float(np.count_nonzero(covered & inside) / np.count_nonzero(inside))
+
+
+@cache
+def _inside(cells: int) -> np.ndarray:
+    """(cells * cells,) bool: the cells of a square whose middle lies in the disk that fills it."""
+    middle = (np.arange(cells) + 0.5) / (cells / 2) - 1
+    return (middle[:, None] ** 2 + middle**2 < 1).ravel()

@@ -58,9 +58,14 @@ def test_independent_effects_multiply_their_evidence():
     assert together == pytest.approx(sum(each))
 
 
+def beside_geometry(linear, columns):
+    """Geometry and columns (M, R, k) of coefficients without a prior."""
+    return linear.extended(columns, np.full(columns.shape[2], np.inf))
+
+
 def test_the_gradient_by_the_noise_is_the_derivative_of_its_likelihood(small):
     setup = problem.prepare(simulated.observe(small, 11))
-    prior, nothing = setup.prior_noise, np.zeros((*setup.linear.residual.shape, 0))
+    prior, nothing = setup.prior_noise, beside_geometry(setup.linear, np.zeros((*setup.linear.residual.shape, 0)))
     point = NoisePoint(setup.linear, prior, prior.centre)
     gradient, _ = point.with_effects(nothing).score(np.zeros(0))
     for c in (0, 2, 4):
@@ -74,7 +79,7 @@ def test_the_gradient_with_an_effect_is_that_of_its_integrated_likelihood(small)
     prior = setup.prior_noise
     point = NoisePoint(setup.linear, prior, prior.centre)
     effect = next(c for c in setup.candidates if c.name == "joint_compliance" and c.where == ("A3",))
-    columns = setup.linear.columns(effect.build(None)) * effect.typical
+    columns = beside_geometry(setup.linear, setup.linear.columns(effect.build(None)) * effect.typical)
 
     def log_likelihood(theta):
         there = replace(point, theta=theta).with_effects(columns)
@@ -92,7 +97,7 @@ def test_stations_may_be_eliminated_or_projected_out(small):
     point = NoisePoint(setup.linear, setup.prior_noise, setup.prior_noise.centre)
     for name, where in (("backlash", ("A2",)), ("joint_compliance", ("A3",)), ("scanner_scale", ("scanner",))):
         effect = next(c for c in setup.candidates if c.name == name and c.where == where)
-        eliminated = point.with_effects(setup.linear.columns(effect.build(None)) * effect.typical)
+        eliminated = point.with_effects(beside_geometry(setup.linear, setup.linear.columns(effect.build(None)) * effect.typical))
         _, S, b = point.projected.candidate_products(effect, None)
         assert eliminated.A == pytest.approx(S * np.outer(effect.typical, effect.typical), rel=1e-6)
         assert eliminated.a == pytest.approx(b * effect.typical, rel=1e-5, abs=1e-6)

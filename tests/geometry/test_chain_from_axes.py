@@ -64,3 +64,13 @@ def test_a_base_beside_axis_one_and_a_flange_beside_the_last_axis_are_stated():
     made = agree(direction, point, se3.transform(np.eye(3), np.array([600.0, 20, 30])))
     assert made.T_given_base[:3, 3] == pytest.approx([50, 0, 0])
     assert made.T_flange_given[:3, 3] == pytest.approx([250, 20, 0])
+
+
+def test_nearly_parallel_axes_of_a_calibrated_arm_get_no_lengths_of_kilometres():
+    """The UR10's axes 2 and 3, 0.15 mrad apart as a calibration leaves them; their common normal lies 4 km away."""
+    X, Y, Z = np.eye(3)
+    tilted = se3.rotation_exp(np.array([1.5e-4, 0, 0])) @ -Y
+    point = np.array([[0, 0, 0], [0, 0, 127.3], [-612, 0, 127.3], [-1184.3, 0, 127.3], [-1184.3, -163.941, 0], [-1184.3, -163.941, 11.6]])
+    flange = se3.transform(np.stack([X, Z, -Y], axis=1), np.array([-1184.3, -256.141, 11.6]))
+    chain = agree(np.array([Z, -Y, tilted, -Y, -Z, -Y]), point, flange).chain
+    assert np.hypot(chain.a, chain.d).max() < 620

@@ -45,6 +45,15 @@ def test_decimal_commas_are_read_beside_another_separator(tmp_path, separator):
     assert (table.number("a")[0], table.number("b")[0]) == (-0.0015, 7.0)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
+def test_encodings_of_spreadsheets_and_their_empty_rows(tmp_path, encoding):
+    path = tmp_path / "poses.csv"
+    path.write_bytes("q1_deg;Bemerkung\r\n1,5;gepr\u00fcft\r\n;\r\n;;;\r\n".encode(encoding))
+    table = read_table(path)
+    assert table.number("q1_deg").tolist() == [1.5]
+    assert table.text("Bemerkung") == ("gepr\u00fcft",)
+
+
 def test_a_semicolon_with_decimal_points_is_read(tmp_path):
     (tmp_path / "t.csv").write_text("a;b\n1.5;2.25\n")
     assert read_table(tmp_path / "t.csv").number("b")[0] == 2.25

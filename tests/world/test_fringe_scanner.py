@@ -61,8 +61,8 @@ def test_a_12_mm_ball_has_about_1500_points_and_fades_at_grazing_incidence(scann
         height = (on[:, 2] - centre[2]) / 6.0  # cosine of the incidence for a viewer far above
         assert height.max() > 0.99
         assert height.min() > np.cos(np.radians(80))
-    foot, along = scanner.grid.rays(scanner.grid.window(view.centres[0] + np.array([[-6.0] * 3, [6.0] * 3])))
-    met = np.isfinite(rays.sphere(foot, along, view.centres[0], 6.0)[0]).sum()
+    window = scanner.grid.window(view.centres[0] + np.array([[-6.0] * 3, [6.0] * 3]))
+    met = np.isfinite(rays.sphere(window, view.centres[0], 6.0)[0]).sum()
     assert (points.ball == 0).sum() < 0.9 * met  # rays that meet the ball, but at too steep an incidence
 
 
@@ -115,8 +115,8 @@ def test_field_of_view_is_the_frustum(scanner):
     corner = np.array([grid.rows * grid.columns - 1])
     foot, along = grid.rays(corner)
     pixel = 1 / np.array([grid.columns, grid.rows])
-    np.testing.assert_allclose((foot + 55 * along)[0, :2], np.array([35.5, 49]) * (1 - pixel), rtol=1e-9)
-    np.testing.assert_allclose((foot - 55 * along)[0, :2], np.array([50, 77]) * (1 - pixel), rtol=1e-9)
+    np.testing.assert_allclose((foot + 55 * along)[:2, 0], np.array([35.5, 49]) * (1 - pixel), rtol=1e-9)
+    np.testing.assert_allclose((foot - 55 * along)[:2, 0], np.array([50, 77]) * (1 - pixel), rtol=1e-9)
     high = Scene(np.array([[0.0, 0, 52]]), np.array([6.0]))
     z = scanner.frame(scanner.measure(high, np.random.default_rng(7))).xyz[..., 2]
     assert np.nanmax(z) <= 55.0

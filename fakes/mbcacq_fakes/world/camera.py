@@ -12,6 +12,7 @@ from mbcacq_fakes.world.hooks import Moments
 from mbcacq_fakes.world.operator import NOBODY, FakeOperator
 from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import FringeScanner
+from mbcacq_fakes.world.surfaces import Surfaces
 from mbcacq_fakes.world.world import SCAN, World
 
 BY_POSE = 1_000_000  # draws of poses, apart from those of arrivals
@@ -46,6 +47,7 @@ class Camera:
         self._mishaps = list(options.mishaps)
         self._right_exposure, self._frames = right_exposure_us, 0
         self._arrivals, self._here = -1, 0
+        self._surfaces: Surfaces | None = None  # of the exposure before
 
     def __call__(self, exposure_us: float = 0.0) -> ScannerFrame:
         reading = self._arm.read()
@@ -55,7 +57,9 @@ class Camera:
         covered, bump = self.operator.covered, self.operator.bumps.get(int(at.station[0]))
         scene = self.world.scene(at, moved, covered, bump, self._options.furniture)
         rng = np.random.default_rng([self.world.seed, SCAN, *self._draw(reading)])
-        points = self.scanner.measure(scene, rng, self._brightness(exposure_us))
+        if self._surfaces is None or not self._surfaces.scene.equals(scene):
+            self._surfaces = self.scanner.surfaces(scene)
+        points = self.scanner.expose(self._surfaces, rng, self._brightness(exposure_us))
         points.xyz[:] = self.world.warp(points.xyz, np.zeros(len(points.xyz), dtype=int), at)
         return self.scanner.frame(points, float(reading.time_s))
 

@@ -32,28 +32,35 @@ class ScannerNoise:
         return cls(np.append(side, depth), pitch_mm, speckle_mm, np.array([x, y, z]))
 
     def smooth(self, xy: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Smooth error (N, 3) mm at places xy (N, 2) mm: cubic B-splines over independent knots, unit variance everywhere."""
+        """Smooth error (3, N) mm at places xy (2, N) mm: cubic B-splines over independent knots, unit variance everywhere."""
         if not np.any(self.field_mm):
-            return np.zeros((len(xy), 3))
-        place = xy / self.pitch_mm + rng.random(2)
+            return np.zeros((3, xy.shape[1]))
+        place = xy / self.pitch_mm + rng.random(2)[:, None]
         cell = np.floor(place).astype(int)
-        low = cell.min(axis=0, initial=0) - 1
-        size = cell.max(axis=0, initial=0) - low + 3
+        low = cell.min(axis=1, initial=0) - 1
+        size = cell.max(axis=1, initial=0) - low + 3
         knots = rng.standard_normal((*size, 3))
-        along_x, along_y = (_cubic(place[:, k] - cell[:, k]) for k in (0, 1))
-        corner = (cell[:, 0] - low[0] - 1) * size[1] + cell[:, 1] - low[1] - 1
+        along_x, along_y = (_cubic(place[k] - cell[k]) for k in (0, 1))
+        corner = (cell[0] - low[0] - 1) * size[1] + cell[1] - low[1] - 1
         channels = np.ascontiguousarray(knots.reshape(-1, 3).T)  # by axis: gathering rows of three costs most of an exposure
-        out = np.zeros((3, len(xy)))
+        out = np.zeros((3, xy.shape[1]))
         for i, j in np.ndindex(4, 4):
-            share, at = along_x[i] * along_y[j], corner + i * size[1] + j
+            share, at = along_x[i] * along_y[j], corner + (i * size[1] + j)
             for axis, knot in enumerate(channels):
                 out[axis] += share * knot.take(at)
-        return (out / np.sqrt(np.sum(along_x**2, axis=0) * np.sum(along_y**2, axis=0))).T * self.field_mm
+        out /= np.sqrt(np.einsum("kn,kn->n", along_x, along_x) * np.einsum("kn,kn->n", along_y, along_y))
+        return out * self.field_mm[:, None]
 
 
 SMOOTHED, LEAK = 0.935, 0.36  # share of the field left after averaging over a ball; sideways shift from the tilt of the depth field
 
 
 def _cubic(t: np.ndarray) -> np.ndarray:
-    """The four cubic B-spline weights at offset t in [0, 1) between the second and third knot."""
-    return np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
+    """The four cubic B-spline weights (4, N) at offset t (N,) in [0, 1) between the second and third knot."""
+    s = 1 - t
+    t2, out = t * t, np.empty((4, len(t)))
+    out[0], out[3] = s * s * s, t2 * t
+    out[1] = 3 * out[3] - 6 * t2 + 4
+    out[2] = 3 * (t + t2 - out[3]) + 1
+    out /= 6
+    return out

@@ -135,7 +135,7 @@ def at_noise(
 
     extended: geometry and effects of the recording.
     """
-    system = point.with_effects(extended, sum(m.candidate.k for m in members))
+    system = point.with_effects(extended)
     sized, log_factor = with_sizes(members, system.A, system.a)
     weight = np.concatenate([np.zeros(0), *(np.full(m.candidate.k, m.size**-2) for m in sized)])
     return sized, system.log_likelihood + log_factor, *system.score(weight)

@@ -45,10 +45,11 @@ class NoisePoint:
         """The projected problem, in which candidates are compared."""
         return CandidateScoring.of(self.linear, self.complete_noise)
 
-    def with_effects(self, extended: ExtendedProblem, k: int) -> EffectsSystem:
-        """The normal equations of effects with k coefficients near one beyond the geometry. extended: of the geometry and their columns."""
+    def with_effects(self, extended: ExtendedProblem) -> EffectsSystem:
+        """The normal equations of effects, of k coefficients near one, beyond the geometry. extended: of the geometry and their columns."""
         system = extended.at(self.complete_noise)
-        normal, g = system.normal, system.normal.size - k
+        normal, g = system.normal, self.linear.layout.size
+        k = normal.size - g
         root = np.linalg.cholesky(normal.information[:g, :g])
         reduced = solve_triangular(root, np.c_[normal.information[:g, g:], normal.gradient[:g]], lower=True)
         A = normal.information[g:, g:] - reduced[:, :k].T @ reduced[:, :k]

@@ -7,6 +7,7 @@ from typing import Any
 
 from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect
 from mbcacq.diagnosis.output.text import VERDICTS, number
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 CHANNELS = {
     "q_joint": "joint-side against motor-side angle",
@@ -30,12 +31,13 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
     for effect in diagnosis.effects:
         gain = effect.held_out_gain_here if isinstance(effect, MotionEffect) else effect.held_out_gain
         where = ", ".join(effect.where)
-        lines.append(f"{effect.name} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
+        lines.append(f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
         lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
         lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
     for pair in diagnosis.not_separable:
-        odds = "" if pair.odds is None else f"; odds of the second {number(pair.odds)}"
-        lines.append(f"Not separated: {' and '.join(pair.effects)} (correlation of the estimates {pair.correlation:.3f}{odds})")
+        both = " and ".join(map(effect_in_words, pair.effects))
+        odds = "" if pair.odds is None else f"; {odds_in_words(pair.odds)} for the second"
+        lines.append(f"Not separated: {both} (correlation of the estimates {pair.correlation:.3f}{odds})")
     lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable, Proposal
 from mbcacq.effects.effect import in_digits
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 VERDICTS = {
     "none": "No effect: the simulation explains the recording down to the measured noise.",
@@ -42,7 +43,7 @@ def words(d: Diagnosis) -> str:
     lines += proposal_lines(d.proposals)
     lines += [hidden(limit) for limit in d.exclusion_limits[:MOST_LIMITS]]
     lines += [difference(one) for one in d.between_recordings]
-    lines += [f"Cannot be told apart: {' and '.join(pair.effects)} ({odds_of(pair)})" for pair in d.not_separable]
+    lines += [f"Cannot be told apart: {' and '.join(map(effect_in_words, pair.effects))} ({odds_of(pair)})" for pair in d.not_separable]
     lines += [f"Measure next: {a.reason}" for a in d.advice]
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
@@ -65,7 +66,7 @@ def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
         smooth = "" if p.smooth_chi2_dof == p.held_out_before_chi2_dof else f" (a smooth model: {p.smooth_chi2_dof:.2f})"
         out.append(f"Proposed: {p.formula}")
         out.append(
-            f"  log Bayes factor {p.log_bayes_factor:.1f}, odds {'1 : 1' if p.odds == 1.0 else f'1 : {1 / max(p.odds, 1e-9):.3g}'}; "
+            f"  log Bayes factor {p.log_bayes_factor:.1f}, {odds_in_words(p.odds)}; "
             f"held-out chi2/dof {p.held_out_before_chi2_dof:.2f} -> {p.held_out_chi2_dof:.2f}{smooth}; "
             f"found again in {p.found_in} of {p.parts} searches without a part of the data"
         )
@@ -86,12 +87,15 @@ def hidden(limit: ExclusionLimit) -> str:
 def describe(effect: EffectFound) -> list[str]:
     """The lines of one effect, with an empty one at the end."""
     out = [
-        f"{effect.name} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, removes {effect.held_out_gain:.0%} of the excess over "
-        "noise)"
+        f"{effect_in_words(effect.name)} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, "
+        f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
     out += [f"  {name} = {estimate}" for name, estimate in list(effect.parameters.items())[:MOST_PARAMETERS]]
     if effect.alternatives:
-        out.append("  could also be: " + "; ".join(f"{a.name} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives))
+        out.append(
+            "  could also be: "
+            + "; ".join(f"{effect_in_words(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives)
+        )
     return [*out, ""]
 
 
@@ -99,13 +103,13 @@ def likelihood(a: Alternative) -> str:
     """How probable an alternative is."""
     if a.odds is None:
         return f"{a.held_out_gain:.0%}"
-    return f"odds 1 : {1 / a.odds:.3g}" if a.odds > 1e-9 else "excluded"
+    return odds_in_words(a.odds)
 
 
 def odds_of(pair: NotSeparable) -> str:
     """How alike two effects are, and how probable the second is."""
     alike = f"correlation {pair.correlation:.2f}"
-    return alike if pair.odds is None else f"{alike}, odds 1 : {1 / max(pair.odds, 1e-9):.2g}"
+    return alike if pair.odds is None else f"{alike}, {odds_in_words(pair.odds)}"
 
 
 def number(value: float | Sequence[float]) -> str:

@@ -92,8 +92,8 @@ def _expanded(path: Path) -> bytes:
         xacro: Any = import_module("xacro")
     except ImportError:
         raise ConfigError(
-            f"{path}: xacro is not installed; run `xacro {path.name} > {path.stem}.urdf` where ROS is and import that, or "
-            "pip install 'mbcacq[xacro]'"
+            f"{path}: xacro is not installed; run `xacro {path.name} > {path.stem.removesuffix('.urdf')}.urdf` where ROS is "
+            "and import that, or pip install 'mbcacq[xacro]'"
         ) from None
     try:
         return xacro.process_file(str(path)).toxml().encode("utf-8")

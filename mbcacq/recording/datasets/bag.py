@@ -92,6 +92,8 @@ class Bag:
                 self._check(topic, types, {c.msgtype for c in connections}, sorted({c.topic for c in reader.connections}))
                 for connection, stamp, raw in reader.messages(connections):
                     yield stamp * NS, reader.deserialize(raw, connection.msgtype)
+        except ConfigError:
+            raise
         except (self._failure, OSError, ValueError) as error:
             raise ConfigError(f"{self.path}: the bag cannot be read ({error}); check it with `ros2 bag info`") from None
 
@@ -118,7 +120,11 @@ class Bag:
     def _columns(self, topic: str, present: list[str], names: tuple[str, ...], n: int) -> list[int]:
         wanted = list(names) or present
         missing = [name for name in wanted if name not in present]
-        if missing or len(wanted) != n:
+        if missing and names:
+            raise ConfigError(
+                f"{self.path}: the topic {topic} has no joint {', '.join(missing)} (there: {', '.join(present)}); correct bag: joints"
+            )
+        if len(wanted) != n:
             raise ConfigError(
                 f"{self.path}: the topic {topic} has the joints {', '.join(present)}, the robot {n} axes; "
                 "list the joints in the order of the axes under bag: joints"

@@ -1,11 +1,13 @@
 """CSV tables (RFC 4180, with a header) column by column, with file, line and column in every error message.
 
 The separator is the comma; the semicolon or the tab of a spreadsheet that writes decimal commas is read as well: then '1,5' is a number,
-and a cell with a point beside such cells is refused, since the point may separate thousands.
+and a cell with a point beside such cells is refused, since the point may separate thousands. Such a table may be in Windows-1252 or
+UTF-16 too, and rows of nothing but empty cells are left out of it.
 """
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
@@ -121,7 +123,7 @@ def read_table(path: Path) -> CsvTable:
     try:
         header = [name.strip() for name in next(reader, [])]
         for row in reader:
-            if row:
+            if row and (separator == "," or any(map(str.strip, row))):
                 rows.append(row)
                 line.append(reader.line_num)
     except csv.Error as error:
@@ -200,10 +202,23 @@ def _text(path: Path) -> str:
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}; check the path") from None
     try:
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return data.decode("utf-16")
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if (text := _windows_text(data)) is not None:
+            return text
         line = data[: error.start].count(b"\n") + 1
         raise ConfigError(f"{path}:{line}: not UTF-8 text (byte 0x{data[error.start]:02x}); save the file as UTF-8") from None
+
+
+def _windows_text(data: bytes) -> str | None:
+    """A table in Windows-1252 that separates by semicolons or tabs, as spreadsheets do; in any other such bytes are damage."""
+    try:
+        text = data.decode("cp1252")
+    except UnicodeDecodeError:
+        return None
+    return None if _separator(text) == "," else text
 
 
 def _short(cell: str) -> str:

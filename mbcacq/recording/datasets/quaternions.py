@@ -19,9 +19,19 @@ def to_matrix(q: np.ndarray) -> np.ndarray:
 
 
 def from_matrix(R: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) -> unit quaternions (..., 4) with w >= 0."""
-    from scipy.spatial.transform import Rotation
-
+    """Rotation matrices (..., 3, 3) -> unit quaternions (..., 4) with w >= 0, by the largest component (Shepperd 1978)."""
     flat = np.asarray(R, dtype=float).reshape(-1, 3, 3)
-    q = Rotation.from_matrix(flat).as_quat(canonical=True)
-    return q[:, [3, 0, 1, 2]].reshape(*R.shape[:-2], 4)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(flat, 0, 2)
+    # 4 q q': row k is q times four times its component k
+    products = np.array(
+        [
+            [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz],
+        ]
+    )
+    largest = np.einsum("kkn->kn", products).argmax(axis=0)
+    q = products[largest, :, np.arange(len(flat))]
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(q[:, :1] < 0, -q, q).reshape(*R.shape[:-2], 4)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -65,13 +65,16 @@ class Recording:
         """Rows of one entity in the order they were logged: component name -> array or list, timeline -> int (ns, or number)."""
         return _rows(self._batches(entity))
 
-    def columns(self, entity: str, archetype: str) -> dict[str, np.ndarray]:
-        """All rows of an entity whose rows have equal lengths: component -> (k,) or (k, n), in the order they were logged."""
+    def columns(self, entity: str, archetype: str, only: Collection[str] = ()) -> dict[str, np.ndarray]:
+        """All rows of an entity whose rows have equal lengths: component -> (k,) or (k, n), in the order they were logged.
+
+        only: names of the components to be read, () for all.
+        """
         found: dict[str, list[np.ndarray]] = {}
         for batch in self._batches(entity):
             for i in range(batch.num_columns):
                 field = batch.schema.field(i)
-                if _archetype(field) == archetype:
+                if _archetype(field) == archetype and (not only or _short_name(field) in only):
                     flat = batch.column(i).flatten().to_numpy(zero_copy_only=False)
                     found.setdefault(_short_name(field), []).append(flat.reshape(batch.num_rows, -1))
         joined = {name: np.concatenate(parts) for name, parts in found.items()}

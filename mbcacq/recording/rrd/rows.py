@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -25,10 +27,15 @@ def columns(archetype: str, values: Mapping[str, np.ndarray]) -> list[rr.Compone
     out = []
     for name, value in values.items():
         value = np.ascontiguousarray(value)
-        width = int(np.prod(value.shape[1:], dtype=int))
-        descriptor = rr.ComponentDescriptor(name).with_builtin_archetype(archetype)
+        width = prod(value.shape[1:])
+        descriptor = _descriptor(archetype, name)
         out.append(rr.ComponentColumn(descriptor, rr.AnyBatchValue(descriptor, array(value)), lengths=np.full(len(value), width)))
     return out
+
+
+@cache
+def _descriptor(archetype: str, name: str) -> rr.ComponentDescriptor:
+    return rr.ComponentDescriptor(name).with_builtin_archetype(archetype)
 
 
 def array(value: Any) -> pa.Array:

@@ -30,28 +30,38 @@ class ColouredScan:
 def colour_scan(points: np.ndarray, artefact: Artefact, ball: np.ndarray, centre: np.ndarray) -> ColouredScan:
     """points (N, 3) mm and the centres (k, 3) mm found of some balls (k,) ids, all in the scanner frame."""
     thinned = points[:: len(points) // MOST_EXAMINED + 1].astype(np.float64)
+    columns = np.ascontiguousarray(thinned.T)
     radius = dict(zip(artefact.ball_ids, artefact.diameters / 2, strict=True))
     free = np.ones(len(thinned), bool)
-    kept, colours = [], []
+    kept, distances = [], []
     form, size = np.full(len(ball), np.nan), np.full(len(ball), np.nan)
     for k, (number, middle) in enumerate(zip(np.asarray(ball).tolist(), np.asarray(centre), strict=True)):
         r = float(radius[number])
-        away = thinned - middle
-        distance = np.sqrt(np.einsum("nc,nc->n", away, away)) - r
-        near = np.flatnonzero(np.abs(distance) < SHELL_MM)
-        distance = distance[near]
+        around = np.flatnonzero(np.abs(columns[0] - middle[0]) < r + SHELL_MM)
+        distance = np.sqrt(sum((columns[axis, around] - middle[axis]) ** 2 for axis in range(3))) - r
+        on_shell = np.abs(distance) < SHELL_MM
+        near, distance = around[on_shell], distance[on_shell]
         free[near] = False
         if len(near) >= 4:
-            low, high = np.percentile(distance, [2.5, 97.5])
+            low, high = _middle_95(distance)
             form[k], size[k] = 1e3 * (high - low), 1e3 * float(np.mean(distance))
         every = len(near) // MOST_ON_BALL + 1
         kept.append(thinned[near[::every]])
-        colours.append(diverging(distance[::every] / RANGE_MM))
+        distances.append(distance[::every])
     rest = thinned[free]
     rest = rest[:: len(rest) // MOST_BACKGROUND + 1]
     if not kept:
         return ColouredScan(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), rest, form, size)
-    return ColouredScan(np.concatenate(kept), np.concatenate(colours), rest, form, size)
+    return ColouredScan(np.concatenate(kept), diverging(np.concatenate(distances) / RANGE_MM), rest, form, size)
+
+
+def _middle_95(values: np.ndarray) -> list[float]:
+    """The 2.5 % and the 97.5 % quantile, linear between the values: np.percentile without its overhead."""
+    ordered = np.sort(values)
+    at = np.array([0.025, 0.975]) * (len(ordered) - 1)
+    below = at.astype(int)
+    above = np.minimum(below + 1, len(ordered) - 1)
+    return (ordered[below] + (at - below) * (ordered[above] - ordered[below])).tolist()
 
 
 def diverging(share: np.ndarray) -> np.ndarray:

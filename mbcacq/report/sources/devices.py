@@ -14,6 +14,7 @@ from mbcacq.recording.run_folder.journal import read_log
 from mbcacq.report.content import Devices
 
 MAX_GAPS = 40
+TIMING = ("time_s", "host_time_s", "delay")  # of a cycle
 
 
 def devices_of(run: str | Path) -> Devices | None:
@@ -26,7 +27,7 @@ def devices_of(run: str | Path) -> Devices | None:
         recordings = open_recordings(run) if run.is_dir() and layout.parts(run) else []
         if not recordings:
             return None
-        cycles = [recording.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE) for recording in recordings]
+        cycles = [recording.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE, TIMING) for recording in recordings]
         late, period, nominal = _cycles([c for c in cycles if len(c.get("time_s", ()))])
         exposures = np.concatenate([_exposures(recording.rows(layout.EXPOSURE)) for recording in recordings])
         states: dict[str, float] = {}

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
-EXCLUDED_ODDS = 1e-6  # what is less probable is said to be excluded
 K = 2.0  # coverage factor of the uncertainties shown
 VERDICTS = {
     "none": ("pass", "No effect found", "The model explains the data down to the measured noise."),
@@ -48,7 +48,8 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         for key, label in (("train", "data fitted"), ("held_out", f"held-out data (by {fit['held_out']['split']})"))
     ]
     remarks = [
-        f"Not separable: {' and '.join(p['effects'])} (correlation {p['correlation']:.2f})." for p in diagnosis.get("not_separable", ())
+        f"Not separable: {' and '.join(map(effect_in_words, p['effects']))} (correlation {p['correlation']:.2f})."
+        for p in diagnosis.get("not_separable", ())
     ]
     remarks += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
     remarks += [f"{_note(note)}." for note in diagnosis.get("notes", ())]
@@ -124,10 +125,7 @@ def _likelihood(alternative: Mapping[str, Any]) -> str:
     odds = alternative.get("odds")
     if odds is None:
         return f"would remove {alternative['held_out_gain']:.0%}"
-    if odds <= EXCLUDED_ODDS:
-        return "excluded"
-    against = float(f"{1 / odds:.2g}")  # without an exponent
-    return f"odds 1 : {against:.0f}" if against >= 10 else f"odds 1 : {against:g}"
+    return odds_in_words(odds)
 
 
 def _is_vector(key: str, entry: Mapping[str, Any]) -> bool:

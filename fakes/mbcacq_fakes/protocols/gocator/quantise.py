@@ -9,7 +9,7 @@ import numpy as np
 INVALID = -32768
 FINEST_NM = (3000, 3000, 2000)  # as over the measuring volume of a 3210: 154 mm and 110 mm in 16 bits
 _BLOCK = 3 * 8192
-_ROW = np.dtype("V6")  # one point
+_ROW, _POINT = np.dtype("V6"), np.dtype("V12")  # one point, raw and in mm
 Triple = tuple[int, int, int]
 
 
@@ -61,18 +61,29 @@ def quantise(xyz: np.ndarray, scaling: Scaling, out: np.ndarray) -> None:
     source, target = np.ascontiguousarray(xyz, np.float32).reshape(-1), out.reshape(-1)
     shift = np.tile(scaling.offset.astype(np.float32), _BLOCK // 3)
     factor = np.tile((1 / scaling.scale).astype(np.float32), _BLOCK // 3)
-    buffer, nowhere = np.empty(_BLOCK, np.float32), np.full(3, INVALID, np.int16).view(_ROW)
+    for start in range(0, source.size, _BLOCK):
+        piece, raw = source[start : start + _BLOCK], target[start : start + _BLOCK]
+        measured = np.flatnonzero(np.isfinite(piece[2::3]))
+        if 2 * len(measured) > piece.size // 3:
+            _quantise_block(piece, shift, factor, raw)
+            continue
+        raw[:] = INVALID
+        if len(measured):
+            few = np.empty(3 * len(measured), np.int16)
+            _quantise_block(piece.view(_POINT)[measured].view(np.float32), shift, factor, few)
+            raw.view(_ROW)[measured] = few.view(_ROW)
+
+
+def _quantise_block(piece: np.ndarray, shift: np.ndarray, factor: np.ndarray, raw: np.ndarray) -> None:
+    """At most _BLOCK coordinates x y z in turn."""
     with np.errstate(invalid="ignore"):  # casting NaN; those points are overwritten
-        for start in range(0, source.size, _BLOCK):
-            piece, raw = source[start : start + _BLOCK], target[start : start + _BLOCK]
-            value = buffer[: piece.size]
-            np.subtract(piece, shift[: piece.size], out=value)
-            np.multiply(value, factor[: piece.size], out=value)
-            np.rint(value, out=value)
-            raw[:] = value
-            good = np.abs(value, out=value) <= 32767  # false for NaN
-            if not good.all():
-                raw.view(_ROW)[~(good[0::3] & good[1::3] & good[2::3])] = nowhere
+        value = piece - shift[: piece.size]
+        value *= factor[: piece.size]
+        np.rint(value, out=value)
+        raw[:] = value
+        good = np.abs(value, out=value) <= 32767  # false for NaN
+    if not good.all():
+        raw.view(_ROW)[~(good[0::3] & good[1::3] & good[2::3])] = np.full(3, INVALID, np.int16).view(_ROW)
 
 
 def uniform_grid(xyz: np.ndarray, intensity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None, Scaling]:
