@@ -59,7 +59,7 @@ def command(recording: Path, check: bool, as_json: bool) -> None:
         content = f"{item.poses} finished poses, {item.cycles} controller cycles"
         end = "" if item.complete else "; the run did not come to its end"
         if item.damaged:
-            echo(f"{item.source}: torn; {content} are in {item.output}{end}")
+            echo(f"{item.source}: torn or damaged; {content} are in {item.output}{end}")
         else:
             echo(f"{item.source}: nothing to do, {content}{end}")
 
