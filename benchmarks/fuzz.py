@@ -196,11 +196,11 @@ def guided(name: str, inputs: int) -> None:
     def one(data: bytes) -> None:
         target.run(data)
 
-    corpus = Path(tempfile.mkdtemp(prefix="corpus-"))
+    folder = Path(tempfile.mkdtemp(prefix="corpus-"))
     for number, seed in enumerate((*target.seeds, *corpus(name))):
-        (corpus / str(number)).write_bytes(seed)
+        (folder / str(number)).write_bytes(seed)
     settings = [f"-runs={inputs}", "-max_len=4096", "-rss_limit_mb=4096", "-timeout=20", "-print_final_stats=1"]
-    atheris.Setup([sys.argv[0], str(corpus), *settings], one)
+    atheris.Setup([sys.argv[0], str(folder), *settings], one)
     atheris.Fuzz()
 
 

@@ -18,7 +18,7 @@ from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, poses_done, repair_and_read_progress
 from mbcacq.recording.datasets import synced_files
 from mbcacq.recording.rrd.checked_lines import checked_line
-from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, note_stretch
+from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, note_stretch, read_stretches
 from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.check import check
 from mbcacq.recording.run_folder.journal import read_journal
@@ -267,3 +267,10 @@ def test_a_recording_without_checksums_is_read_with_the_same_values(three_poses)
     assert found.cell_yaml == true.cell_yaml
     np.testing.assert_array_equal(found.q, true.q)
     np.testing.assert_array_equal(found.xyz, true.xyz)
+
+
+@pytest.mark.parametrize("value", ["1e999", "-1", "nan", "[]", '"x"', "null"])
+def test_a_line_of_checksums_without_sensible_numbers_does_not_count(folder, value):
+    line = f'{{"file": "plan.yaml", "start": {value}, "end": {value}, "poses": [{value}], "sha256": "00"}}'
+    (folder / "checksums.jsonl").write_text(line + "\n")
+    assert read_stretches(folder)[0] == {}

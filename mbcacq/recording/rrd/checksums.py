@@ -59,7 +59,7 @@ def read_stretches(folder: Path) -> tuple[dict[str, list[Stretch]], Lines]:
         return {}, Lines([], ())
     found: dict[str, list[Stretch]] = {}
     for entry in lines.entries:
-        with suppress(KeyError, TypeError, ValueError):
+        with suppress(KeyError, TypeError, ValueError, OverflowError):
             poses = tuple(int(pose) for pose in entry["poses"])
             stretch = Stretch(str(entry["file"]), int(entry["start"]), int(entry["end"]), str(entry["sha256"]), poses)
             if not 0 <= stretch.start <= stretch.end:
