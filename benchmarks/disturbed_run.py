@@ -238,8 +238,8 @@ class DisturbedRuns:
         from mbcacq.workflow import acquire
         from mbcacq.workflow.resume import resumed_progress
 
-        if not folder.exists():
-            return []
+        if not any(folder.glob("plan.yaml")):
+            return []  # it began not
         try:
             before = resumed_progress(folder, self.loaded, CELL)
             if all(pose.number in before.done for pose in self.poses):

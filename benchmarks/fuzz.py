@@ -1,15 +1,18 @@
-"""A million inputs for every parser of bytes from outside: one of our errors or a value, never anything else, in bounded memory.
+"""Mutated inputs for every parser of bytes from outside: one of our errors or a value, never anything else, in bounded memory.
 
-    python benchmarks/fuzz.py [--only NAME ...] [--inputs N] [--seed S] [--keep DIR]
-    python benchmarks/fuzz.py --atheris NAME [--inputs N]      # guided by coverage, where atheris is installed
+    python benchmarks/fuzz.py [--only NAME ...] [--inputs N] [--minutes M] [--seed S] [--keep DIR] [--totals FILE]
+    python benchmarks/fuzz.py --grow [--only NAME ...]         # new inputs for tests/conformance/corpus, guided by coverage
+    python benchmarks/fuzz.py --show FILE                      # the table of all that stands in a file of totals
+    python benchmarks/fuzz.py --atheris NAME [--inputs N]      # guided by coverage in libFuzzer, where atheris is installed
 
-Prints for each parser: inputs, share that was accepted, inputs a second, slowest input, growth of the process' memory, largest
-allocation of a thousand inputs under tracemalloc.
+Inputs are mutated from the valid inputs of a parser and its corpus. Prints for each parser: inputs, share that was accepted, inputs a
+second of processor time, slowest input, growth of the process' memory, largest allocation of a thousand inputs under tracemalloc.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import resource
@@ -18,6 +21,8 @@ import tempfile
 import time
 import traceback
 import tracemalloc
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -40,49 +45,129 @@ if "--atheris" in sys.argv:  # ours are instrumented while they are imported
         from fuzz_targets import Target, targets
 else:
     from fuzz_targets import Target, targets  # noqa: E402
+from fuzz_corpus import corpus, write_corpus  # noqa: E402
 from mutate import mutate  # noqa: E402
 
 TRACED = 1000
-SLOW_S = 2.0
+LONGEST = 2048  # bytes of an input in the corpus
+OURS = tuple(str(HERE.parent / name) for name in ("mbcacq", "drivers"))
+HEAD = "| parser | inputs | accepted | a second | slowest | memory | largest | faults |\n|---|---|---|---|---|---|---|---|"
 
 
-def fuzz(target: Target, inputs: int, seed: int, keep: Path | None) -> bool:
+@dataclass
+class Outcome:
+    """What came of the inputs of one parser. slowest: s; memory: MB; largest: bytes. faults: what was raised -> the first such input."""
+
+    name: str
+    seed: int
+    inputs: int = 0
+    accepted: int = 0
+    seconds: float = 0.0
+    slowest: float = 0.0
+    memory: float = 0.0
+    largest: int = 0
+    faults: dict[str, bytes] = field(default_factory=dict)
+
+    def row(self) -> str:
+        return (
+            f"| {self.name} | {self.inputs:,} | {100 * self.accepted / max(self.inputs, 1):.1f} % | {self.inputs / self.seconds:.0f} | "
+            f"{1e3 * self.slowest:.0f} ms | {self.memory:+.0f} MB | {self.largest / 1024:.0f} KiB | {len(self.faults) or 'none'} |"
+        )
+
+    def note(self, totals: Path) -> None:
+        with totals.open("a") as file:
+            file.write(json.dumps(asdict(self) | {"faults": {key: data.decode("latin-1") for key, data in self.faults.items()}}) + "\n")
+
+    def add(self, other: Outcome) -> None:
+        self.inputs, self.accepted, self.seconds = self.inputs + other.inputs, self.accepted + other.accepted, self.seconds + other.seconds
+        self.slowest, self.memory = max(self.slowest, other.slowest), max(self.memory, other.memory)
+        self.largest, self.faults = max(self.largest, other.largest), {**other.faults, **self.faults}
+
+
+def fuzz(target: Target, inputs: int, seconds: float, seed: int, keep: Path | None) -> Outcome:
+    """Mutated inputs until there are so many or the time is over."""
+    known = (*target.seeds, *corpus(target.name))
     rng = random.Random(f"{seed} {target.name}")
-    for valid in target.seeds:
+    for valid in known:
         target.run(valid)
-    largest = trace(target, random.Random(f"{seed} {target.name} traced"))
-    memory, began, accepted, slowest, faults = resident_MB(), time.perf_counter(), 0, 0.0, {}
-    for _ in range(inputs):
-        data = mutate(target.seeds[int(rng.random() * len(target.seeds))], target.seeds, rng)
-        start = time.perf_counter()
+    outcome = Outcome(target.name, seed, largest=trace(target, known, random.Random(f"{seed} {target.name} traced")))
+    memory, began, run, clock = resident_MB(), time.process_time(), target.run, time.process_time
+    start = began
+    while outcome.inputs < inputs and start - began < seconds:
+        data = mutate(known[int(rng.random() * len(known))], known, rng)
         try:
-            accepted += target.run(data)
+            outcome.accepted += run(data)
         except Exception as error:
             place = traceback.extract_tb(error.__traceback__)[-1]
             key = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {str(error)[:100]}"
-            if key.split(": ")[0] not in {k.split(": ")[0] for k in faults}:
-                faults[key] = data
+            if key.split(": ")[0] not in {k.split(": ")[0] for k in outcome.faults}:
+                outcome.faults[key] = data
                 if keep:
                     keep.mkdir(parents=True, exist_ok=True)
-                    (keep / f"{target.name.replace(' ', '-')}-{len(faults)}").write_bytes(data)
-        slowest = max(slowest, time.perf_counter() - start)
-    seconds = time.perf_counter() - began
-    print(
-        f"| {target.name} | {inputs} | {100 * accepted / inputs:.1f} % | {inputs / seconds:.0f} | {1e3 * slowest:.0f} ms | "
-        f"{resident_MB() - memory:+.0f} MB | {largest / 1024:.0f} KiB | {len(faults) or 'none'} |",
-        flush=True,
-    )
-    for key, data in faults.items():
-        print(f"    {key}\n        {data[:300]!r}", flush=True)
-    return not faults
+                    (keep / f"{target.name.replace(' ', '-')}-{seed}-{len(outcome.faults)}").write_bytes(data)
+        outcome.inputs += 1
+        now = clock()
+        outcome.slowest = max(outcome.slowest, now - start)
+        start = now
+    outcome.seconds, outcome.memory = start - began, resident_MB() - memory
+    return outcome
 
 
-def trace(target: Target, rng: random.Random) -> int:
+def grow(target: Target, inputs: int, seed: int) -> None:
+    """Add to the corpus what reaches a pair of successive lines of ours that no other input reaches; the shortest inputs are kept."""
+    rng, known, found = random.Random(f"{seed} {target.name} grown"), [*target.seeds, *corpus(target.name)], {}
+    for data in known:
+        found[data] = arcs(target, data)
+    reached = set().union(*found.values())
+    for _ in range(inputs):
+        data = mutate(rng.choice(known), known, rng)
+        if len(data) <= LONGEST and not reached.issuperset(new := arcs(target, data)):
+            known.append(data)
+            found[data] = new
+            reached |= new
+    kept, covered = [], set().union(*(found[data] for data in target.seeds))
+    for data in sorted(known, key=len):
+        if not covered.issuperset(found[data]):
+            covered |= found[data]
+            kept.append(data)
+    write_corpus(target.name, kept)
+    print(f"| {target.name} | {len(reached)} | {len(kept)} |", flush=True)
+
+
+def arcs(target: Target, data: bytes) -> set[tuple[object, int, int]]:
+    """The pairs of successive lines of our own files that an input reaches."""
+    found: set[tuple[object, int, int]] = set()
+
+    def entered(frame, event, _):
+        code, last = frame.f_code, 0
+        if not code.co_filename.startswith(OURS):
+            return None
+
+        def line(frame, event, _):
+            nonlocal last
+            if event == "line":
+                found.add((code, last, frame.f_lineno))
+                last = frame.f_lineno
+            return line
+
+        return line
+
+    sys.settrace(entered)
+    try:
+        target.run(data)
+    except Exception:  # noqa: S110  what it raises is counted in the long run
+        pass
+    finally:
+        sys.settrace(None)
+    return found
+
+
+def trace(target: Target, known: Sequence[bytes], rng: random.Random) -> int:
     """The largest number of bytes that one of a thousand inputs had allocated at a time."""
     largest = 0
     tracemalloc.start()
     for _ in range(TRACED):
-        data = mutate(rng.choice(target.seeds), target.seeds, rng)
+        data = mutate(rng.choice(known), known, rng)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
         try:
@@ -111,28 +196,61 @@ def guided(name: str, inputs: int) -> None:
     def one(data: bytes) -> None:
         target.run(data)
 
-    corpus = Path(tempfile.mkdtemp(prefix="corpus-"))
-    for number, seed in enumerate(target.seeds):
-        (corpus / str(number)).write_bytes(seed)
+    folder = Path(tempfile.mkdtemp(prefix="corpus-"))
+    for number, seed in enumerate((*target.seeds, *corpus(name))):
+        (folder / str(number)).write_bytes(seed)
     settings = [f"-runs={inputs}", "-max_len=4096", "-rss_limit_mb=4096", "-timeout=20", "-print_final_stats=1"]
-    atheris.Setup([sys.argv[0], str(corpus), *settings], one)
+    atheris.Setup([sys.argv[0], str(folder), *settings], one)
     atheris.Fuzz()
+
+
+def show(totals: Path) -> None:
+    """The table of all runs in a file of totals, the parsers in their order."""
+    sums = {name: Outcome(name, 0) for name in targets()}
+    for line in totals.read_text().splitlines():
+        entry = json.loads(line)
+        sums[entry["name"]].add(Outcome(**entry))
+    print(HEAD)
+    for outcome in sums.values():
+        if outcome.inputs:
+            print(outcome.row())
+    print(f"| **all** | {sum(outcome.inputs for outcome in sums.values()):,} | | | | | | |")
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=list(targets()), default=list(targets()), metavar="NAME")
     parser.add_argument("--inputs", type=int, default=1_000_000)
+    parser.add_argument("--minutes", type=float, default=1e9, help="processor time for each parser")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="write inputs that break a parser here")
+    parser.add_argument("--totals", type=Path, help="append a line for each parser")
+    parser.add_argument("--show", type=Path)
+    parser.add_argument("--grow", action="store_true")
     parser.add_argument("--atheris", metavar="NAME", choices=list(targets()))
     given = parser.parse_args()
     if given.atheris:
         guided(given.atheris, given.inputs)
+    if given.show:
+        show(given.show)
+        return 0
     quiet_libraries()
-    print("| parser | inputs | accepted | a second | slowest | memory | largest | faults |\n|---|---|---|---|---|---|---|---|")
-    good = [fuzz(targets()[name], given.inputs, given.seed, given.keep) for name in given.only]
-    return 0 if all(good) else 1
+    if given.grow:
+        print("| parser | pairs of lines reached | inputs in the corpus |\n|---|---|---|")
+        for name in given.only:
+            grow(targets()[name], given.inputs, given.seed)
+        return 0
+    print(HEAD)
+    faults = 0
+    for name in given.only:
+        outcome = fuzz(targets()[name], given.inputs, 60 * given.minutes, given.seed, given.keep)
+        print(outcome.row(), flush=True)
+        for key, data in outcome.faults.items():
+            print(f"    {key}\n        {data[:300]!r}", flush=True)
+        faults += len(outcome.faults)
+        if given.totals:
+            outcome.note(given.totals)
+    return 1 if faults else 0
 
 
 if __name__ == "__main__":

@@ -1,20 +1,23 @@
 """A fault at a system call of a run: does it go on or end named, does the arm rest, can the folder be resumed?
 
-    python benchmarks/system_calls.py [--cases 200] [--seed 0] [--only CALL ...] [--cycle] [--clock] [--minutes M]
+    python benchmarks/system_calls.py [--cases 200] [--seed 0] [--only CALL ...] [--cycle] [--clock] [--minutes M] [--kept FILE]
 
 A run of three poses is repeated; in each repetition the n-th call of one function of the C library (open, write, fsync, ..., an
 allocation above 1 MiB) fails with one errno that it may have. Calls are taken in turn, n and errno are drawn with the seed. --cycle: in the
-process that answers the controller. --clock: the clock of the day jumps by an hour in the middle, in place of faults. Linux, gcc.
+process that answers the controller. --kept: every case is added to this file at once, those in it are not repeated. --clock: the clock of
+the day jumps by an hour in the middle, in place of faults. Linux, gcc.
 """
 
 from __future__ import annotations
 
 import argparse
 import errno
+import json
 import random
 import sys
 import time
 from collections import Counter
+from pathlib import Path
 
 from disturbed_run import CYCLE, DisturbedRuns, Fault, preload
 
@@ -78,29 +81,41 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=list(ERRNOS), default=list(ERRNOS))
     parser.add_argument("--cycle", action="store_true")
     parser.add_argument("--clock", action="store_true")
+    parser.add_argument("--kept", type=Path)
     given = parser.parse_args()
     runs, began = DisturbedRuns(preload()), time.monotonic()
     print("calls of an undisturbed run: " + ", ".join(f"{n} {call}" for call, n in runs.counts.items() if n), flush=True)
     if given.clock:
         return 1 if clock_steps(runs, given.cases) else 0
-    table: Counter[tuple[str, str, str]] = Counter()
-    bad = done = 0
+    kept = [json.loads(line) for line in given.kept.read_text().splitlines()] if given.kept and given.kept.exists() else []
     for case, fault in enumerate(faults(runs, random.Random(given.seed), given.only, given.cycle)):
         if case >= given.cases or time.monotonic() - began > 60 * given.minutes:
             break
+        if case < len(kept):
+            continue
         ending = runs.disturbed(fault, resume=case % 4 == 0)
         how = ending.how if ending.struck or fault.role or ending.how != "goes on" else "not reached"
-        table[fault.call, errno.errorcode[fault.error], how] += 1
-        done += 1
-        if ending.wrong or how == "foreign error" or how.startswith("killed"):
-            bad += bool(ending.wrong) or how == "foreign error"
+        bad = bool(ending.wrong) or how == "foreign error"
+        named = {"call": fault.call, "n": fault.n, "errno": errno.errorcode[fault.error]}
+        kept.append(named | {"how": how, "seconds": ending.seconds, "bad": bad})
+        if given.kept:
+            with given.kept.open("a") as file:
+                file.write(json.dumps(kept[-1] | {"detail": ending.detail, "wrong": ending.wrong}) + "\n")
+        if bad or how.startswith("killed"):
             print(f"  {fault}: {how}: {ending.detail}; {'; '.join(ending.wrong)}", flush=True)
     runs.close()
+    return print_table(kept)
+
+
+def print_table(cases: list[dict]) -> int:
+    """Returns whether any case is not good."""
+    table = Counter((case["call"], case["errno"], case["how"]) for case in cases)
     ways = sorted({how for *_, how in table})
     print("\n| call | errno | " + " | ".join(ways) + " |\n|---|---|" + "---|" * len(ways))
     for call, error in sorted({key[:2] for key in table}, key=lambda key: (list(ERRNOS).index(key[0]), key[1])):
         print(f"| {call} | {error} | " + " | ".join(str(table[call, error, how] or "") for how in ways) + " |")
-    print(f"\n{done} cases, {bad} not good, {time.monotonic() - began:.0f} s")
+    bad = sum(case["bad"] for case in cases)
+    print(f"\n{len(cases)} cases, {bad} not good, {sum(case['seconds'] for case in cases):.0f} s")
     return 1 if bad else 0
 
 

@@ -59,7 +59,7 @@ def command(recording: Path, check: bool, as_json: bool) -> None:
         content = f"{item.poses} finished poses, {item.cycles} controller cycles"
         end = "" if item.complete else "; the run did not come to its end"
         if item.damaged:
-            echo(f"{item.source}: torn; {content} are in {item.output}{end}")
+            echo(f"{item.source}: torn or damaged; {content} are in {item.output}{end}")
         else:
             echo(f"{item.source}: nothing to do, {content}{end}")
 
@@ -83,5 +83,6 @@ def print_check(recording: Path, as_json: bool) -> None:
                 echo(f"  {fault}")
     if number := sum(len(file.faults) for file in found):
         raise RecordingError(
-            f"{number} fault{'s' * (number != 1)} in {recording}: poses named are left out by calibrate and measured anew by run --resume"
+            f"{number} fault{'s' * (number != 1)} in {recording}: poses named are left out by calibrate and measured anew by run --resume; "
+            "a recording that cannot be read is made readable by mbcacq recover"
         )

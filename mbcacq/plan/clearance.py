@@ -128,16 +128,18 @@ class Clearance:
         The scanner and what carries it are no links, and no joint limit of the maker's keeps them off the arm: where they overlap with a
         link in every posture, they are divided, and only those parts of them are left out that do.
         """
-        robot, planning = self._loaded.cell.robot, self._loaded.planning
-        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (planning.random_postures, robot.n))
-        postures = [Posture(frames) for frames in robot.chain.frames(q)]
-        bodies = combinations(self._arm, 2)
-        return [p for a, b in bodies if b.link > max(a.link, 1) for p in self._examined(a, b, postures)]
+        return [p for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1) for p in self._examined(a, b)]
 
-    def _examined(self, a: Body, b: Body, postures: Sequence[Posture]) -> Iterator[Pair]:
+    @cached_property
+    def _random_postures(self) -> list[Posture]:
+        robot, count = self._loaded.cell.robot, self._loaded.planning.random_postures
+        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (count, robot.n))
+        return [Posture(frames) for frames in robot.chain.frames(q)]
+
+    def _examined(self, a: Body, b: Body) -> Iterator[Pair]:
         """The pair, or pairs with parts of ``b``, or nothing."""
         planning, pair, farthest = self._loaded.planning, self._pair(a, b), -np.inf
-        for posture in postures:
+        for posture in self._random_postures:
             farthest = max(farthest, posture.distance(pair))
             if farthest > max(self._loaded.plan.clearance_mm, planning.neighbour_gap_mm):
                 yield pair
@@ -145,13 +147,17 @@ class Clearance:
         if b.carried and farthest <= 0:
             if b.length > planning.smallest_part_mm:
                 for half in halves(b):
-                    yield from self._examined(a, half, postures)
+                    yield from self._examined(a, half)
         elif farthest > (0.0 if b.link - a.link > 1 or b.carried else planning.neighbour_gap_mm):
             yield replace(pair, most=farthest / 2)
 
-    def _against(self, body: Body) -> list[Pair]:
-        """What stands still, against all that moves; link 1 turns on the spot, where the arm is bolted down."""
-        return [self._pair(body, part) for part in self._arm if part.link >= 2]
+    def _against(self, body: Body) -> Iterator[Pair]:
+        """What stands still, against all that moves. What touches link 1 at every angle is what the arm is bolted to."""
+        for part in self._arm:
+            if part.link == 1:
+                yield from self._examined(body, part)
+            elif part.link > 1:
+                yield self._pair(body, part)
 
     def _pair(self, a: Body, b: Body) -> Pair:
         return Pair(a, b, self._lever(a.link, b))

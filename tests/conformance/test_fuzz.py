@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 
 import pytest
+from fuzz_corpus import corpus
 from fuzz_targets import targets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -38,6 +39,13 @@ def test_valid_input_is_accepted(name):
     target = targets()[name]
     refused = [seed for seed in target.seeds if not target.run(seed)]
     assert len(refused) < len(target.seeds), refused[:1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_kept_inputs_are_accepted_or_refused(name, capfd):
+    """Each takes a way through its parser that no other takes."""
+    for data in corpus(name):
+        targets()[name].run(data)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -38,6 +38,15 @@ def test_the_ring_of_cycles_is_allocated_at_creation():
         shared.close()
 
 
+def test_a_program_that_ends_before_it_closed_the_memory_prints_nothing():
+    """As after several Ctrl-C: the views of the memory are there until the end."""
+    program = (
+        "from mbcacq_kuka.rsi.shared import Shared; kept = Shared.create(); kept.forget(); view = memoryview(kept._buffer)[:8]; del kept"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_a_ring_that_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
     blocks = []
 

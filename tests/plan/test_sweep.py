@@ -90,6 +90,19 @@ def test_a_thin_rod_between_two_free_poses_is_found(tmp_path):
         refuse_unsafe(fenced, straight)
 
 
+def test_link_1_is_kept_off_what_stands_beside_the_base(tmp_path):
+    """A shoulder that reaches out: between axis 1 and the upper arm, link 1 alone comes by."""
+    robot = {"model": str(PLANS / "robots/kr120_r2700_2.yaml"), "home_deg": [0, -90, 90, 0, 0, 0], "link_radius_mm": 60}
+    post = {"name": "post", "min_mm": [-5, 160, 640], "max_mm": [5, 170, 650]}
+    fenced = planned(tmp_path, robot=yaml.safe_load((PLANS / "quick.yaml").read_text())["robot"] | robot, obstacles=[post])
+    clearance, posture = Clearance(fenced), np.radians([0.0, -90, 90, 0, 0, 0])
+    start, end = (posture + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (-60, -120))
+    assert min(clearance.at(q, None).distance for q in (start, end)) > 10
+    near = clearance.along_segment(start, end, None, 10.0)
+    assert near is not None
+    assert (near.a, near.b) == ("post", "link 1")
+
+
 def test_a_waypoint_beyond_a_joint_limit_is_refused(tmp_path):
     loaded = planned(tmp_path)
     found = motions(loaded)

@@ -30,7 +30,10 @@ class CycleProcess:
         """'' once it listens, else why it cannot."""
         assert self._shared is not None  # start comes before close
         command = [sys.executable, "-m", "mbcacq_kuka.rsi.cycle"]
-        process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
+        process = self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
         assert process.stdin is not None  # both are pipes
         assert process.stdout is not None
         process.stdin.write(json.dumps({"shared": self._shared.name, **settings}) + "\n")

@@ -11,6 +11,7 @@ import os
 import struct
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker, shared_memory
 from pathlib import Path
@@ -64,11 +65,11 @@ class Shared:
     @classmethod
     def attach(cls, name: str) -> Shared:
         if sys.version_info >= (3, 13):
-            return cls(shared_memory.SharedMemory(name=name, track=False), False)
+            return cls(_Block(name=name, track=False), False)
         register = resource_tracker.register
         resource_tracker.register = lambda *_: None  # Python < 3.13 would remove the block when this process ends
         try:
-            return cls(shared_memory.SharedMemory(name=name), False)
+            return cls(_Block(name=name), False)
         finally:
             resource_tracker.register = register
 
@@ -169,10 +170,18 @@ class Shared:
         return json.loads(bytes(self._buffer[_FAULT_AT : _FAULT_AT + size])) if size else None
 
 
+class _Block(shared_memory.SharedMemory):
+    """Where views of it are left, as in a program that was interrupted while it ended, it goes with the process: that is no error."""
+
+    def close(self) -> None:
+        with suppress(BufferError):
+            super().close()
+
+
 def _allocated(size: int) -> shared_memory.SharedMemory:
     """A new block whose memory is there. Linux only promises it at creation, and ends a process by SIGBUS that writes where none is left;
     other systems allocate at creation. Raises OSError."""
-    memory = shared_memory.SharedMemory(create=True, size=size)
+    memory = _Block(create=True, size=size)
     file = _FILES / memory.name.lstrip("/")
     try:
         if file.exists():

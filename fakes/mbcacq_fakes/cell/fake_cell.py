@@ -68,7 +68,8 @@ class FakeCell:
         try:
             self._state = ArmState.create(home)
             command = [sys.executable, "-m", "mbcacq_fakes.cell.process"]
-            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
             self._send(self._job())
             robot = self._start_controller()
             addresses = self._receive()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from mbcacq.recording.rrd.checked_lines import Lines, checked_line, read_lines
 
 FILE = "checksums.jsonl"
 BLOCK_BYTES = 1 << 20
+LARGE_BYTES = 256 << 20  # the checksum of more takes longer than to start a process
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,14 @@ def note_whole(folder: Path, name: str, data: bytes) -> None:
         note_stretch(folder, Stretch(name, 0, len(data), hashlib.sha256(data).hexdigest()))
 
 
+def note_copy(path: Path) -> None:
+    """Note the checksum of a recovered recording, where its folder has checksums."""
+    with suppress(OSError):
+        if (path.parent / FILE).exists():
+            digest, size = digest_of_file(path, 0, path.stat().st_size)
+            note_stretch(path.parent, Stretch(path.name, 0, size, digest))
+
+
 def read_stretches(folder: Path) -> tuple[dict[str, list[Stretch]], Lines]:
     """File -> its stretches in order, and the lines themselves. Nothing for a run of an earlier version."""
     try:
@@ -50,9 +59,11 @@ def read_stretches(folder: Path) -> tuple[dict[str, list[Stretch]], Lines]:
         return {}, Lines([], ())
     found: dict[str, list[Stretch]] = {}
     for entry in lines.entries:
-        with suppress(KeyError, TypeError, ValueError):
+        with suppress(KeyError, TypeError, ValueError, OverflowError):
             poses = tuple(int(pose) for pose in entry["poses"])
             stretch = Stretch(str(entry["file"]), int(entry["start"]), int(entry["end"]), str(entry["sha256"]), poses)
+            if not 0 <= stretch.start <= stretch.end:
+                continue
             found[stretch.file] = [*(found.get(stretch.file, []) if stretch.start else []), stretch]
     return found, lines
 
@@ -62,10 +73,32 @@ def digest_of_file(path: Path, start: int, end: int) -> tuple[str, int]:
     digest = hashlib.sha256()
     with path.open("rb") as file:
         file.seek(start)
-        while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
+        for block in blocks(file, end - start):
             digest.update(block)
             start += len(block)
     return digest.hexdigest(), start
+
+
+def blocks(file: IO[bytes], size: int) -> Iterator[bytes]:
+    """The next ``size`` bytes of a file, or those that it has. Raises OSError."""
+    while size > 0 and (block := file.read(min(BLOCK_BYTES, size))):
+        yield block
+        size -= len(block)
+
+
+def is_as_written(path: Path) -> bool:
+    """Whether every byte of a file of moderate size has a checksum that holds."""
+    try:
+        size, end = path.stat().st_size, 0
+        if size > LARGE_BYTES:
+            return False
+        for stretch in read_stretches(path.parent)[0].get(path.name, []):
+            if stretch.start != end or digest_of_file(path, end, stretch.end) != (stretch.sha256, stretch.end):
+                return False
+            end = stretch.end
+        return 0 < size == end
+    except OSError:
+        return False
 
 
 def digest_of_values(values: Mapping[str, Any]) -> str:

@@ -1,24 +1,24 @@
-"""Reader of recordings: observations bit for bit as the run used them, raw cycles, scans, plan and cell texts. A footer is not needed."""
+"""Reader of recordings: observations bit for bit as the run used them, raw cycles, scans, plan and cell texts."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from mbcacq.devices import Cycles, Scan
-from mbcacq.errors import ConfigError, MbcacqError, RecordingError
+from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout
-from mbcacq.recording.rrd.checksums import digest_of_values
+from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written
+from mbcacq.recording.rrd.library_reader import LibraryReader
+from mbcacq.recording.rrd.process_reader import ProcessReader
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 Row = dict[str, Any]
@@ -36,30 +36,21 @@ class RecordedScan:
 
 
 class Recording:
-    """One .rrd file. Every method reads only what it is asked for; where the footer is missing, it streams through the file."""
+    """One .rrd file. Every method reads only what it is asked for.
+
+    A file that is not known to be as it was written is read in a process of its own: the rerun library ends its process at some of them.
+    """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_file():
             raise ConfigError(f"{self.path} does not exist; give a recording (.rrd)")
-        from rerun.chunk import RrdReader
-
-        with _named_errors(self.path):
-            self._reader = RrdReader(rerun_path(self.path))
-            stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
-        if not stores:
-            raise RecordingError(
-                f"{self.path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it"
-            )
-        self._store = stores[0]
-        try:
-            self._indexed = self._reader.store(store=self._store)
-        except (RuntimeError, ValueError):
-            self._indexed = None  # no footer: the run was cut short, the file is read from end to end
+        rerun_path(self.path)
+        self._reader = LibraryReader(self.path) if is_as_written(self.path) else ProcessReader(self.path)
 
     @property
     def recording_id(self) -> str:
-        return self._store.recording_id
+        return self._reader.recording_id
 
     def rows(self, entity: str) -> Iterator[Row]:
         """Rows of one entity in the order they were logged: component name -> array or list, timeline -> int (ns, or number)."""
@@ -116,7 +107,7 @@ class Recording:
 
     def scans(self) -> Iterator[RecordedScan]:
         """Every scan in the order taken, one at a time."""
-        for row in _rows(self._stream(layout.SCAN)):
+        for row in _rows(self._reader.stream(layout.SCAN)):
             if "positions" in row and "exposure_us" in row:
                 yield RecordedScan(
                     int(row["pose"][0]),
@@ -145,21 +136,8 @@ class Recording:
 
     def _batches(self, entity: str) -> list[pa.RecordBatch]:
         """In the order of logging, whatever order a merge left the chunks in: row ids count up with time."""
-        batches = [batch for batch in self._stream(entity) if batch.num_rows]
+        batches = [batch for batch in self._reader.stream(entity) if batch.num_rows]
         return sorted(batches, key=lambda batch: batch.column(0)[0].as_py())
-
-    def _stream(self, entity: str) -> Iterator[pa.RecordBatch]:
-        chunks = iter(())
-        with _named_errors(self.path):
-            stream = self._indexed.stream() if self._indexed is not None else self._reader.stream(store=self._store)
-            chunks = iter(stream.filter(content=f"/{entity}"))
-        while True:
-            with _named_errors(self.path):
-                chunk = next(chunks, None)
-                batch = None if chunk is None else chunk.to_record_batch()
-            if batch is None:
-                return
-            yield batch
 
 
 def open_recordings(path: Path | str) -> list[Recording]:
@@ -168,7 +146,7 @@ def open_recordings(path: Path | str) -> list[Recording]:
     files = layout.parts(path) if path.is_dir() else [path]
     if not files:
         raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run")
-    return [_opened(file) for file in files]
+    return [opened(file) for file in files]
 
 
 @contextmanager
@@ -181,7 +159,8 @@ def opened_once() -> Iterator[None]:
         _OPEN.reset(token)
 
 
-def _opened(file: Path) -> Recording:
+def opened(file: Path) -> Recording:
+    """One .rrd file; the same object again inside ``opened_once``."""
     known = _OPEN.get()
     if known is None or not file.is_file():
         return Recording(file)
@@ -212,26 +191,6 @@ def intact(row: Row) -> bool:
     values = {name: value for name, value in row.items() if isinstance(value, np.ndarray | list)}
     digest = values.pop(layout.DIGEST, None)
     return digest is None or digest == [digest_of_values(values)]
-
-
-class _named_errors:
-    """Turns what the rerun library raises into one sentence."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._warnings = warnings.catch_warnings()
-
-    def __enter__(self) -> None:
-        self._warnings.__enter__()
-        warnings.simplefilter("ignore")  # a file without footer is read as well as one with
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._warnings.__exit__(kind, error, trace)
-        if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
-            raise RecordingError(
-                f"{self._path} is torn or is no .rrd file ({str(error).splitlines()[0]}); "
-                f"make what is left of it readable: mbcacq recover {self._path}"
-            ) from None
 
 
 def _rows(batches: Iterable[pa.RecordBatch]) -> Iterator[Row]:

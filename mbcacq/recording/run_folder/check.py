@@ -74,20 +74,19 @@ def _stretch_faults(path: Path, stretches: list[Stretch], size: int) -> Iterator
 
 def _value_faults(path: Path) -> Iterator[str]:
     """Of what a solver reads, by name."""
-    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.reader import opened
 
     try:
-        recording = Recording(path)
+        recording = opened(path)
+        for entity in (layout.PLAN, layout.CELL):
+            try:
+                recording.text(entity)
+            except RecordingError as error:
+                yield str(error)
         for number in recording.damaged_poses():
             yield f"the observation of pose {number} (joint angles, ball centres) is not as it was written"
     except RecordingError as error:
         yield f"it cannot be read as a recording: {error}"
-        return
-    for entity in (layout.PLAN, layout.CELL):
-        try:
-            recording.text(entity)
-        except RecordingError as error:
-            yield str(error)
 
 
 def _check_lines(path: Path) -> CheckedFile:

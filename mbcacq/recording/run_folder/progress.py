@@ -10,7 +10,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_journal
 
-EMPTY = ".empty"  # added to the name of a recording that was torn before anything was in it
+EMPTY = ".empty"  # added to the name of a recording in which nothing can be read
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ def _measured(folder: Path) -> dict[int, str]:
 
 
 def _repair(folder: Path) -> Iterator[str]:
-    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.reader import opened
     from mbcacq.recording.run_folder.recovery import NothingRecovered, make_readable
 
     for path in layout.parts(folder):
         try:
-            recording = Recording(path)
+            recording = opened(path)
             recording.observed()
             recording.text(layout.CELL)
             continue
@@ -76,10 +76,10 @@ def _repair(folder: Path) -> Iterator[str]:
             pass
         try:
             found = make_readable(path)[0]
-            yield f"{path.name} was torn; its {found.poses} finished poses are in {found.output.name}"
+            yield f"{path.name} was torn or damaged; its {found.poses} finished poses are in {found.output.name}"
         except NothingRecovered:
             path.rename(path.with_name(path.name + EMPTY))
-            yield f"{path.name} was torn before a pose was in it, it is now {path.name + EMPTY}"
+            yield f"no pose can be read in {path.name}: it is now {path.name + EMPTY}, and its poses are measured again"
 
 
 def _keep_identity(folder: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_copy, read_stretches
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.run_folder.lock import LOCK_FILE, write_lock
 
@@ -73,11 +74,36 @@ def _recover_file(source: Path) -> Recovered:
         return _summary(source, existing)
     output = layout.next_recovered(source)
     try:
-        _merge([source], output)
+        _merge_what_is_whole(source, output)
         return _summary(source, output)
     except NothingRecovered:
         output.unlink(missing_ok=True)
         raise
+
+
+def _merge_what_is_whole(source: Path, output: Path) -> None:
+    """Merge a recording; one that rerun cannot read to its end without the stretches that are not as they were written."""
+    try:
+        _merge([source], output)
+    except NothingRecovered:
+        stretches = read_stretches(source.parent)[0].get(source.name, [])
+        whole = [stretch for stretch in stretches if digest_of_file(source, stretch.start, stretch.end) == (stretch.sha256, stretch.end)]
+        if len(whole) == len(stretches) or stretches[0] not in whole:
+            raise  # nothing is known to be damaged, or what all else refers to is
+        cut = source.with_name(f".{source.stem}.whole.rrd")
+        try:
+            with source.open("rb") as original, cut.open("wb") as copy:
+                for stretch in whole:
+                    original.seek(stretch.start)
+                    for block in blocks(original, stretch.end - stretch.start):
+                        copy.write(block)
+            _merge([cut], output)
+        except RecordingError:
+            raise
+        except OSError as error:
+            raise RecordingError(f"{output} cannot be written: {error.strerror}") from error
+        finally:
+            cut.unlink(missing_ok=True)
 
 
 def _merge(sources: list[Path], output: Path) -> None:
@@ -94,9 +120,10 @@ def _merge(sources: list[Path], output: Path) -> None:
         if not _verified(partial):
             raise NothingRecovered(f"{_nothing(sources)}: no complete message is left in it")
         partial.replace(output)
+        note_copy(output)
+    except RecordingError:
+        raise
     except OSError as error:
-        if isinstance(error, RecordingError):
-            raise
         raise RecordingError(f"{output} cannot be written: {error.strerror}") from error
     finally:
         partial.unlink(missing_ok=True)
@@ -107,11 +134,13 @@ def _nothing(sources: list[Path]) -> str:
 
 
 def _verified(path: Path) -> bool:
-    """Whether rerun's own check finds no fault, and our reader something to read."""
+    """Whether rerun's own check finds no fault, and our reader all that there is to read."""
     if rerun_program.run(["rrd", "verify", str(path)]).returncode:
         return False
     try:
-        Recording(path).about()
+        recording = Recording(path)
+        for read in (recording.about, recording.observed, recording.cycles):
+            read()
     except RecordingError:
         return False
     return True

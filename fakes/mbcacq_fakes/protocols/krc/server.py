@@ -43,7 +43,10 @@ class FakeKrc:
             raise
         control.set_faults(self.settings.faults)
         command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
-        process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
+        process = self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
         assert process.stdin is not None  # both are pipes
         assert process.stdout is not None
         start = {"settings": self.settings.to_json(), "state": self.state.name, "control": control.name, "bind": self._bind}

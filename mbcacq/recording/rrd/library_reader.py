@@ -1,0 +1,77 @@
+"""A recording read by the rerun library in this process, as Arrow batches. A footer is not needed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+import pyarrow as pa
+
+from mbcacq.errors import MbcacqError, RecordingError
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.rerun_path import rerun_path
+
+
+class LibraryReader:
+    """One .rrd file. Where its footer is missing, it is read from end to end.
+
+    The library ends the whole process at some damaged files (it aborts in its Arrow buffers): only a file that is known to be as it was
+    written may be read in a process that must live on. Raises RecordingError.
+    """
+
+    def __init__(self, path: Path) -> None:
+        from rerun.chunk import RrdReader
+
+        self.path = path
+        with _named_errors(path):
+            self._reader = RrdReader(rerun_path(path))
+            stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
+        if not stores:
+            raise RecordingError(
+                f"{path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it"
+            )
+        self._store = stores[0]
+        try:
+            self._indexed = self._reader.store(store=self._store)
+        except (RuntimeError, ValueError):
+            self._indexed = None  # no footer: the run was cut short
+
+    @property
+    def recording_id(self) -> str:
+        return self._store.recording_id
+
+    def stream(self, entities: str) -> Iterator[pa.RecordBatch]:
+        """The batches of an entity, or of all below one ('health/**')."""
+        chunks = iter(())
+        with _named_errors(self.path):
+            stream = self._indexed.stream() if self._indexed is not None else self._reader.stream(store=self._store)
+            chunks = iter(stream.filter(content=f"/{entities}"))
+        while True:
+            with _named_errors(self.path):
+                chunk = next(chunks, None)
+                batch = None if chunk is None else chunk.to_record_batch()
+            if batch is None:
+                return
+            yield batch
+
+
+class _named_errors:
+    """Turns what the rerun library raises into one sentence."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._warnings = warnings.catch_warnings()
+
+    def __enter__(self) -> None:
+        self._warnings.__enter__()
+        warnings.simplefilter("ignore")  # a file without footer is read as well as one with
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._warnings.__exit__(kind, error, trace)
+        if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
+            raise RecordingError(
+                f"{self._path} is torn or is no .rrd file ({(str(error).splitlines() or [type(error).__name__])[0]}); "
+                f"make what is left of it readable: mbcacq recover {self._path}"
+            ) from None
