@@ -33,7 +33,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Step:
+class SolverStep:
     """A step (g,) of the parameters and (S', 6) of the stations in use, from a solution within its linear problem."""
 
     start: Solution
@@ -59,7 +59,7 @@ class Solution:
     weights: Weights
     iterations: int
     turned: float = 0.0
-    step: Step | None = None
+    step: SolverStep | None = None
 
     @property
     def exact(self) -> bool:
@@ -128,7 +128,7 @@ def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
     linear = replace(at.linear, residual=rows.unpad(residual), columns=replace(columns, residual=residual))
     prior = replace(at.prior, offset=at.prior.offset + step, station_offset=at.prior.station_offset + station_step)
     poses, normal = at.poses.with_residual(linear.columns), at.normal.after(step)
-    taken = Step(at, lineariser.layout, step, station_step)
+    taken = SolverStep(at, lineariser.layout, step, station_step)
     return replace(at, linear=linear, poses=poses, normal=normal, prior=prior, step=taken)
 
 

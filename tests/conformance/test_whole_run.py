@@ -16,7 +16,7 @@ def run():
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("case", [Case("data", "device", 5, "close"), Case("rsi", "device", 900, "garbage")], ids=str)
+@pytest.mark.parametrize("case", [Case("data", "device", 5, "close"), Case("rsi", "device", 300, "garbage")], ids=str)
 def test_one_faulty_message_is_recovered_or_a_named_error(run, case):
     verdict = run.inject(case)
     assert verdict.good, f"{case}: {verdict.result}: {verdict.detail}"

@@ -38,7 +38,7 @@ def motion(value=4.2e-6, std=1e-7, named=True):
         "mismatch": [{"at": "A2", "channel": "q_joint", "depends_on": "tau2", "share": 0.8, "p_value": 1e-12}],
         "effects": [effect, unknown] if named else [unknown],
         "fit": {"train": mean, "held_out": mean | {"split": "trajectory"}, "channels": [channel]},
-        "not_separable": [{"effects": ["payload:mount", "arm"], "correlation": 0.98}],
+        "not_separable": [{"effects": ["payload:mount", "arm"], "correlation": 0.98, "odds": None}],
         "advice": [{"reason": "move A2 further", "poses_deg": [[0.0, -90.0]]}],
         "inertial": [
             {"body": "link1", "mass_kg": 3.0, "first_moment_kg_mm": [1.0, 0.0, 0.0], "tensor_kg_m2": [0.1, 0.0, 0.0, 0.1, 0.0, 0.1]}

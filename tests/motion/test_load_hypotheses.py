@@ -66,6 +66,6 @@ def test_the_verdict_says_that_it_cannot_tell_and_names_the_motion_that_would(kr
 
     assert found.verdict == "cannot_tell"
     assert type(found).from_json(found.to_json()) == found
-    assert "arm and gravity_compensator:A2" in said
-    assert "odds of the second" in said
+    assert "arm and gravity_compensator at A2" in said
+    assert "for the second)" in said
     assert "plan design PLAN --motion" in said

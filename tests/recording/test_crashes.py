@@ -73,8 +73,8 @@ def test_a_file_cut_at_any_byte_keeps_what_was_flushed(tmp_path):
     whole = (folder / "run.rrd").read_bytes()
     full = load_observations(folder)
     rng = random.Random(4)
-    near = [size + d for size in sizes for d in (-1, 0)]
-    cuts = [0, 1, 4, 12, 40, len(whole) - 1, len(whole) - 100, *near, *(rng.randrange(len(whole)) for _ in range(8))]
+    near = [size + d for size in (sizes[0], sizes[-1]) for d in (-1, 0)]
+    cuts = [0, 12, len(whole) - 1, *near, *(rng.randrange(len(whole)) for _ in range(3))]
     torn = tmp_path / "torn.rrd"
     for cut in cuts:
         torn.write_bytes(whole[:cut])

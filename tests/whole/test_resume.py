@@ -124,7 +124,7 @@ def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
         (run / "journal.jsonl").write_text("".join(journal[:6]) + journal[6][:20])  # ahead of the recording, and torn itself
         resumed = mbcacq("run", plan, "--dry-run", "--resume", run)
         assert resumed.returncode == 0, resumed.stderr
-        assert "was torn" in resumed.stderr
+        assert ("was torn" if keep > 7 else "no pose can be read in run.rrd") in resumed.stderr
         equal(run, whole)
         assert [p for p in run.iterdir() if p.read_bytes()[:keep] == data[:keep]]  # the torn file is still there
 

@@ -46,12 +46,12 @@ class IdealArm:
 
     def _settle(self, fastest: float) -> None:
         if fastest > _STILL_DEG:
+            # Counted where a motion begins: a scanner that looks before the last of it is done sees the same arrival.
+            self.arrivals += self.standstill
             self.standstill, self.still_cycles = False, 0
             return
         self.still_cycles += 1
-        if not self.standstill and self.still_cycles >= _STILL_CYCLES:
-            self.standstill = True
-            self.arrivals += 1
+        self.standstill = self.standstill or self.still_cycles >= _STILL_CYCLES
 
     def currents(self) -> list[float]:
         """A rough picture of motor currents (percent): holding the arm up, and friction."""

@@ -39,7 +39,7 @@ class ArmReading:
     """One consistent state. q (n,) rad as the controller reports it, qd (n,) rad/s, direction (n,) -1, 0 or 1: direction of
     each axis' last motion.
 
-    arrivals counts how often the arm came to a standstill; fault is '' or why the controller stopped.
+    arrivals counts the motions that the arm has begun, each of which ends in an arrival; fault is '' or why the controller stopped.
     """
 
     time_s: float
