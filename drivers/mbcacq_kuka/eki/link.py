@@ -35,6 +35,7 @@ class Link:
         self._socket.settimeout(_SEND_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._cutter, self._lock = Cutter("Robot"), threading.Lock()
+        self._failed = ""  # why sending failed: what the receiving thread then meets is only a closed socket
 
     def send(self, data: bytes) -> None:
         """Raises LinkLost."""
@@ -42,7 +43,8 @@ class Link:
             try:
                 self._socket.sendall(data)
             except OSError as error:
-                raise LinkLost(f"sending failed ({error})") from error
+                self._failed = f"sending failed ({error})"
+                raise LinkLost(self._failed) from error
 
     def receive(self, timeout_s: float) -> list[tuple[float, Hello | None, State | None]]:
         """What has come, with the time of its arrival; empty if nothing did. Raises LinkLost, ProtocolError."""
@@ -51,7 +53,7 @@ class Link:
                 return []
             data = self._socket.recv(65536)
         except (OSError, ValueError) as error:  # ValueError: closed by another thread
-            raise LinkLost(f"the connection broke ({error})") from error
+            raise LinkLost(self._failed or f"the connection broke ({error})") from error
         if not data:
             raise LinkLost("the controller closed the connection")
         now = time.monotonic()
