@@ -13,6 +13,7 @@ from mbcacq_kuka.eki.telegrams import BEAT, BadTelegram, Hello, State, command, 
 
 RETRY_S = 0.1
 _SEND_S, _LONGEST_S = 1.0, 5.0
+_CLOSED = "the controller closed the connection"
 
 
 class LinkLost(Exception):
@@ -43,7 +44,7 @@ class Link:
             try:
                 self._socket.sendall(data)
             except OSError as error:
-                self._failed = f"sending failed ({error})"
+                self._failed = _lost(error, "sending failed")
                 raise LinkLost(self._failed) from error
 
     def receive(self, timeout_s: float) -> list[tuple[float, Hello | None, State | None]]:
@@ -53,9 +54,9 @@ class Link:
                 return []
             data = self._socket.recv(65536)
         except (OSError, ValueError) as error:  # ValueError: closed by another thread
-            raise LinkLost(self._failed or f"the connection broke ({error})") from error
+            raise LinkLost(self._failed or _lost(error, "the connection broke")) from error
         if not data:
-            raise LinkLost("the controller closed the connection")
+            raise LinkLost(_CLOSED)
         now = time.monotonic()
         try:
             return [(now, *parse(telegram)) for telegram in self._cutter.feed(data)]
@@ -69,6 +70,11 @@ class Link:
         except OSError:
             pass
         self._socket.close()
+
+
+def _lost(error: Exception, otherwise: str) -> str:
+    """How the connection ended. A closed one is met as an end, a reset or a broken pipe, as it happens."""
+    return _CLOSED if isinstance(error, (ConnectionResetError, BrokenPipeError)) else f"{otherwise} ({error})"
 
 
 def dial(address: str, port: int, wait_s: float, quit_event: threading.Event) -> Link:
