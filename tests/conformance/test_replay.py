@@ -16,8 +16,8 @@ from mbcacq_gocator.driver import Gocator
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.conformance import Replay, Trace
-from mbcacq.conformance.trace import TraceLine
 from mbcacq.conformance.bounded import eventually
+from mbcacq.conformance.trace import TraceLine
 
 IPOC = re.compile(rb"<IPOC>\d+</IPOC>")
 
