@@ -1,4 +1,4 @@
-"""URDF and xacro: the calibrated kinematics as new joint origins, everything else of the file kept (lxml; comments stay).
+"""URDF and xacro: the calibrated kinematics as new joint origins, every other byte of the file kept.
 
 With all joints at zero, calibration moves the axis of joint i by a rigid displacement D_i of the base frame, D_i = F'_i inv(F_i), F_i the
 frame whose z is that axis. Moving each joint's frame of the URDF by its D_i gives a URDF whose forward kinematics is exactly the
@@ -7,10 +7,10 @@ calibrated one.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from mbcacq.errors import ConfigError
 from mbcacq.exports.xacro_numbers import vector
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.xml_file import XmlFile
 
-MAX_BYTES = 16 << 20
 AXIS_TOLERANCE_MM, AXIS_TOLERANCE_RAD = 1.0, 2e-3
 
 
@@ -42,10 +42,10 @@ def patch(
 
     Raises ConfigError where the file does not describe this arm at its zero position, naming joint and misfit.
     """
-    root, raw = _parse(Path(path))
-    named = {j.get("name"): j for j in root.iter("joint") if j.find("parent") is not None and j.find("child") is not None}
+    file = _parse(Path(path))
+    named = {str(j.get("name")): j for j in file.root.iter("joint") if j.find("parent") is not None and j.find("child") is not None}
     order = _chain(named, joints, nominal.n, path)
-    before = [_origin(j, path) for j in order]
+    before = [_origin(j, f"{path}:{file.line(j)}") for j in order]
     zero = np.zeros((1, nominal.n))
     F, G = nominal.frames(zero)[0], calibrated.frames(zero)[0]
     D = G @ se3.inverse(F)
@@ -54,7 +54,7 @@ def patch(
     for element, T in zip(order, before, strict=True):
         U = U @ T
         if element.get("type") != "fixed":
-            _check_axis(element, U, F[number], nominal.sign[number], path)
+            _check_axis(element, U, F[number], nominal.sign[number], f"{path}:{file.line(element)}")
             here = D[number] @ U
             number += 1
         else:
@@ -63,46 +63,22 @@ def patch(
         previous = here
     for element, T, old in zip(order, moved, before, strict=True):
         if np.abs(T - old).max() > 1e-9:
-            _set_origin(element, T)
+            _set_origin(file, element, T)
     if T_flange_scanner is not None:
         # The URDF's flange frame may be turned against the MD-H one (KUKA's tool0 looks out of the arm, alpha_n may look into it).
-        _add_scanner(root, named, _link(order[-1], "child"), se3.inverse(previous) @ G[-1] @ np.asarray(T_flange_scanner, float), scanner)
-    return _text(root, raw, comments)
+        _add_scanner(file, named, _link(order[-1], "child"), se3.inverse(previous) @ G[-1] @ np.asarray(T_flange_scanner, float), scanner)
+    file.comment(comments)
+    return file.edited()
 
 
-def _parse(path: Path) -> tuple[Any, bytes]:
-    import lxml.etree as etree
-
+def _parse(path: Path) -> XmlFile:
     try:
-        raw = path.read_bytes()
+        return XmlFile(path.read_bytes(), path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a URDF or xacro file") from error
-    if len(raw) > MAX_BYTES or b"<!ENTITY" in raw or b"<!DOCTYPE" in raw:
-        raise ConfigError(f"{path}: is too large, or declares entities, which are refused; expand it first")
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_blank_text=False)
-    try:
-        root = etree.fromstring(raw, parser)
-    except etree.XMLSyntaxError as error:
-        raise ConfigError(f"{path}:{error.lineno}: is not well-formed XML: {error.msg}") from error
-    return root, raw
 
 
-def _text(root: Any, raw: bytes, comments: Sequence[str]) -> bytes:
-    """The comments and the changed element between the original text before and behind it, with the original line ends."""
-    import lxml.etree as etree
-
-    encoding = root.getroottree().docinfo.encoding or "utf-8"
-    masked = re.sub(rb"<!--.*?-->", lambda m: b" " * len(m.group()), raw, flags=re.DOTALL)
-    first = re.search(rb"<[A-Za-z_]", masked)
-    assert first is not None, "a well-formed document has an element"
-    start = first.start()
-    end = masked.rindex(b">") + 1
-    body = etree.tostring(root, encoding=encoding, xml_declaration=False, with_tail=False)
-    body = "".join(f"<!-- {line} -->\n" for line in comments).encode(encoding) + body
-    return raw[:start] + (body.replace(b"\n", b"\r\n") if b"\r\n" in raw else body) + raw[end:]
-
-
-def _chain(named: dict[str, Any], joints: Sequence[str] | None, n: int, path: str | Path) -> list[Any]:
+def _chain(named: dict[str, Element], joints: Sequence[str] | None, n: int, path: str | Path) -> list[Element]:
     """Joint elements from the first moving one to the last, with the fixed ones between and the first fixed one behind."""
     tip = _named_tip(named, joints, path) if joints else _only_tip(named, n, path)
     up = {_link(j, "child"): j for j in named.values()}
@@ -119,7 +95,7 @@ def _chain(named: dict[str, Any], joints: Sequence[str] | None, n: int, path: st
     return chain + after[:1]
 
 
-def _named_tip(named: dict[str, Any], joints: Sequence[str], path: str | Path) -> Any:
+def _named_tip(named: dict[str, Element], joints: Sequence[str], path: str | Path) -> Element:
     """The last of the joints that the user named."""
     for name in joints:
         if name not in named:
@@ -127,7 +103,7 @@ def _named_tip(named: dict[str, Any], joints: Sequence[str], path: str | Path) -
     return named[joints[-1]]
 
 
-def _only_tip(named: dict[str, Any], n: int, path: str | Path) -> Any:
+def _only_tip(named: dict[str, Element], n: int, path: str | Path) -> Element:
     """The last moving joint of a file whose moving joints are those of the arm: no other moving joint hangs on it."""
     moving = [j for j in named.values() if j.get("type") in ("revolute", "continuous")]
     if len(moving) != n:
@@ -146,70 +122,81 @@ def _climb(named: dict, link: str | None) -> list[str]:
     return out
 
 
-def _link(joint, end: str) -> str:
-    return joint.find(end).get("link")
+def _link(joint: Element, end: str) -> str:
+    """The link at an end of a joint: parent or child."""
+    found = joint.find(end)
+    assert found is not None, "joints without both ends are left out"
+    return str(found.get("link"))
 
 
-def _origin(element, path) -> np.ndarray:
+def _origin(joint: Element, place: str) -> np.ndarray:
     """(4, 4) mm of a joint's origin."""
-    origin = element.find("origin")
-    xyz = _vector(origin.get("xyz", "0 0 0"), element, path) if origin is not None else np.zeros(3)
-    r, p, y = _vector(origin.get("rpy", "0 0 0"), element, path) if origin is not None else np.zeros(3)
+    origin = joint.find("origin")
+    xyz = _vector(origin.get("xyz", "0 0 0"), joint, place) if origin is not None else np.zeros(3)
+    r, p, y = _vector(origin.get("rpy", "0 0 0"), joint, place) if origin is not None else np.zeros(3)
     return se3.from_abc(1e3 * xyz, np.array([y, p, r]))
 
 
-def _set_origin(element, T: np.ndarray) -> None:
-    origin = element.find("origin")
+def _set_origin(file: XmlFile, joint: Element, T: np.ndarray) -> None:
+    xyz, rpy = _written(T)
+    origin = joint.find("origin")
     if origin is None:
-        import lxml.etree as etree
+        file.append(joint, f'<origin xyz="{xyz}" rpy="{rpy}"/>')
+    else:
+        file.set_attributes(origin, xyz=xyz, rpy=rpy)
 
-        origin = etree.SubElement(element, "origin")
+
+def _written(T: np.ndarray) -> tuple[str, str]:
+    """A transform, mm, as a URDF has it: m, and roll, pitch and yaw in rad."""
     xyz, (y, p, r) = se3.to_abc(T)
-    origin.set("xyz", " ".join(f"{v / 1e3 + 0.0:.9g}" for v in np.where(np.abs(xyz) < 1e-7, 0.0, xyz)))
-    origin.set("rpy", " ".join(f"{v + 0.0:.10g}" for v in np.where(np.abs([r, p, y]) < 1e-11, 0.0, [r, p, y])))
+    return (
+        " ".join(f"{v / 1e3 + 0.0:.9g}" for v in np.where(np.abs(xyz) < 1e-7, 0.0, xyz)),
+        " ".join(f"{v + 0.0:.10g}" for v in np.where(np.abs([r, p, y]) < 1e-11, 0.0, [r, p, y])),
+    )
 
 
-def _axis(element) -> np.ndarray:
-    given = element.find("axis")
-    axis = np.array([float(v) for v in (given.get("xyz") if given is not None else "1 0 0").split()])
-    return axis / np.linalg.norm(axis)
+def _axis(joint: Element, place: str) -> np.ndarray:
+    given = joint.find("axis")
+    axis = _vector(given.get("xyz", "1 0 0") if given is not None else "1 0 0", joint, place, "axis")
+    return axis / max(float(np.linalg.norm(axis)), 1e-12)
 
 
-def _check_axis(element, U: np.ndarray, F: np.ndarray, sign: float, path) -> None:
-    axis = U[:3, :3] @ _axis(element)
+def _check_axis(element: Element, U: np.ndarray, F: np.ndarray, sign: float, place: str) -> None:
+    axis = U[:3, :3] @ _axis(element, place)
     angle = np.arccos(np.clip(axis @ (sign * F[:3, 2]), -1, 1))
     apart = U[:3, 3] - F[:3, 3]
     distance = np.linalg.norm(apart - (apart @ F[:3, 2]) * F[:3, 2])
     if angle > AXIS_TOLERANCE_RAD or distance > AXIS_TOLERANCE_MM:
         raise ConfigError(
-            f"{path}:{element.sourceline}: the axis of joint '{element.get('name')}' is {distance:.1f} mm and "
+            f"{place}: the axis of joint '{element.get('name')}' is {distance:.1f} mm and "
             f"{np.degrees(angle):.1f} deg away from the calibrated arm's at its zero position: "
             "another robot, or other directions of rotation or zeros of the joints; "
             "give the URDF that uses the controller's joint angles"
         )
 
 
-def _add_scanner(root, named: dict, flange: str, T: np.ndarray, scanner: str) -> None:
-    import lxml.etree as etree
-
+def _add_scanner(file: XmlFile, named: dict[str, Element], flange: str, T: np.ndarray, scanner: str) -> None:
     existing = next((j for j in named.values() if _link(j, "child") == scanner), None)
     if existing is not None:
-        _set_origin(existing, T)
+        _set_origin(file, existing, T)
         return
-    link = etree.SubElement(root, "link", name=scanner)
-    joint = etree.SubElement(root, "joint", name=f"{flange}-{scanner}", type="fixed")
-    link.tail, joint.text, joint.tail = "\n  ", "\n    ", "\n"
-    for tag, attributes in (("parent", {"link": flange}), ("child", {"link": scanner}), ("origin", {})):
-        child = etree.SubElement(joint, tag, attributes)
-        child.tail = "\n    " if tag != "origin" else "\n  "
-    _set_origin(joint, T)
+    xyz, rpy = _written(T)
+    file.append(
+        file.root,
+        f"""  <link name={quoteattr(scanner)}/>
+  <joint name={quoteattr(f"{flange}-{scanner}")} type="fixed">
+    <parent link={quoteattr(flange)}/>
+    <child link={quoteattr(scanner)}/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+  </joint>
+""",
+    )
 
 
-def _vector(text: str, element, path) -> np.ndarray:
+def _vector(text: str, joint: Element, place: str, what: str = "origin") -> np.ndarray:
     try:
         return vector(text)
     except ValueError as error:
         raise ConfigError(
-            f"{path}:{element.sourceline}: the origin of joint '{element.get('name')}' is not three numbers: '{text}'; "
-            "expand the file with xacro first"
+            f"{place}: the {what} of joint '{joint.get('name')}' is not three numbers: '{text}'; expand the file with xacro first"
         ) from error

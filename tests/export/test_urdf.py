@@ -1,8 +1,11 @@
 """A patched URDF must move like the calibrated arm."""
 
+import codecs
+import re
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
-from lxml import etree
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports import urdf
@@ -69,7 +72,7 @@ def rot(axis, angle):
 def follow(text: bytes, q, last="flange"):
     """Forward kinematics of a URDF from base_link, in mm, written down from the URDF's definition."""
     T, number = np.eye(4), 0
-    for joint in etree.fromstring(text).iter("joint"):
+    for joint in ElementTree.fromstring(text).iter("joint"):
         if joint.get("name") == "stand":
             continue
         origin = joint.find("origin")
@@ -118,6 +121,30 @@ def test_line_ends_of_windows_stay(file):
     assert urdf.patch(file, CHAIN, CHAIN) == file.read_bytes()
 
 
+def test_every_byte_but_that_of_the_origins_stays(file):
+    """Quotes, name spaces, character data and attributes' order are those of the file, in its encoding."""
+    text = URDF.replace('<?xml version="1.0" ?>', "<?xml version='1.0' encoding='iso-8859-1'?>")
+    text = text.replace(
+        '<robot name="small">', "<robot xmlns:xacro='http://www.ros.org/wiki/xacro'  name='klein — größer'>".replace("—", "-")
+    )
+    text = text.replace('<link name="l6"/>', "<xacro:macro name='m'><![CDATA[a < b & c]]></xacro:macro><!-- ü --><link name='l6' />")
+    file.write_bytes(text.encode("iso-8859-1"))
+    patched = urdf.patch(file, CHAIN, CHAIN.with_errors(ERRORS)).decode("iso-8859-1")
+    origin = re.compile("<origin[^>]*>")
+    assert [origin.sub("", line) for line in patched.splitlines()] == [origin.sub("", line) for line in text.splitlines()]
+    assert patched != text
+
+
+def test_a_joint_without_origin_gets_one_and_utf_16_stays(file):
+    text = URDF.replace('<origin xyz="0.455 0 0"/><parent link="l2"/>', '<parent link="l2"/>').replace('<?xml version="1.0" ?>\n', "")
+    moved = Chain(CHAIN.sign, CHAIN.theta, CHAIN.d, CHAIN.a - [0, 455, 0, 0, 0, 0], CHAIN.alpha, CHAIN.beta)
+    longer = Chain(CHAIN.sign, CHAIN.theta, CHAIN.d, CHAIN.a - [0, 450, 0, 0, 0, 0], CHAIN.alpha, CHAIN.beta)
+    file.write_bytes(codecs.BOM_UTF16_BE + text.encode("utf-16-be"))
+    patched = urdf.patch(file, moved, longer)
+    assert patched[:2] == codecs.BOM_UTF16_BE
+    assert '<axis xyz="0 1 0"/>\n  <origin xyz="0.005 0 0" rpy="0 0 0"/></joint>' in patched[2:].decode("utf-16-be")
+
+
 def test_comments_limits_and_other_joints_stay(file):
     patched = urdf.patch(file, CHAIN, CHAIN.with_errors(ERRORS)).decode()
     for kept in (
@@ -139,7 +166,7 @@ def test_the_scanner_is_added_once_and_then_updated(file, tmp_path):
     T[2, 3] = 266.0
     (tmp_path / "b.urdf").write_bytes(once)
     twice = urdf.patch(tmp_path / "b.urdf", CHAIN, CHAIN, T_flange_scanner=T, scanner="camera")
-    joints = [j for j in etree.fromstring(twice).iter("joint") if j.find("child").get("link") == "camera"]
+    joints = [j for j in ElementTree.fromstring(twice).iter("joint") if j.find("child").get("link") == "camera"]
     assert len(joints) == 1
     assert joints[0].find("parent").get("link") == "tool0"
     # tool0 of this file looks out of the arm, the flange of the MD-H chain into it: half a turn about x lies between them.
@@ -161,8 +188,11 @@ def test_another_robot_is_refused(file):
     [
         ('name="a6" type="revolute"', 'name="a6" type="fixed"', "5 moving joints"),
         ("0 ${pi/2} 0", "${tilt} 0 0", "expand the file with xacro"),
+        ('<axis xyz="-1 0 0"/>', '<axis xyz="-1 0"/>', "the axis of joint 'a6' is not three numbers"),
         ("</robot>", "", "not well-formed"),
         ("<robot", '<!DOCTYPE r [<!ENTITY a "b">]><robot', "entities"),
+        ("</robot>", "<a>" * 300 + "</a>" * 300 + "</robot>", "nested more than 200 deep"),
+        ('version="1.0" ?', 'version="1.0" encoding="utf-99"?', "unknown encoding"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named(tmp_path, old, new, message):

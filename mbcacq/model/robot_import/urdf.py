@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.robot_import.source import ArmSource
+from mbcacq.model.xml_file import XmlFile
 
-MAX_BYTES = 16 << 20
 FLANGES = ("flange", "tool0", "tool_flange", "ee_link", "link_ee")  # usual names, the best first
 MOVING = ("revolute", "continuous")
 
@@ -63,17 +64,8 @@ def read_urdf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     )
 
 
-def _root(path: Path) -> Any:
-    import lxml.etree as etree
-
-    text = _expanded(path) if path.suffix == ".xacro" else _bytes(path)
-    if len(text) > MAX_BYTES or b"<!ENTITY" in text or b"<!DOCTYPE" in text:
-        raise ConfigError(f"{path}: is too large, or declares entities, which are refused")
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
-    try:
-        root = etree.fromstring(text, parser)
-    except etree.XMLSyntaxError as error:
-        raise ConfigError(f"{path}:{error.lineno}: is not well-formed XML: {error.msg}") from error
+def _root(path: Path) -> Element:
+    root = XmlFile(_expanded(path) if path.suffix == ".xacro" else _bytes(path), path).root
     if root.tag != "robot":
         raise ConfigError(f"{path}: begins with <{root.tag}>, not with <robot> as a URDF does; give a .urdf, .xacro or MJCF file")
     return root
@@ -101,7 +93,7 @@ def _expanded(path: Path) -> bytes:
         raise ConfigError(f"{path}: xacro cannot expand it: {error}; expand it where its packages are installed") from None
 
 
-def _joint(element: Any, path: Path) -> Joint | None:
+def _joint(element: Element, path: Path) -> Joint | None:
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
         return None  # of a transmission
@@ -203,7 +195,7 @@ def _frames(chain: list[Joint], q: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _masses(
-    path: Path, root: Any, joints: dict[str, Joint], chain: list[Joint], frames: dict[str, np.ndarray]
+    path: Path, root: Element, joints: dict[str, Joint], chain: list[Joint], frames: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mass (n,) and centre of gravity (n, 3), base frame at zero, of each moving link with what is fixed to it."""
     own = {str(e.get("name")): e.find("inertial") for e in root.findall("link")}
@@ -226,7 +218,7 @@ def _masses(
     return np.array(mass), np.array(com)
 
 
-def _inertial(element: Any, path: Path, link: str) -> tuple[float, np.ndarray] | None:
+def _inertial(element: Element | None, path: Path, link: str) -> tuple[float, np.ndarray] | None:
     """kg, and mm in the link's frame."""
     if element is None or (weight := element.find("mass")) is None:
         return None
