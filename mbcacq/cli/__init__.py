@@ -8,6 +8,18 @@ import os
 def main() -> None:
     # Many small matrices: threads of the linear algebra wait for each other more than they help, most of all while other programs run.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from mbcacq.cli.app import app
+    import signal
+    import sys
 
-    app()
+    from mbcacq.cli.signals import interrupt_once
+    from mbcacq.errors import ExitCode
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # what is started in the background stays deaf to Ctrl-C
+        signal.signal(signal.SIGINT, interrupt_once)
+    try:
+        from mbcacq.cli.app import app
+
+        app()
+    except KeyboardInterrupt:  # outside of what the command group handles: while it is loaded, while it ends
+        sys.stderr.write("mbcacq: interrupted\n")
+        sys.exit(ExitCode.INTERRUPTED)

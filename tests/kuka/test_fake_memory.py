@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import pytest
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
+from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 
 from mbcacq.errors import ConnectError
 
@@ -51,6 +54,33 @@ def test_what_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
         Control.create(log=True)
     assert len(blocks) == 1
     assert not blocks[0].exists()
+
+
+@pytest.mark.parametrize("fake", [FakeKrc, lambda: FakeEkiController(sources={}, channel="")], ids=["rsi", "eki"])
+@pytest.mark.parametrize("moment", ["the memory is half made", "its process has not answered yet"])
+def test_ctrl_c_while_a_controller_starts_leaves_nothing(fake, moment, monkeypatch):
+    blocks, processes = [], []
+
+    def allocate(handle, *_):
+        blocks.append(Path(os.readlink(f"/proc/self/fd/{handle}")))
+        if "memory" in moment:
+            signal.raise_signal(signal.SIGINT)
+
+    class Process(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            processes.append(self)
+            assert os.getpgid(self.pid) != os.getpgrp()  # a terminal's Ctrl-C does not reach it
+            monkeypatch.setattr(self.stdout, "readline", lambda: signal.raise_signal(signal.SIGINT))
+
+    monkeypatch.setattr(os, "posix_fallocate", allocate)
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    with pytest.raises(KeyboardInterrupt):
+        fake().start()
+    assert blocks
+    assert not any(block.exists() for block in blocks)
+    assert len(processes) == ("process" in moment)
+    assert all(process.poll() is not None for process in processes)
 
 
 @pytest.mark.parametrize(("mounted", "reason"), [("size=32k", "No space left on device"), ("ro", "Read-only file system")])

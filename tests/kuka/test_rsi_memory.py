@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -56,6 +57,20 @@ def test_a_ring_that_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch)
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(ConnectError, match=r"no shared memory for the RSI cycles \(No space left on device\); free some in /dev/shm"):
+        KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": free_port()}).connect()
+    assert len(blocks) == 1
+    assert not blocks[0].exists()
+
+
+def test_ctrl_c_while_the_ring_is_made_leaves_nothing(monkeypatch):
+    blocks = []
+
+    def interrupted(handle, *_):
+        blocks.append(Path(os.readlink(f"/proc/self/fd/{handle}")))
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(os, "posix_fallocate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
         KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": free_port()}).connect()
     assert len(blocks) == 1
     assert not blocks[0].exists()

@@ -1,5 +1,6 @@
 """Bits that change on the disk: found and named, left out, restored from another copy. Never a wrong centre without a word."""
 
+import itertools
 import json
 import os
 import random
@@ -17,7 +18,7 @@ from mbcacq.cli.recover import command as recover_command
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, poses_done, repair_and_read_progress
 from mbcacq.recording.datasets import synced_files
-from mbcacq.recording.rrd.checked_lines import checked_line
+from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, note_stretch, read_stretches
 from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.check import check
@@ -172,6 +173,17 @@ def test_lines_of_an_earlier_version_are_believed_where_they_stand_first(folder)
     old = json.dumps({"event": "pose_done", "pose": 77}) + "\n"
     journal.write_text(old + "".join(lines) + old)
     assert [entry.get("pose") for entry in read_journal(folder)].count(77) == 1
+
+
+def test_every_bit_of_the_first_line_is_checked_also_those_that_name_its_checksum(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    first = checked_line({"event": "pose_done", "pose": 0, "time_s": 0.25})
+    for at, bit in itertools.product(range(len(first) - 1), range(8)):
+        path.write_bytes(first + checked_line({"event": "pose_done", "pose": 1}))
+        flip(path, at, bit)
+        found = read_lines(path)
+        assert found.damaged, (at, bit)
+        assert [entry["pose"] for entry in found.entries] == [1]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no handle of a folder")

@@ -26,6 +26,7 @@ from mbcacq.devices import (
     ProtocolError,
     RobotState,
     SafetyStop,
+    signals_deferred,
 )
 from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.eki.client import EkiClient
@@ -168,7 +169,8 @@ class KukaRsi:
     def _open(self, wait_s: float) -> None:
         """A new session with the controller. Raises ConnectError, ProtocolError."""
         try:
-            process = self._process = CycleProcess()
+            with signals_deferred():
+                process = self._process = CycleProcess()
         except OSError as error:
             raise ConnectError(
                 f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); "

@@ -13,6 +13,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from mbcacq.devices import signals_deferred
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
 from mbcacq_fakes.cell.controller import CLOCK_START_MS, Controller, StartedController, check_options, start_controller
@@ -66,7 +67,8 @@ class FakeCell:
             return self
         home = tuple(np.radians(self._plan.robot.home_deg))
         try:
-            self._state = ArmState.create(home)
+            with signals_deferred():
+                self._state = ArmState.create(home)
             command = [sys.executable, "-m", "mbcacq_fakes.cell.process"]
             # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 CRC = "crc32"
 _CHECKED = re.compile(rb'(?P<text>\{.*), "crc32": "(?P<crc>[0-9a-f]{8})"\}')
+_NAME_DAMAGED = re.compile(rb', "[^"]{5}": "[0-9a-f]{8}"\}\r?$')  # a checksum under another name of as many bytes
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ def read_lines(path: Path) -> Lines:
         entry = _entry(line)
         if entry is None:
             damaged += [number] if line.strip() else []
-        elif CRC in entry and _intact(line) or CRC not in entry and not checked:
+        elif CRC in entry and _intact(line) or CRC not in entry and not checked and not _NAME_DAMAGED.search(line):
             checked = checked or CRC in entry
             entries.append({key: value for key, value in entry.items() if key != CRC})
         else:

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from mbcacq.devices import signals_deferred
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import FAULTS, EkiSettings
 
@@ -32,17 +33,24 @@ class FakeEkiController:
         """Returns when the controller listens. Raises RuntimeError with the controller's words if it does not start."""
         if self._process is not None:
             return self
+        try:
+            self._start()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def _start(self) -> None:
         if self.state is None:
-            self.state = ArmState.create(tuple(np.radians(self.settings.start_deg)))
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "mbcacq_fakes.protocols.krc.eki_process"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+            with signals_deferred():
+                self.state = ArmState.create(tuple(np.radians(self.settings.start_deg)))
+        command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.eki_process"]
+        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
         answer = self._exchange({"settings": self.settings.to_json(), "state": self.state.name})
         if "error" in answer:
-            self.stop()
             raise RuntimeError(f"the fake controller did not start: {answer['error']}")
         self.port = answer["port"]
-        return self
 
     def stop(self) -> None:
         """End the process. Idempotent."""

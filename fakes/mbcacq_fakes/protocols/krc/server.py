@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from mbcacq.devices import signals_deferred
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import LOG_COLUMNS, Control
 from mbcacq_fakes.protocols.krc.settings import FAULTS, KrcSettings
@@ -33,14 +34,20 @@ class FakeKrc:
         """Returns when the controller is running (telegrams are on their way)."""
         if self._process is not None:
             return self
-        if self.state is None:
-            name = self._given if isinstance(self._given, str) else ""
-            self.state = ArmState.attach(name) if name else ArmState.create(tuple(np.radians(self.settings.start_deg)))
         try:
-            control = self._control = Control.create(self.settings.log)
+            self._start()
         except BaseException:
             self.stop()
             raise
+        return self
+
+    def _start(self) -> None:
+        if self.state is None:
+            name = self._given if isinstance(self._given, str) else ""
+            with signals_deferred():
+                self.state = ArmState.attach(name) if name else ArmState.create(tuple(np.radians(self.settings.start_deg)))
+        with signals_deferred():
+            control = self._control = Control.create(self.settings.log)
         control.set_faults(self.settings.faults)
         command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
         # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
@@ -53,10 +60,8 @@ class FakeKrc:
         process.stdin.write(json.dumps(start) + "\n")
         process.stdin.flush()
         if not process.stdout.readline():
-            self.stop()
             raise RuntimeError("the fake controller did not start")
         control.forget()
-        return self
 
     def stop(self) -> None:
         """End the process. Idempotent."""
