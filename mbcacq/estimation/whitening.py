@@ -5,6 +5,7 @@ All arrays (P, B R, k): B is the largest number of centres of a pose, poses with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -176,8 +177,9 @@ class CentreWhitening:
         a, b = (self.rows.pad(x.reshape(-1, self.rows.width, x.shape[1])) for x in (left, right))
         return self.rows.per_pose(np.swapaxes(a, 1, 2) @ b)
 
-    def gram(self, unit: np.ndarray, functions: np.ndarray) -> np.ndarray:
-        """(c f, c f): products of the whitened columns unit (M, R, c) times functions (M, f), component by component.
+    def gram(self, unit: np.ndarray, functions: np.ndarray, classes: Sequence[np.ndarray]) -> np.ndarray:
+        """(c f, c f): products of the whitened columns unit (M, R, c) times functions (M, f), component by component; of functions of one
+        class alone, those of different classes are zero. classes: indices of the functions of each.
 
         With W'W = s (I - J inv(I + J'J) J') s, s the scale of the rows, no whitened column is made.
         """
@@ -187,14 +189,19 @@ class CentreWhitening:
         by_centre = scaled.reshape(rows.n_poses, rows.depth, rows.width, c)
         J = blocks.J.reshape(rows.n_poses, rows.depth, rows.width, -1)
         own = np.einsum("pbrc,pbrd->cdpb", by_centre, by_centre).reshape(c, c, -1)
-        flat, out = F.reshape(-1, f), np.zeros((c, f, c, f))
-        for i in range(c):
-            for j in range(i + 1):
-                if own[i, j].any():
-                    out[i, :, j] = flat.T @ (own[i, j][:, None] * flat)
-                    out[j, :, i] = out[i, :, j].T
-        mixed = np.einsum("pbrn,pbrc->pbnc", J, by_centre).reshape(rows.n_poses, rows.depth, -1)
+        mixed = (np.swapaxes(J, 2, 3) @ by_centre).reshape(rows.n_poses, rows.depth, -1)
         T = (np.swapaxes(mixed, 1, 2) @ F).reshape(rows.n_poses, -1, c * f)
         L = np.linalg.cholesky(np.swapaxes(blocks.J, 1, 2) @ blocks.J + np.eye(J.shape[3]))
-        T = np.linalg.solve(L, T).reshape(-1, c * f)
-        return out.reshape(c * f, c * f) - T.T @ T
+        T = (np.linalg.inv(L) @ T).reshape(-1, c, f)  # a product of small matrices is cheaper than as many solutions
+        flat, out = F.reshape(-1, f), np.zeros((c, f, c, f))
+        both = [(i, j) for i in range(c) for j in range(i + 1) if own[i, j].any()]
+        for index in classes:
+            here, taken = flat[:, index], T[:, :, index].reshape(len(T), -1)
+            block = -(taken.T @ taken).reshape(c, len(index), c, len(index))
+            for i, j in both:
+                product = here.T @ (own[i, j][:, None] * here)
+                block[i, :, j] += product
+                if i != j:
+                    block[j, :, i] += product.T
+            out[:, index[:, None], :, index] = block.transpose(1, 3, 0, 2)
+        return out.reshape(c * f, c * f)

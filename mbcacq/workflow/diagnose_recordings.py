@@ -154,8 +154,6 @@ def with_fitted_model(found: Diagnosis, observations: Observations, progress: Ca
 
 def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:
     """The diagnosis of the poses with that of the motion between them, where a run recorded torques or joint-side angles."""
-    from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-
     if not (is_run_folder(recording) or recording.suffix == ".rrd"):
         return found
     try:
@@ -164,6 +162,8 @@ def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Call
         return found
     if not stretches:
         return found
+    from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories  # here, for it imports scipy.signal, which is slow
+
     progress("comparing the motion between the poses")
     return replace(found, motion=diagnose_trajectories(stretches))
 

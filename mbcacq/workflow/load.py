@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration import Calibration
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -12,12 +12,15 @@ from mbcacq.calibration.result_io import read_result
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.plan import LoadedPlan
-from mbcacq.plan import load as read_plan
+
+if TYPE_CHECKING:
+    from mbcacq.plan import LoadedPlan
 
 
 def load_plan(path: Path | str) -> LoadedPlan:
     """A plan with the robot and artefact files that it names. Raises ConfigError 'file:line: sentence'."""
+    from mbcacq.plan import load as read_plan
+
     return read_plan(path)
 
 
@@ -71,7 +74,7 @@ def is_run_folder(path: Path) -> bool:
 
 def as_plan(plan: LoadedPlan | Path | str) -> LoadedPlan:
     """A plan as it is, or read from its file. Raises ConfigError."""
-    return plan if isinstance(plan, LoadedPlan) else load_plan(plan)
+    return load_plan(plan) if isinstance(plan, Path | str) else plan
 
 
 def as_observations(data: Observations | Path | str) -> Observations:

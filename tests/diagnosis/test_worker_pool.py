@@ -21,7 +21,7 @@ def pool():
         yield pool
 
 
-def test_answers_come_in_order_from_other_processes_beside_threads(pool):
+def test_answers_come_in_order_from_this_process_and_another_beside_threads(pool):
     waiting = threading.Event()
     thread = threading.Thread(target=waiting.wait)
     thread.start()
@@ -31,20 +31,24 @@ def test_answers_come_in_order_from_other_processes_beside_threads(pool):
     finally:
         waiting.set()
         thread.join()
-    assert os.getpid() not in homes
+    assert os.getpid() in homes
+    assert len(homes) == 2
 
 
 def test_an_error_in_a_worker_is_raised_in_the_caller(pool):
+    home = os.getpid()
     with pytest.raises(CalibrationError, match="does not determine"):
-        pool.map(refuse, [1])
+        pool.map(lambda k: refuse(k) if os.getpid() != home else None, range(2))
 
 
 def test_a_killed_worker_is_reported_and_none_stays_behind():
+    home = os.getpid()
     with WorkerPool(2) as pool:
-        homes = set(pool.map(lambda k: os.getpid(), range(8)))
+        others = set(pool.map(lambda k: os.getpid(), range(8))) - {home}
         with pytest.raises(CalibrationError, match="--workers 1"):
-            pool.map(lambda k: os.kill(os.getpid(), signal.SIGKILL), [1])
-    for process in homes:
+            pool.map(lambda k: os.kill(os.getpid(), signal.SIGKILL) if os.getpid() != home else None, range(2))
+    assert others
+    for process in others:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
 
@@ -53,6 +57,13 @@ def test_a_process_that_may_have_no_children_does_the_work_itself(monkeypatch):
     monkeypatch.setattr(multiprocessing, "current_process", lambda: SimpleNamespace(daemon=True))
     with WorkerPool(2) as pool:
         assert set(pool.map(lambda k: os.getpid(), range(3))) == {os.getpid()}
+
+
+def test_how_many_answers_there_are_is_said_after_each_and_never_falls(pool):
+    counts = []
+    pool.map(abs, range(5), answered=counts.append)
+    assert counts == sorted(counts)
+    assert counts[-1] == len(counts) == 5
 
 
 def refuse(k):

@@ -25,7 +25,7 @@ def log_bayes_factor(
     """
     scale = weight / np.sqrt(np.maximum(raw, 1e-300))
     scaled, target = S * (scale[:, :, None] * scale[:, None, :]), b * scale
-    if least == -np.inf:
+    if least < 0:  # no gain is
         return _log_bayes_factor(scaled, target)
     k = S.shape[1]
     floor = np.maximum(np.trace(scaled, axis1=1, axis2=2) / k, 1e-6) / SIZES[-1]  # not above one over the largest size

@@ -49,13 +49,14 @@ class BlockLayout:
     """Where the design blocks of all groups stand, those of one size together; B blocks in all, in the order of ``sizes``.
 
     start: (G + 1,) first column of each group. pairs: of each group, the products (P, pairs) of every two functions that are together in a
-    shape. members: (group, entry) of each block. location (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with
+    shape. connected: of each group, the functions that shapes connect with each other, class by class. members: (group, entry) of each block. location (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with
     a covariate.
     """
 
     sizes: tuple[SizedBlocks, ...]
     start: np.ndarray
     pairs: tuple[np.ndarray, ...]
+    connected: tuple[list[np.ndarray], ...]
     locations: tuple[str, ...]
     cells: tuple[tuple[str, str], ...]
     members: tuple[tuple[int, int], ...]
@@ -111,7 +112,8 @@ def block_layout(groups: list[BlockGroup]) -> BlockLayout:
     location = np.array([locations.index(location) for location, _, _ in named], dtype=int)
     cell_number = {cell: j for j, cell in enumerate(cells)}
     cell = np.array([cell_number[location, shape.depends_on] for location, _, shape in named], dtype=int)
-    return BlockLayout(sizes, start, tuple(pairs), locations, cells, members, location, cell)
+    connected = tuple(connected_functions(group) for group in groups)
+    return BlockLayout(sizes, start, tuple(pairs), connected, locations, cells, members, location, cell)
 
 
 def pairs_of(group: BlockGroup) -> tuple[np.ndarray, np.ndarray]:
@@ -128,6 +130,16 @@ def pairs_of(group: BlockGroup) -> tuple[np.ndarray, np.ndarray]:
     if not group.per_pose:
         first, second = first[:0], second[:0]
     return group.functions[:, first] * group.functions[:, second], number
+
+
+def connected_functions(group: BlockGroup) -> list[np.ndarray]:
+    """The functions of a group, by classes of which no two share a shape."""
+    label = np.arange(group.functions.shape[1])
+    for index in {shape.index.tobytes(): shape.index for _, _, shape in group.entries}.values():
+        least, *others = sorted(set(label[index].tolist()))
+        for other in others:
+            label[label == other] = least
+    return [np.flatnonzero(label == one) for one in np.unique(label)]
 
 
 def sized_blocks(

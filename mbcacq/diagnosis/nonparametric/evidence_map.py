@@ -103,7 +103,7 @@ class EvidenceMap:
         """b, raw (k,) and absorbed (k, z) of a group, and the table of its products (see SizedBlocks)."""
         projected, group = self.projected, self.design_blocks.groups[g]
         if not group.per_pose:
-            full = projected.whiten.gram(self._unit(g), group.functions)
+            full = projected.whiten.gram(self._unit(g), group.functions, self.design_blocks.layout.connected[g])
             sums = self._by_centre(g, np.c_[projected.Q, projected.beyond_geometry()])
             return sums[:, -1], np.diag(full).copy(), sums[:, :-1], full
         b, A, C = projected.pose_products(group.keys)

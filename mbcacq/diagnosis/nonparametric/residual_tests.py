@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.special import ndtr
 
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell, MapEvidence
@@ -57,6 +56,8 @@ def neighbour_dependence(projected: CandidateScoring, s: Context) -> float:
     size = np.sqrt(np.maximum(np.einsum("pii->pi", A), 1e-12))
     z = (b / size)[used]
     z = (z - z.mean(axis=0)) / np.maximum(z.std(axis=0), 1e-12)
+    from scipy.spatial import KDTree  # here, for the import is slow
+
     position = linear.obs.q[used]
     position = position / np.maximum(position.std(axis=0), 1e-9)
     nearest = np.asarray(KDTree(position).query(position, k=2)[1])[:, 1]

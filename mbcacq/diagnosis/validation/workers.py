@@ -1,7 +1,7 @@
-"""A pool of worker processes (loky) for calls of the same kind.
+"""A pool of workers, of which this process is one and the others are processes of their own (loky), for calls of the same kind.
 
 Processes are started anew, not forked, so that threads do no harm and every system has them. Inside a process that may have no children
-(a worker of a dask cluster), and with one worker, the calls are made here, one after the other: the answers are the same.
+(a worker of a dask cluster), and with one worker, all calls are made here, one after the other: the answers are the same.
 """
 
 from __future__ import annotations
@@ -28,15 +28,19 @@ def cores() -> int:
 
 
 class WorkerPool:
-    """Processes that start while other work goes on, and end with the context."""
+    """This process and ``workers`` - 1 others, which start while other work goes on and end with the context.
+
+    This process takes part, for a further one would take a core from the work that goes on while it starts.
+    """
 
     def __init__(self, workers: int = 1):
+        self._workers = 1 if multiprocessing.current_process().daemon else workers
         self._pool: ProcessPoolExecutor | None = None
-        if workers > 1 and not multiprocessing.current_process().daemon:
+        if self._workers > 1:
             from loky import ProcessPoolExecutor
 
-            self._pool = ProcessPoolExecutor(workers, initializer=_prepare, env=ONE_THREAD)
-            for _ in range(workers):
+            self._pool = ProcessPoolExecutor(self._workers - 1, initializer=_prepare, env=ONE_THREAD)
+            for _ in range(self._workers - 1):
                 self._pool.submit(_prepare)
 
     def map(
@@ -44,16 +48,25 @@ class WorkerPool:
     ) -> list[Any]:
         """Answers to all calls, in order. answered: gets the number of answers so far, after each.
 
-        Raises the error of a call, and CalibrationError where a process was killed.
+        Which process makes a call depends on its number alone. Raises the error of a call, and CalibrationError where a process was killed.
         """
+        calls = list(zip(*arguments, strict=True))
         if self._pool is None:
-            return _counted(map(function, *arguments), answered)
+            return _counted((function(*call) for call in calls), answered)
         from concurrent.futures.process import BrokenProcessPool
 
         try:
-            return _counted(self._pool.map(function, *arguments), answered)
+            others = {j: self._pool.submit(function, *call) for j, call in enumerate(calls) if j % self._workers}
+            out: dict[int, Any] = {}
+            for j in range(0, len(calls), self._workers):
+                out[j] = function(*calls[j])
+                answered(len(out) + sum(one.done() for one in others.values()))
+            for j, one in others.items():
+                out[j] = one.result()
+                answered(len(out))
         except BrokenProcessPool:
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
+        return [out[j] for j in range(len(calls))]
 
     def __enter__(self) -> WorkerPool:
         return self
