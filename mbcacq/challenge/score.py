@@ -19,7 +19,7 @@ class Score:
     """The score of one challenge.
 
     truth, reported: effects as ``name:where``. achievable: share of the held-out chi2 that the true model removes. counts: whether that
-    is enough for the challenge to count. detected: whether the verdict is any but ``none``.
+    is enough for the challenge to count. detected: whether an effect, or a verdict other than ``none`` and ``cannot_tell``, is reported.
     named, placed: every injected effect (of several: each that adds something) is reported, before any other, by its name, and at its
     location. located: the first entry of ``mismatch`` is at the location of an injected effect. confident: a wrong name with the verdict
     ``explained``. extra: reported names that were not injected.
@@ -73,7 +73,7 @@ def score(
         verdict=verdict,
         achievable=achievable,
         counts=bool(truth) and achievable >= least,
-        detected=verdict != "none",
+        detected=bool(effects) or verdict not in ("none", "cannot_tell"),
         named=named and catalogued,
         placed=placed and catalogued,
         located=located(diagnosis["mismatch"], truth),

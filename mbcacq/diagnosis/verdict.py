@@ -15,15 +15,16 @@ from mbcacq.diagnosis.output import interruptions, next_measurements
 from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
-from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.exclusion_limits import LimitedEffect, exclusion_limits, limited_effects
 from mbcacq.diagnosis.output.kept_model import kept_model, partly_covered
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
 from mbcacq.diagnosis.output.observability import Unobservable, unobservable
 from mbcacq.diagnosis.output.plot_data import plot_data
 from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
+from mbcacq.diagnosis.output.sufficient_poses import MOST_POSES, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
+from mbcacq.diagnosis.result import Advice, Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -34,7 +35,6 @@ from mbcacq.estimation.variance_components import first_noise
 # Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
 # unmodelled one is the larger of the two, and where it is the smaller.
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
-MOST_POSES = 1000  # a plan of more poses is no advice: another one is needed
 
 
 def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
@@ -48,19 +48,14 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
     advice = next_measurements.separating(setup.context, judged.pairs)
-    verdict, not_separable, enough = judged.verdict, judged.not_separable, tuple[str, ...]()
-    if verdict == "none":
-        missed = unobservable(setup, full)
-        advice += [next_measurements.revealing(setup.context, m.candidate) for m in missed]
-        not_separable += tuple(_absorbed(m) for m in missed if m.even_strong)
-        if any(m.even_strong for m in missed):
-            verdict = "cannot_tell"
-            more = tuple(f"{max(m.poses, setup.linear.obs.n_poses + 1)} poses like these" for m in missed if m.poses < MOST_POSES)
-            enough = tuple(f"about {poses} would show an elastic joint, were it soft" for poses in more)
+    there = next_measurements.elsewhere(setup.context)
+    limited = limited_effects(setup, full, there)
+    silent = examined_silence(setup, full, limited) if judged.verdict == "none" else Silence(judged.verdict)
+    not_separable = judged.not_separable + silent.not_separable
     reported = with_significance(judged.effects, setup, full)
     effects, mismatch = with_classes(reported, judged.mismatch, classes(full.geometry_only.linear.obs, not_separable))
     return Diagnosis(
-        verdict=verdict,
+        verdict=silent.verdict,
         mismatch=tuple(mismatch),
         effects=tuple(effects),
         fit=FitSummary(
@@ -69,14 +64,41 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
             repeatability_floor_mm=expected_rms(full, after.rms),
         ),
         not_separable=not_separable,
-        advice=tuple(advice),
+        advice=(*advice, *silent.advice),
         dropped=setup.dropped,
-        notes=(*notes(setup, full), *partial_periods(setup, full), *enough, *confounded_pauses(setup, judged.effects)),
-        exclusion_limits=exclusion_limits(setup, full),
+        notes=(*notes(setup, full), *partial_periods(setup, full), *silent.notes, *confounded_pauses(setup, judged.effects)),
+        exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
         model=kept_model(setup, full, judged.effects) or None,
         plot_data=plot_data(setup, full, residual_before, residual_after),
     )
+
+
+@dataclass(frozen=True)
+class Silence:
+    """What is said where nothing was found: ``none``, or ``cannot_tell`` where too little could have been."""
+
+    verdict: str
+    advice: tuple[Advice, ...] = ()
+    not_separable: tuple[NotSeparable, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def examined_silence(setup: DiagnosisProblem, full: ModelFit, limited: Sequence[LimitedEffect]) -> Silence:
+    """``none`` only of a recording that shows a soft joint and excludes half of the effects at their typical size."""
+    poses, missed = setup.linear.obs.n_poses, unobservable(setup, full)
+    advice = tuple(next_measurements.revealing(setup.context, m.candidate) for m in missed)
+    absorbed = [m for m in missed if m.even_strong]
+    notes = tuple(
+        f"about {max(m.poses, poses + 1)} poses like these would show an elastic joint, were it soft"
+        for m in absorbed
+        if m.poses < MOST_POSES
+    )
+    too_little = says_too_little(limited, poses)
+    if too_little is not None:
+        notes = (*notes, too_little)
+    verdict = "cannot_tell" if absorbed or too_little is not None else "none"
+    return Silence(verdict, advice, tuple(_absorbed(m) for m in absorbed), notes)
 
 
 def _judged_by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:

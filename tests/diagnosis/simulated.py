@@ -18,7 +18,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
 
-JOINT_NOISE = 5e-6
+JOINT_NOISE, TURN_NOISE = 5e-6, 5e-5
 POINT_NOISE = np.array([0.005, 0.005, 0.009])
 
 
@@ -181,12 +181,13 @@ def observe(
         values.append(np.asarray(coefficients, dtype=float))
     moved = add(moved, accumulate(obs, terms, values))
     moved = add(moved, Displacements(joint=rng.normal(0, joint_noise, obs.q.shape)))
-    xyz = forward_model.predict(obs, state, moved).xyz + rng.normal(0, 1, obs.xyz.shape) * (
-        POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm
-    )
+    seen = forward_model.predict(obs, state, moved)
+    xyz = seen.xyz + rng.normal(0, 1, obs.xyz.shape) * (POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm)
     wrong = rng.random(len(xyz)) < outliers
     xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
-    return replace(obs, xyz=xyz)
+    if seen.rotation is None:
+        return replace(obs, xyz=xyz)
+    return replace(obs, xyz=xyz, rotation=se3.rotation_exp(rng.normal(0, TURN_NOISE, xyz.shape)) @ seen.rotation)
 
 
 def candidate(name: str, where: str, typical: list[float], depends_on: str = "pose", **options) -> Candidate:

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
+from mbcacq.diagnosis.nonparametric.joint_model import columns_of
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.search.projected_solve import prior_weight
@@ -145,24 +146,40 @@ class Displacement:
 
 
 def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
-    """(location, covariate) -> how much the groups of the unmodelled effects there move the centres."""
-    smooth, keep = full.smooth, full.geometry_only.linear.keep
+    """(location, covariate) -> how much of what the unmodelled effects there do neither geometry nor named effects compensate.
+
+    It is at most what these leave of the misfit: beyond that, unmodelled effects compensate each other.
+    """
+    smooth, linear = full.smooth, full.geometry_only.linear
     assert smooth is not None, "only called where unmodelled effects were fitted"
     X = full.conditioned.whiten(smooth.columns) * smooth.sigma
     taken = full.conditioned.all_projected.T @ X
     covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
-    square: dict[tuple[str, str], float] = {}
-    slope: dict[tuple[str, str], np.ndarray] = {}
+    left = uncompensated(full, np.concatenate([smooth.columns, linear.residual[:, :, None]], axis=2))[linear.keep, :3]
+    columns, misfit = left[:, :, :-1], rms_of(left[:, :, -1])
+    index: dict[tuple[str, str], list[int]] = {}
     for g, p in zip(smooth.groups, smooth.slices(), strict=True):
-        moved, key = (g.columns[keep] @ smooth.coefficients[p])[:, :3], (g.location, g.depends_on)
-        square[key] = square.get(key, 0.0) + float(np.mean(np.sum(moved**2, axis=1)))
-        mine = slope.setdefault(key, np.zeros(X.shape[1]))
-        mine[p] = np.einsum("mrk,mr->k", g.columns[keep][:, :3], moved) / len(moved)
+        index.setdefault((g.location, g.depends_on), []).extend(range(p.start, p.stop))
     out = {}
-    for key, value in square.items():
-        rms = float(np.sqrt(value))
-        out[key] = Displacement(rms, float(np.sqrt(slope[key] @ covariance @ slope[key])) / max(rms, 1e-12))
+    for key, mine in index.items():
+        moved = columns[:, :, mine] @ smooth.coefficients[mine]
+        size = rms_of(moved)
+        slope = np.einsum("mrk,mr->k", columns[:, :, mine], moved) / (len(moved) * max(size, 1e-12))
+        out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope)))
     return out
+
+
+def rms_of(moved: np.ndarray) -> float:
+    """3D rms of displacements (M, 3)."""
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+
+def uncompensated(full: ModelFit, columns: np.ndarray) -> np.ndarray:
+    """(M, R, k) what is left of columns (M, R, k) when the free geometry, the stations and the named effects are fitted to each of them."""
+    known, sigma = columns_of(full.geometry_only.linear, full.model, None)
+    Z = full.geometry_only.whiten(known) * sigma
+    normal = Z.T @ Z + np.eye(len(sigma))
+    return columns - known @ (sigma[:, None] * np.linalg.solve(normal, Z.T @ full.geometry_only.whiten(columns)))
 
 
 def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[str, str]]) -> dict[str, ParameterEstimate]:

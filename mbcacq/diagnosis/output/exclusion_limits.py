@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, elsewhere
+from mbcacq.diagnosis.output.next_measurements import Elsewhere
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -40,21 +40,40 @@ class CoefficientLimit:
     coefficients: np.ndarray
 
 
-def exclusion_limits(setup: DiagnosisProblem, full: ModelFit) -> tuple[ExclusionLimit, ...]:
-    """Of every candidate that was not found, those with the largest error in the workspace first."""
+@dataclass(frozen=True)
+class LimitedEffect:
+    """A candidate with the largest coefficients that the recording does not exclude."""
+
+    candidate: Candidate
+    limit: CoefficientLimit
+
+    @property
+    def finite(self) -> bool:
+        """Whether the geometry leaves something of the effect."""
+        return bool(np.all(np.isfinite(self.limit.coefficients)))
+
+    @property
+    def in_typical_sizes(self) -> float:
+        """The limit, of several coefficients the largest; inf where the geometry absorbs the effect."""
+        return float((self.limit.coefficients / self.candidate.typical).max()) if self.finite else np.inf
+
+
+def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[LimitedEffect]:
+    """Of every candidate that was not found, but for those that the geometry absorbs and that change no length."""
     found = {(c.name, c.where) for c, _ in full.model.effects}
-    there = elsewhere(setup.context)
     stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
+    missed = [c for c in of_fewest_coefficients(setup.candidates) if (c.name, c.where) not in found]
+    limited = [LimitedEffect(c, coefficient_limit(full.conditioned, c, stated)) for c in missed]
+    return [e for e in limited if e.finite or not harmless(there, e.candidate, e.limit.hyper)]
+
+
+def exclusion_limits(limited: Sequence[LimitedEffect], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
+    """As they are reported, those with the largest error in the workspace first; what the geometry absorbs before all others."""
     out = []
-    for candidate in of_fewest_coefficients(setup.candidates):
-        if (candidate.name, candidate.where) in found:
-            continue
-        limit = coefficient_limit(full.conditioned, candidate, stated)
-        if not np.all(np.isfinite(limit.coefficients)) and harmless(there, candidate, limit.hyper):
-            continue
-        name, value = parameter_of(candidate, limit)
-        workspace, length = errors_elsewhere(there, candidate, limit)
-        out.append(ExclusionLimit(candidate.name, candidate.where, name, value, workspace, length))
+    for effect in limited:
+        name, value = parameter_of(effect.candidate, effect.limit)
+        workspace, length = errors_elsewhere(there, effect.candidate, effect.limit)
+        out.append(ExclusionLimit(effect.candidate.name, effect.candidate.where, name, value, workspace, length))
     return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
 
 
