@@ -2,7 +2,8 @@
 
 ``Content``: figures are those of the verification (name, value, uncertainty, limit, verdict); headlines the numbers of the first screen
 (label, value with unit, what it is compared with); budget the sources of uncertainty (source, standard uncertainty, remark); identity
-what was measured with (label, text); caveats the sentences that stand above everything (simulated, never verified).
+what was measured with (label, text); hand_eye_alone: the arm was taken as nominal; caveats the sentences that stand above everything
+(simulated, never verified).
 """
 
 from __future__ import annotations
@@ -242,6 +243,7 @@ class Content:
     headlines: list[tuple[str, str, str]] = field(default_factory=list)
     parameters: list[ParameterRow] = field(default_factory=list)
     hand_eye: np.ndarray | None = None
+    hand_eye_alone: bool = False
     residuals: Residuals | None = None
     noise: list[tuple[str, str]] = field(default_factory=list)
     observability: list[tuple[str, str]] = field(default_factory=list)

@@ -64,7 +64,7 @@ def _residual_figures(residuals: Residuals) -> dict[str, Any]:
         "ball": residual_charts.residual_per_ball(used),
         "ball_mean": residual_charts.residual_mean_per_ball(used),
     }
-    if used.station is not None:
+    if used.station is not None and len(set(used.station)) > 1:
         figures["station"] = residual_charts.residual_per_station(used, used.station)
     if used.q_deg is not None:
         figures |= {f"axis_{i}": residual_charts.residual_over_axis(used, used.q_deg, i) for i in range(used.q_deg.shape[1])}

@@ -57,20 +57,27 @@
   const all = data.groups.flatMap((g) => g.points).concat(data.arm);
   const low = [0, 1, 2].map((k) => Math.min(0, ...all.map((p) => p[k])));
   const high = [0, 1, 2].map((k) => Math.max(0, ...all.map((p) => p[k])));
+  const step = 200;  // mm, of the floor's grid, which is widened to whole fields
+  for (const k of [0, 1]) low[k] = Math.floor(low[k] / step) * step, high[k] = Math.ceil(high[k] / step) * step;
   const middle = low.map((v, k) => (v + high[k]) / 2);
-  const size = Math.hypot(...high.map((v, k) => v - low[k])) || 1;
+  const corners = Array.from({ length: 8 }, (_, n) => low.map((v, k) => ((n >> k) & 1 ? high[k] : v)));
   let turn = -0.9, tilt = 0.45, zoom = 1;
   const ratio = window.devicePixelRatio || 1;
   const shape = () => {
     canvas.width = Math.round(ratio * (canvas.clientWidth || 1000));
     canvas.height = Math.round(canvas.width * (canvas.clientWidth < 600 ? 0.8 : 0.52));
   };
+  const turned = (p) => {  // mm to the right, up and away from the viewer
+    const [x, y, z] = p.map((v, k) => v - middle[k]);
+    const right = x * Math.cos(turn) - y * Math.sin(turn), away = x * Math.sin(turn) + y * Math.cos(turn);
+    return [right, z * Math.cos(tilt) + away * Math.sin(tilt), away * Math.cos(tilt) - z * Math.sin(tilt)];
+  };
+  const span = [0, 1].map((k) => 2 * Math.max(1, ...corners.map((p) => Math.abs(turned(p)[k]))));  // as the view opens, all of it is seen
   const draw = () => {
-    const width = canvas.width, height = canvas.height, unit = (zoom * 1.15 * Math.min(width, height)) / size;
+    const width = canvas.width, height = canvas.height, unit = zoom * 0.94 * Math.min(width / span[0], height / span[1]);
     const place = (p) => {
-      const [x, y, z] = p.map((v, k) => v - middle[k]);
-      const right = x * Math.cos(turn) - y * Math.sin(turn), away = x * Math.sin(turn) + y * Math.cos(turn);
-      return [width / 2 + unit * right, height / 2 - unit * (z * Math.cos(tilt) + away * Math.sin(tilt)), away * Math.cos(tilt) - z * Math.sin(tilt)];
+      const [right, up, away] = turned(p);
+      return [width / 2 + unit * right, height / 2 - unit * up, away];
     };
     const line = (points, colour, thick) => {
       context.strokeStyle = colour;
@@ -81,9 +88,9 @@
     };
     context.clearRect(0, 0, width, height);
     context.lineJoin = context.lineCap = "round";
-    const step = 200, floor = low[2];
-    for (let x = Math.floor(low[0] / step) * step; x <= high[0] + step; x += step) line([[x, low[1], floor], [x, high[1], floor]], "#e4e4e4", 1);
-    for (let y = Math.floor(low[1] / step) * step; y <= high[1] + step; y += step) line([[low[0], y, floor], [high[0], y, floor]], "#e4e4e4", 1);
+    const floor = low[2];
+    for (let x = low[0]; x <= high[0]; x += step) line([[x, low[1], floor], [x, high[1], floor]], "#e4e4e4", 1);
+    for (let y = low[1]; y <= high[1]; y += step) line([[low[0], y, floor], [high[0], y, floor]], "#e4e4e4", 1);
     if (data.arm.length) line(data.arm, "#b9bec4", 14), line(data.arm, "#6b7178", 3);
     context.font = `${14 * ratio}px Helvetica, Arial, sans-serif`;
     [["X", [150, 0, 0], "#c0392b"], ["Y", [0, 150, 0], "#1e8449"], ["Z", [0, 0, 150], "#1f618d"]].forEach(([name, end, colour]) => {

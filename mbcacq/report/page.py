@@ -13,7 +13,7 @@ from mbcacq.errors import RecordingError
 from mbcacq.report.content import Content, DiagnosisContent, FleetContent
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
-from mbcacq.report.verdict import readable
+from mbcacq.report.verdict import quantity, readable
 
 HERE = Path(__file__).parent
 
@@ -87,7 +87,7 @@ def _template(name: str, **values: Any) -> str:
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"number": number, "signed": signed, "curve_title": curve_title}
+    environment.filters |= {"number": number, "signed": signed, "curve_title": curve_title, "quantity": quantity}
     kept = {key: Markup((HERE / file).read_text(encoding="utf-8")) for key, file in (("css", "page.css"), ("js", "page.js"))}
     return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
 

@@ -30,7 +30,7 @@ def matrices(content: Content) -> list[Matrix]:
     kinematic = _table(content.parameters, _KINEMATIC, lambda m: (m.group(2), m.group(1)), list(MDH))
     balls = _table([p for p in content.parameters if p.held is None], _BALL, lambda m: (m.group(1), m.group(2)), list("xyz"))
     out = []
-    if kinematic:
+    if any(p is not None and p.held is None for _, cells in kinematic for p in cells):
         out.append(
             Matrix(
                 "Kinematic errors, MD-H",
@@ -64,8 +64,14 @@ def groups(content: Content) -> list[tuple[str, list[ParameterRow]]]:
 
 def held(content: Content) -> list[tuple[str, list[str]]]:
     """Reasons for which parameters were held, each with the names."""
-    reasons = dict.fromkeys(p.held for p in content.parameters if p.held is not None)
-    return [(reason, [p.label for p in content.parameters if p.held == reason]) for reason in reasons]
+    kept = content.parameters
+    out: list[tuple[str, list[str]]] = []
+    if content.hand_eye_alone:
+        arm = [p for p in kept if _KINEMATIC.fullmatch(p.name)]
+        kept = [p for p in kept if not _KINEMATIC.fullmatch(p.name)]
+        out.append(("the arm is taken as nominal", [f"the arm's {len(arm)} parameters"]))
+    reasons = dict.fromkeys(p.held for p in kept if p.held is not None)
+    return out + [(reason, [p.label for p in kept if p.held == reason]) for reason in reasons]
 
 
 def _table(parameters: list[ParameterRow], pattern: re.Pattern, place, columns: list[str]) -> list[tuple[str, list[ParameterRow | None]]]:

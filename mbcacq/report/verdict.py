@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.report.content import Action, ReportVerdict, Spacing
 
 FEWEST_OF_ONE_SIGN = 5
+UNITS = {"C": "°C", "s": "s", "ms": "ms", "mm": "mm", "um": "µm", "V": "V", "A": "A"}  # by the ending of a quantity's name
 SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
 VERIFY_INDEPENDENTLY = Action(
     "Verify on poses of their own",
@@ -91,6 +92,7 @@ def one_sign(spacing: Spacing | None) -> str:
 def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """(label, value with unit, remark) of the first screen."""
     fit, out = result["fit"], []
+    aside = ", the arm's errors aside" if result.get("scope") else ""
     if spacing is not None:
         before, after = np.abs(spacing.before).max(), np.abs(spacing.after)
         worst = int(after.argmax())
@@ -103,7 +105,8 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[
             )
         )
     if fit.get("expected_accuracy_mm") is not None:
-        out.append(("expected accuracy of a point", f"{2e3 * fit['expected_accuracy_mm']:.0f} µm", "in the workspace, 3D, U (k = 2)"))
+        expected = f"{2e3 * fit['expected_accuracy_mm']:.0f} µm"
+        out.append(("expected accuracy of a point", expected, f"in the workspace, 3D, U (k = 2){aside}"))
     out.append(("residual", f"{1e3 * fit['rms_mm']:.1f} µm", f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
     return out
 
@@ -170,3 +173,9 @@ def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str)
 
 def readable(name: str) -> str:
     return name.replace("_", " ")
+
+
+def quantity(name: str) -> str:
+    """A quantity of a device in words, with its unit: 'temperature, °C' of 'temperature_C'."""
+    stem, _, last = name.rpartition("_")
+    return readable(stem) + f", {UNITS[last]}" if stem and last in UNITS else readable(name)

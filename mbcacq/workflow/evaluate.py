@@ -91,7 +91,8 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     judgement = Judgement(verdict_card(page))
     if (s := page.spacing) is not None:
         judgement = Judgement(judgement.text, s.place, s.before, s.after, s.sigma, s.limit)
-    log_result(run, observations, calibration.state, calibration.preliminary, judgement)
+    before = calibration.preliminary if options.kinematics else None  # a fit of the hand-eye transform alone is no state before itself
+    log_result(run, observations, calibration.state, before, judgement)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
     return RunResult(run, calibration, verification, content, limit_mm)

@@ -12,6 +12,7 @@ from mbcacq.model.cell import Artefact
 from mbcacq.recording import Recorder, Recording
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, scan_colouring
+from mbcacq.recording.rrd.chart import ticks, written
 from mbcacq.recording.rrd.drawing import flange_strips
 from mbcacq.recording.rrd.result_recording import round_scale
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -82,6 +83,15 @@ def test_rows_carry_pose_step_and_time_of_day(a_run):
 @pytest.mark.parametrize(("wanted", "scale"), [(1999.0, 1000.0), (2000.0, 2000.0), (7.3, 5.0), (0.25, 0.2), (0.0, 1.0), (np.nan, 1.0)])
 def test_magnifications_are_round(wanted, scale):
     assert round_scale(wanted) == pytest.approx(scale)
+
+
+@pytest.mark.parametrize("ends", [(-44.0, 72.0), (-99.0, 96.0), (0.0, 1.0), (-3e-4, 2e-4), (-0.02, 0.019)])
+@pytest.mark.parametrize("most", [3, 6, 8])
+def test_an_axis_has_at_least_two_values_within_its_ends(ends, most):
+    values = ticks(ends, most)
+    assert len(values) >= 2
+    assert ends[0] <= values[0] < values[-1] <= ends[1] + 1e-9
+    assert not any(text.startswith("-0") and float(text) == 0 for text in map(written, values))
 
 
 def urdf(chain, turned=None):

@@ -104,8 +104,8 @@ def test_the_diagnosis_of_a_run_folder_is_reported(tmp_path):
         )
     ).words
     assert "Joint compliance at A2" in words
-    assert "A2 compliance 2.094 0.184 µrad/(N m)" in words
-    assert "2 100.08 ± 0.042" in words
+    assert "A2 compliance 2.09 0.18 µrad/(N m)" in words
+    assert "2 100.080 ± 0.042" in words
     assert "held-out data (by station) 14.9 µm (χ²/dof 2.10) 9.7 µm (χ²/dof 1.03)" in words
     assert "below 1%" in words
     assert "Mind it where you use the cell: joint compliance at A2" in words
@@ -129,7 +129,7 @@ def test_timing_and_health_of_devices_are_reported(tmp_path):
         report_from_result(make_result(), path=tmp_path / "r.html", run_info={"devices": devices()}).read_text(encoding="utf-8")
     ).words
     assert "pose 7 left out: 2 of 8 balls found" in words
-    assert "scanner: temperature_C 40 45 44" in words
+    assert "scanner: temperature, °C 40 45 44" in words
 
 
 @pytest.mark.parametrize(

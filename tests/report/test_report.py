@@ -214,6 +214,18 @@ def test_the_residual_of_held_out_poses_is_reported(tmp_path):
     assert "poses held out, 3D rms 21.3 µm (64 poses, by station)" in page(tmp_path, result).words
 
 
+def test_a_fit_of_the_hand_eye_transform_alone_says_that_the_arm_is_nominal(tmp_path):
+    result = make_result() | {"verification": None, "scope": "all poses are at one station"}
+    for parameter in result["parameters"]:
+        if not parameter["name"].startswith("hand_eye"):
+            parameter |= {"status": "held", "std": None, "reason": "kinematics not asked for"}
+    words = page(tmp_path, result).words
+    assert "All poses are at one station." in words
+    assert "the arm is taken as nominal" in words
+    assert "not asked for" not in words
+    assert "Kinematic errors" not in words
+
+
 def test_name_start_versions_and_plan_come_from_the_run_folder(tmp_path):
     assert read_run_identity(tmp_path / "nowhere") == {}
     (tmp_path / "plan.yaml").write_text("format: mbcacq-plan/1\n")

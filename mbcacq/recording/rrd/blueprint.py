@@ -36,6 +36,7 @@ class Enlarged:
     diagnosis: float | None = None
     lengths: bool = False  # whether lengths were verified
     responses: tuple[str, ...] = ()  # titles of the charts of the diagnosis
+    compared: bool = True  # whether there is a state before the calibration
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,8 @@ def _spheres(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
 
 
 def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
-    title = "The cell" if enlarged.all is None else f"Errors before (orange) and after (blue), {enlarged.all:g} times enlarged"
+    shown = "before (orange) and after (blue)" if enlarged.compared else "after calibration"
+    title = "The cell" if enlarged.all is None else f"Errors {shown}, {enlarged.all:g} times enlarged"
     errors = _space(
         title, [f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], viewpoint
     )
@@ -149,16 +151,22 @@ def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         rrb.Vertical(errors, result, row_shares=[1, 1]),
         rrb.Vertical(
             *((_chart("Length error at each place, mm, with its uncertainty and the limit", layout.LENGTHS),) if enlarged.lengths else ()),
-            rrb.Horizontal(
-                _curves("Residual of each pose (3D rms), um", [f"{layout.RMS_POSE}/**"], from_zero=True),
-                _curves("After alone (3D rms), um", [f"{layout.RMS_POSE}/after"], legend=False, from_zero=True),
-            ),
+            _residuals(enlarged.compared),
             _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
             row_shares=[6, 5, 4] if enlarged.lengths else [1, 1],
         ),
         column_shares=[1, 1],
         name="Calibration",
     )
+
+
+def _residuals(compared: bool) -> rrb.Container | rrb.View:
+    """compared: before and after together, and after alone, which is small beside the other."""
+    title, entity = "Residual of each pose (3D rms), um", layout.RMS_POSE
+    if not compared:
+        return _curves(title, [f"{entity}/after"], legend=False, from_zero=True)
+    alone = _curves("After alone (3D rms), um", [f"{entity}/after"], legend=False, from_zero=True)
+    return rrb.Horizontal(_curves(title, [f"{entity}/**"], from_zero=True), alone)
 
 
 def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:

@@ -25,6 +25,21 @@ def round_step(span: float, most: int) -> float:
     return float(next(f * power for f in (1.0, 2.0, 5.0, 10.0) if span / (f * power) <= most + 1e-9))
 
 
+def ticks(ends: tuple[float, float], most: int) -> np.ndarray:
+    """Round values between the ends of an axis, about ``most`` of them and at least two: one alone says nothing of the scale."""
+    while True:
+        step = round_step(ends[1] - ends[0], most)
+        values = np.arange(np.ceil(ends[0] / step), np.floor(ends[1] / step + 1e-9) + 1) * step
+        if len(values) > 1:
+            return values
+        most += 1
+
+
+def written(value: float) -> str:
+    """A value at a tick; zero has no sign."""
+    return f"{value + 0.0:.6g}"
+
+
 def sheet_height(charts: int) -> float:
     """Height of the sheet of each of several charts that stand one below the other."""
     return float(np.clip(ROOM / max(charts, 1), FLATTEST, SHEET_HEIGHT))
@@ -89,17 +104,13 @@ class Chart:
         places: list[np.ndarray] = []
         texts: list[str] = []
         grid: list[np.ndarray] = []
-        y_step = round_step(self._y[1] - self._y[0], 6 if self._height > 1.5 * FLATTEST else 3)
-        for v in np.arange(np.ceil(self._y[0] / y_step), np.floor(self._y[1] / y_step + 1e-9) + 1) * y_step:
+        for v in ticks(self._y, 6 if self._height > 1.5 * FLATTEST else 3):
             at = self.at(self._x[0], v)[0]
             places.append(at - [34.0, 9.0])
-            texts.append(f"{v + 0.0:.6g}")
+            texts.append(written(v))
             grid.append(np.array([at, [right, at[1]]]))
         if names is None:
-            x_step = round_step(self._x[1] - self._x[0], 8)
-            marks = [
-                (v, f"{v + 0.0:.6g}") for v in np.arange(np.ceil(self._x[0] / x_step), np.floor(self._x[1] / x_step + 1e-9) + 1) * x_step
-            ]
+            marks = [(v, written(v)) for v in ticks(self._x, 8)]
         else:
             every = len(names) // 16 + 1
             marks = [(float(k), name) for k, name in enumerate(names) if k % every == 0]

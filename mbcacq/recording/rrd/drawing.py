@@ -116,7 +116,8 @@ class Drawing:
             if name not in self._drawn_temperatures:
                 colour = scene.CURVES[len(self._drawn_temperatures) % len(scene.CURVES)]
                 self._drawn_temperatures.add(name)
-                self._rec.log(entity, rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
+                title = name.removesuffix("_C").replace("_", " ")  # the unit stands above the curves
+                self._rec.log(entity, rr.SeriesLines(names=[title], colors=[colour], widths=[1.5]), static=True)
             self._rec.log(entity, rr.Scalars(float(value)))
 
 

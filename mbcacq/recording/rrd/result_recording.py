@@ -26,6 +26,7 @@ BEFORE, AFTER = (230, 159, 0), (86, 180, 233)
 CERTIFIED = (240, 228, 66)
 ERROR = (255, 80, 190)  # an arrow that stands out from the arm, the balls and the field of view
 AXES = ("x", "y", "z")
+HAND_EYE_ALONE = "The hand-eye transform alone was fitted, the arm is taken as nominal."
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def log_result(
         errors = {name: residual(observations, predict(observations, state))[:, :3] for name, state in states.items()}
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
-        scale = replace(_scales(observations, after, errors, shown), lengths=judgement is not None and len(judgement.error) > 0)
+        verified = judgement is not None and len(judgement.error) > 0
+        scale = replace(_scales(observations, after, errors, shown), lengths=verified, compared=before is not None)
         stream.save(rerun_path(partial))
         send_default_blueprint(stream, for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
         _log_static(stream, scale)
@@ -121,7 +123,8 @@ def _log_static(stream: rr.RecordingStream, scale: Enlarged) -> None:
         stream.log(f"{layout.RESIDUAL}/{name}", rr.SeriesPoints(names=names, colors=colours, marker_sizes=[2.5]), static=True)
     for name, colour in (("before", BEFORE), ("after", AFTER)):
         stream.log(f"{layout.RMS_POSE}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
-    values = {key: value for key, value in (("pose", scale.pose), ("all", scale.all), ("lengths", 1.0 if scale.lengths else None)) if value}
+    numbers = {"pose": scale.pose, "all": scale.all, "lengths": float(scale.lengths), "compared": float(scale.compared)}
+    values = {key: value for key, value in numbers.items() if value is not None}
     stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, **values), static=True)
 
 
@@ -209,7 +212,7 @@ def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray
         lines.append(f"| {label} | " + " | ".join(f"{of(v):.1f}" for v in lengths.values()) + " |")
     lines += [
         "",
-        "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell.",
+        "Before: nominal arm with the hand-eye transform fitted. After: the calibrated cell." if "before" in errors else HAND_EYE_ALONE,
         f"Arrows here are {scale.all:g} times, those of the tab Cell {scale.pose:g} times as long as the errors.",
         "The whole result with uncertainties: report.html in the folder of the run.",
     ]

@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, PHASES, styled
 
+SHORT_S = 300.0  # of a run that is told in seconds
 STATES = {
     "moving": PHASES[0],
     "settling": "#F0E442",
@@ -65,17 +66,18 @@ def exposure_times(exposure_s: np.ndarray) -> go.Figure:
 
 def time_spent(state_s: list[tuple[str, float]]) -> go.Figure:
     """Time of the run by state, (state, s)."""
+    unit, per_unit = ("min", 60.0) if sum(seconds for _, seconds in state_s) > SHORT_S else ("s", 1.0)
     figure = go.Figure()
     for name, seconds in state_s:
         figure.add_bar(
-            x=[seconds / 60],
+            x=[seconds / per_unit],
             y=["run"],
             orientation="h",
-            name=f"{name} {seconds / 60:.1f} min".translate(ESCAPES),
+            name=f"{name} {seconds / per_unit:.1f} {unit}".translate(ESCAPES),
             marker_color=STATES.get(name, LINE),
-            hovertemplate=f"{name.translate(ESCAPES)}: %{{x:.1f}} min<extra></extra>",
+            hovertemplate=f"{name.translate(ESCAPES)}: %{{x:.1f}} {unit}<extra></extra>",
         )
-    figure.update_xaxes(title="time / min")
+    figure.update_xaxes(title=f"time / {unit}")
     figure.update_yaxes(visible=False)
     figure = styled(figure, 170)
     figure.update_layout(barmode="stack")

@@ -12,6 +12,7 @@ from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
 K = 2.0  # coverage factor of the uncertainties shown
+MOST_PLACES = 6  # after the decimal point; smaller values are written with a power of ten
 VERDICTS = {
     "none": ("pass", "No effect found", "The model explains the data down to the measured noise."),
     "explained": ("found", "Explained", "With the effects below the model explains the data down to the measured noise."),
@@ -180,13 +181,15 @@ def _share(value: float) -> str:
 
 
 def _number(value: float | None, std: float | None) -> str:
-    """As many digits as the uncertainty justifies: two of its own."""
+    """As many places as the expanded uncertainty justifies: two digits of its own, the same for the value and for its uncertainty."""
     if value is None or not np.isfinite(value):
         return "–"
-    if not std or not np.isfinite(std) or value == 0:
-        return f"{value:.4g}".replace("-", "−")
-    digits = int(np.clip(np.floor(np.log10(abs(value))) - np.floor(np.log10(std)) + 2, 2, 8)) if abs(value) >= std else 2
-    return f"{value:.{digits}g}".replace("-", "−")
+    if not std or not np.isfinite(std):
+        return f"{value + 0.0:.4g}".replace("-", "−")
+    places = 1 - int(np.floor(np.log10(K * std)))
+    if places > MOST_PLACES:
+        return f"{value:.2g}".replace("-", "−")
+    return f"{round(value, places) + 0.0:.{max(places, 0)}f}".replace("-", "−")
 
 
 def _map(fields: list[Mapping[str, Any]], axis_of: Any) -> tuple[list[str], list[str], np.ndarray] | None:

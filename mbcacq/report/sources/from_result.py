@@ -71,6 +71,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
+        hand_eye_alone=bool(result.get("scope")),
         noise=_noise(result),
         observability=_observability(result),
         correlation=_correlation(result),
@@ -265,4 +266,6 @@ def _warnings(result: Mapping[str, Any]) -> list[str]:
     if rejected:
         listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])
         out.append(f"{len(rejected)} measurements contradict the rest and were left out: {listed}{' …' if len(rejected) > 8 else ''}.")
+    if scope := str(result.get("scope") or ""):
+        out.append(f"{scope[0].upper()}{scope[1:]}.")
     return out + [str(w) for w in result.get("warnings", ())]
