@@ -12,6 +12,7 @@ whatever the place; so the derivative by any parameter or effect of the arm is G
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,8 +58,7 @@ class Prediction:
     """Predicted centres and all that is needed to differentiate them.
 
     xyz: (M, 3) mm. frames: (P, n+1, 4, 4). T_base_scanner: (P, 4, 4). T_base_station: (P, 4, 4), the station of each pose.
-    ball: (M, 3) mm in the artefact frame. gradient G: (M, R, 6), change of the residual's rows by a spatial twist of the arm; R = 3, or 6
-    where the target's orientation is measured (rows 3..5: rotation vector in the instrument's frame, rad).
+    ball: (M, 3) mm in the artefact frame. pose: (M,) of each centre. measurement: as ``Cell`` has it.
     rotation: (M, 3, 3) predicted orientation of the target in the instrument's frame, or None.
     """
 
@@ -67,8 +67,24 @@ class Prediction:
     T_base_scanner: np.ndarray
     T_base_station: np.ndarray
     ball: np.ndarray
-    gradient: np.ndarray
+    pose: np.ndarray
+    measurement: str
     rotation: np.ndarray | None = None
+
+    @cached_property
+    def gradient(self) -> np.ndarray:
+        """G (M, R, 6), change of the residual's rows by a spatial twist of the arm; R = 3, or 6 where the target's orientation is measured
+        (rows 3..5: rotation vector in the instrument's frame, rad)."""
+        by_target = self.measurement == TARGET_IN_BASE
+        moving, observing = (self.T_base_scanner, self.T_base_station) if by_target else (self.T_base_station, self.T_base_scanner)
+        point = se3.apply(moving[self.pose], self.ball)
+        R = np.swapaxes(observing[:, :3, :3], 1, 2)
+        R = (R if by_target else -R)[self.pose]
+        out = np.zeros((len(point), 3 if self.rotation is None else 6, 6))
+        out[:, :3, :3], out[:, :3, 3:] = R, se3.cross(point[:, None], R)
+        if self.rotation is not None:
+            out[:, 3:, 3:] = R
+        return out
 
 
 def hand_eye_of_poses(observations: Observations, state: CellState) -> np.ndarray:
@@ -90,12 +106,14 @@ def predict(observations: Observations, state: CellState, displacements: Displac
     if moved.ball is not None:
         ball = ball + moved.ball
     if obs.cell.measurement == TARGET_IN_BASE:
-        prediction = _target_in_instrument(obs, frames, T_base_scanner, T_base_station, ball)
+        T = se3.inverse(T_base_station) @ T_base_scanner
     else:
-        prediction = _ball_in_scanner(obs, frames, T_base_scanner, T_base_station, ball)
+        T = se3.inverse(T_base_scanner) @ T_base_station
+    xyz = se3.apply(T[obs.pose], ball)
     if moved.point is not None:
-        prediction.xyz[:] += moved.point
-    return prediction
+        xyz += moved.point
+    rotation = None if obs.rotation is None else T[obs.pose, :3, :3]
+    return Prediction(xyz, frames, T_base_scanner, T_base_station, ball, obs.pose, obs.cell.measurement, rotation)
 
 
 def residual(observations: Observations, prediction: Prediction) -> np.ndarray:
@@ -105,27 +123,6 @@ def residual(observations: Observations, prediction: Prediction) -> np.ndarray:
         return difference
     turn = observations.rotation @ np.swapaxes(prediction.rotation, -1, -2)
     return np.concatenate([difference, se3.rotation_log(turn)], axis=1)
-
-
-def _ball_in_scanner(obs, frames, T_base_scanner, T_base_station, ball):
-    point = se3.apply(T_base_station[obs.pose], ball)
-    T_scanner_base = se3.inverse(T_base_scanner)[obs.pose]
-    R = T_scanner_base[:, :3, :3]
-    gradient = np.concatenate([-R, se3.cross(R, point[:, None])], axis=-1)
-    return Prediction(se3.apply(T_scanner_base, point), frames, T_base_scanner, T_base_station, ball, gradient)
-
-
-def _target_in_instrument(obs, frames, T_base_target, T_base_station, ball):
-    point = se3.apply(T_base_target[obs.pose], ball)
-    T_station_base = se3.inverse(T_base_station)[obs.pose]
-    R = T_station_base[:, :3, :3]
-    gradient = np.concatenate([R, se3.cross(point[:, None], R)], axis=-1)
-    rotation = None
-    if obs.rotation is not None:
-        rotation = R @ T_base_target[obs.pose, :3, :3]
-        turning = np.concatenate([np.zeros_like(R), R], axis=-1)
-        gradient = np.concatenate([gradient, turning], axis=1)
-    return Prediction(se3.apply(T_station_base, point), frames, T_base_target, T_base_station, ball, gradient, rotation)
 
 
 def arm_jacobian(observations: Observations, prediction: Prediction, twists: np.ndarray) -> np.ndarray:

@@ -123,8 +123,8 @@ def fit_rigid_transforms(a: np.ndarray, b: np.ndarray, group: np.ndarray, count:
 def _kabsch(a: np.ndarray, b: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted best rotations (count, 3, 3) of a (M, 3) onto b (M, 3) by group (Kabsch 1976), and both weighted means (count, 3)."""
     ca, cb = _means(a, weight, group, count), _means(b, weight, group, count)
-    da, db = a - ca[group], b - cb[group]
-    product = (db[:, :, None] * (weight[:, None] * da)[:, None, :]).reshape(-1, 9)
+    da, db = a - np.take(ca, group, axis=0), b - np.take(cb, group, axis=0)
+    product = np.einsum("mi,mj->mij", db, weight[:, None] * da).reshape(-1, 9)
     return se3.nearest_rotation(_sums(product, group, count).reshape(-1, 3, 3)), ca, cb
 
 

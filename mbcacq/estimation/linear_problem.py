@@ -176,6 +176,28 @@ class LinearProblem:
         """Stations in use whose place in the base was given."""
         return [int(s) for s in self.rows.stations if self.obs.cell.stations[s].T_base_station is not None]
 
+    @property
+    def own_station(self) -> np.ndarray:
+        """(M, R, 6) columns of the pose's own station, in units of the prior sigma of its pose."""
+        return self.computed_once("own station", self._own_station)
+
+    def _own_station(self) -> np.ndarray:
+        out, flat = self.station * STATION_SIGMA, self.station.reshape(-1, 6)
+        for s, rows in zip(self.rows.stations, self.rows_of_stations, strict=True):
+            if s in self.given_stations:
+                root = np.linalg.cholesky(_given(self.obs, self.state, int(s))[0])
+                out.reshape(-1, 6)[rows] = flat[rows] @ np.linalg.inv(root).T
+        return out
+
+    @property
+    def rows_of_stations(self) -> list[slice | np.ndarray]:
+        """The rows, of M R, of each station in use; slices where they follow each other."""
+        return self.computed_once("rows of stations", self._rows_of_stations)
+
+    def _rows_of_stations(self) -> list[slice | np.ndarray]:
+        station = np.repeat(self.obs.station[self.obs.pose], self.width)
+        return [as_slice(np.flatnonzero(station == s)) for s in self.rows.stations]
+
     def station_columns(self, stations: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns (M, R, 6 S') of the poses of some stations, and their prior sigma (6 S',)."""
         obs, given = self.obs, set(self.given_stations)
@@ -256,3 +278,8 @@ def _given(obs: Observations, state: CellState, s: int) -> tuple[np.ndarray, np.
     assert given is not None, "asked of stations with a given place only"
     information, offset = known_placement(obs.cell, s, given, state.T_base_station[s])
     return information + np.diag(STATION_SIGMA**-2), offset  # one or two balls leave a direction of the place open
+
+
+def as_slice(index: np.ndarray) -> slice | np.ndarray:
+    """Indices that follow each other as a slice, others as they are."""
+    return slice(index[0], index[-1] + 1) if index[-1] - index[0] == len(index) - 1 else index

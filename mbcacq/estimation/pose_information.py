@@ -184,16 +184,16 @@ class PoseInformation:
         A, S, share = self.columns.twists, self.columns.station, self.share[:, None, None]
         (P, u, f), e = A.shape, self.own.columns.size
         information, Ft = self.twist_information, np.swapaxes(self.F, 1, 2) * share
-        right = np.empty((P, u, f + e + 6))
-        right[..., :f], right[..., f : f + e], right[..., f + e :] = information @ A, Ft @ self.own_twist, information @ S
+        right = np.empty((P, u, f + e))
+        right[..., :f], right[..., f:] = information @ A, Ft @ self.own_twist
         H = np.empty((f + e, f + e))
-        H[:f] = flat_product(A, right[..., : f + e])
+        H[:f] = flat_product(A, right)
         if e:
             H[f:, :f] = H[:f, f:].T
             H[f:, f:] = self.own.gram(self.precision) - flat_product(self.own_twist, self.N @ self.own_twist * share)
-        by_station = self.rows.station_products(S, right)
+        Hss, Hsg = (self.rows.station_products(S, one) for one in (information @ S, right))
         b, bs, chi2 = self.right_hand_side()
-        return NormalBlocks((H + H.T) / 2, b, chi2, by_station[..., f + e :], by_station[..., : f + e], bs)
+        return NormalBlocks((H + H.T) / 2, b, chi2, Hss, Hsg, bs)
 
     def right_hand_side(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Products of the residual with the columns, (g,) and those (S', 6) of the stations, and its chi square."""

@@ -176,9 +176,9 @@ class _PoseVariance:
         if columns.own.size:
             x[..., self.f :] -= poses.N @ poses.own_twist
         x = (x.reshape(-1, system.normal.size) @ self.root.T).reshape(x.shape)
-        own = self.root[:, self.f :]
         self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
-        self.mixed, self.own = (x.reshape(-1, system.normal.size) @ own).reshape(poses.own_twist.shape), own.T @ own
+        own = self.root[self.f :, self.f :]  # the root is lower triangular: the rows above have none of the own parameters
+        self.mixed, self.own = x[..., self.f :] @ own, own.T @ own
 
     def of_axes(self) -> np.ndarray:
         """(R,): sum of the variances of the rows of each axis, in units of the axis' variance."""

@@ -49,8 +49,8 @@ class BlockLayout:
     """Where the design blocks of all groups stand, those of one size together; B blocks in all, in the order of ``sizes``.
 
     start: (G + 1,) first column of each group. pairs: of each group, the products (P, pairs) of every two functions that are together in a
-    shape. connected: of each group, the functions that shapes connect with each other, class by class. members: (group, entry) of each block. location (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with
-    a covariate.
+    shape. connected: of each group, the functions that shapes connect, class by class. members: (group, entry) of each block. location
+    (B,), cell (B,): indices into ``locations`` and ``cells``, each a location with a covariate.
     """
 
     sizes: tuple[SizedBlocks, ...]

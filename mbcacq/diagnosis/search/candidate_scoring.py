@@ -82,13 +82,11 @@ class CandidateScoring:
     def of(cls, linear: LinearProblem, noise: Noise, nuisance: tuple[np.ndarray, np.ndarray] | None = None) -> CandidateScoring:
         """nuisance: more columns (M, R, k) with their prior sigma (k,), to be projected out as geometry is."""
         whiten = linear.whitener(noise)
-        columns, sigma = linear.nuisance()
-        Z = whiten(columns) * sigma
-        if nuisance is not None:
-            Z = np.concatenate([Z, whiten(nuisance[0]) * nuisance[1]], axis=1)
+        further = [] if nuisance is None else [nuisance[0] * nuisance[1]]
+        columns = whiten(np.concatenate([linear.own_station, linear.geometry * linear.sigma, *further, linear.residual[..., None]], axis=2))
+        r0 = columns[:, -1].copy()
         # With priors Q'Q < I, and x'(I - QQ')y is what they allow: the metric of all gains.
-        Q, log_det = ridge_projection(Z)
-        r0 = whiten(linear.residual)
+        Q, log_det = ridge_projection(columns[:, :6], linear.rows_of_stations, columns[:, 6:-1])
         dof = float(linear.keep.sum() * linear.width - np.sum(Q * Q))
         nothing = np.zeros((len(r0), 0)), np.zeros(0)
         return cls(linear, noise, whiten, Q, log_det, r0, r0 - Q @ (Q.T @ r0), dof, *nothing)
@@ -110,18 +108,9 @@ class CandidateScoring:
         first = 6 * len(self.linear.rows.stations)
         out = np.empty((self.Q.shape[1], X.shape[1]))
         out[first:] = self.Q[:, first:].T @ X
-        for j, rows in enumerate(self.rows_of_stations):
+        for j, rows in enumerate(self.linear.rows_of_stations):
             out[6 * j : 6 * j + 6] = self.Q[rows, 6 * j : 6 * j + 6].T @ X[rows]
         return out
-
-    @property
-    def rows_of_stations(self) -> list[slice | np.ndarray]:
-        """The rows of each station, in the order of the columns of Q; slices where they follow each other."""
-        return self.linear.computed_once("rows of stations", self._rows_of_stations)
-
-    def _rows_of_stations(self) -> list[slice | np.ndarray]:
-        station = np.repeat(self.linear.obs.station[self.linear.obs.pose], self.linear.width)
-        return [as_slice(np.flatnonzero(station == s)) for s in self.linear.rows.stations]
 
     @property
     def stations(self) -> list[np.ndarray]:
@@ -307,8 +296,3 @@ class CandidateScoring:
         if key is not None and flat.size < LARGEST_KEPT:
             self.store.scans[key] = result
         return result
-
-
-def as_slice(index: np.ndarray) -> slice | np.ndarray:
-    """Indices that follow each other as a slice, others as they are."""
-    return slice(index[0], index[-1] + 1) if index[-1] - index[0] == len(index) - 1 else index
