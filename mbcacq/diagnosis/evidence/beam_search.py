@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -143,8 +144,7 @@ class EvidenceSearch:
 
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
-        for j in range(len(best.members)):
-            rest = best.members[:j] + best.members[j + 1 :]
+        for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
             for _, member in self.extensions(node, -np.inf, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
@@ -153,6 +153,13 @@ class EvidenceSearch:
                     other = first_order(members, best.point, self.log_prior(members))
                     near = other.log_posterior > best.log_posterior - OPTIONS.reach
                     self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other
+
+
+def without_each(members: Sequence[Member]) -> list[tuple[Member, ...]]:
+    """The set without each effect; the orders of a gear are left out one by one, and all together."""
+    by_one = [tuple(m for m in members if m is not left_out) for left_out in members]
+    labels = [label for label, count in Counter(m.label for m in members).items() if count > 1]
+    return [*by_one, *(tuple(m for m in members if m.label != label) for label in labels)]
 
 
 def log_e_value(ranked: Sequence[Hypothesis]) -> float:

@@ -40,10 +40,15 @@ class EvidenceFit:
 
 
 def fit_evidence(
-    problem: DiagnosisProblem, keep: np.ndarray | None = None, unmodelled: bool = True, begin: Hypothesis | None = None
+    problem: DiagnosisProblem,
+    keep: np.ndarray | None = None,
+    unmodelled: bool = True,
+    begin: Hypothesis | None = None,
+    rivals: bool = False,
 ) -> EvidenceFit:
     """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged. unmodelled:
-    whether unmodelled effects are candidates. begin: a set from which the search goes on.
+    whether unmodelled effects are candidates. begin: a set from which the search goes on. rivals: whether it is asked what else each effect
+    could be although the centres are given; where they are judged it always is.
     """
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
     prior = problem.prior_noise
@@ -55,7 +60,7 @@ def fit_evidence(
     def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
         """none: a noise, to begin with, of the empty set. What else each effect could be is asked about the last linearisation only."""
         search = EvidenceSearch(
-            problem.candidates, blocks, effects, problem.context, *effort, alternatives=keep is None and from_set is not None
+            problem.candidates, blocks, effects, problem.context, *effort, alternatives=rivals or (keep is None and from_set is not None)
         )
         ranked = search.run(NoisePoint(linear, prior, none), from_set)
         return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
