@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
+from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
 from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_other_locations, with_rivals
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
@@ -31,6 +31,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.pose import gear_transmission_error
 from mbcacq.estimation.variance_components import first_noise
 
@@ -219,8 +220,12 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
 
 def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound]) -> list[str]:
     """Sentences on what qualifies the effects found."""
-    orders = aliased(setup, reported_hypothesis(full.evidence)) if effects else []
-    return [*partial_periods(setup, full), *orders, *confounded_pauses(setup, effects)]
+    if not effects:
+        return []
+    reported = reported_hypothesis(full.evidence)
+    tool = payload_instead(full.evidence, reported)
+    weigh = f"a payload other than declared explains as much as elastic joints ({odds_in_words(tool)}): weigh the tool" if tool else ""
+    return [*partial_periods(setup, full), *aliased(setup, reported), *confounded_pauses(setup, effects), *([weigh] if weigh else [])]
 
 
 def unproven_places(setup: DiagnosisProblem) -> list[str]:
