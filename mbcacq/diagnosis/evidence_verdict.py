@@ -12,6 +12,7 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, rivals, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
@@ -52,6 +53,20 @@ def with_rivals(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[Effec
         best = sorted(found.items(), key=lambda item: -item[1])[:MOST_RIVALS]
         ranked = [alternative(label, odds) for label, odds in best]
         out.append(replace(effect, alternatives=tuple(ranked)))
+    return tuple(out)
+
+
+def with_other_locations(tests: ResidualTests | None, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
+    """The effects of a long recording, the unmodelled one with the strongest other locations of what the named effects leave."""
+    logs = dict(tests.evidence.locations) if tests is not None else {}
+    out = []
+    for effect in effects:
+        if effect.name == UNMODELLED and effect.where[0] in logs:
+            own = logs[effect.where[0]]
+            others = sorted((at for at in logs if at not in effect.where), key=lambda at: -logs[at])[:MOST_RIVALS]
+            odds = (float(np.exp(min(logs[at] - own, 0.0))) for at in others)
+            effect = replace(effect, alternatives=tuple(Alternative(UNMODELLED, (at,), 0.0, o) for at, o in zip(others, odds, strict=True)))
+        out.append(effect)
     return tuple(out)
 
 

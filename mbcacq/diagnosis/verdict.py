@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_rivals
+from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
+from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_other_locations, with_rivals
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import interruptions, next_measurements
+from mbcacq.diagnosis.output.aliased_orders import aliased
 from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
@@ -29,6 +31,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.pose import gear_transmission_error
 from mbcacq.estimation.variance_components import first_noise
 
@@ -66,7 +69,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=(*advice, *silent.advice),
         dropped=setup.dropped,
-        notes=(*notes(setup, full), *partial_periods(setup, full), *silent.notes, *confounded_pauses(setup, judged.effects)),
+        notes=(*notes(setup, full), *of_effects(setup, full, judged.effects), *silent.notes),
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
         model=kept_model(setup, full, judged.effects) or None,
@@ -138,7 +141,8 @@ def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> 
         effects = reportable(parametric_effects(full, contributions, proof), verdict) + unmodelled_effects(full, contributions, proof)
     if verdict == "unexplained" and not effects:
         effects = suspected_effect(mismatch)
-    return _Judged(verdict, mismatch, list(with_rivals(full.evidence, effects)), predictive)
+    rivalled = with_other_locations(full.residual_tests, with_rivals(full.evidence, effects))
+    return _Judged(verdict, mismatch, list(rivalled), predictive)
 
 
 def reportable(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
@@ -212,6 +216,16 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
                 f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat beyond"
             )
     return out
+
+
+def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on what qualifies the effects found."""
+    if not effects:
+        return []
+    reported = reported_hypothesis(full.evidence)
+    tool = payload_instead(full.evidence, reported)
+    weigh = f"a payload other than declared explains as much as elastic joints ({odds_in_words(tool)}): weigh the tool" if tool else ""
+    return [*partial_periods(setup, full), *aliased(setup, reported), *confounded_pauses(setup, effects), *([weigh] if weigh else [])]
 
 
 def unproven_places(setup: DiagnosisProblem) -> list[str]:

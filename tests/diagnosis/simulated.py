@@ -15,7 +15,7 @@ from mbcacq.estimation.forward_model import CellState, Displacements
 from mbcacq.estimation.terms import Part, accumulate, term
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.cell import TARGET_IN_BASE, Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
 
 JOINT_NOISE, TURN_NOISE = 5e-6, 5e-5
@@ -132,6 +132,18 @@ def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Obse
         direction=direction,
         temperatures={"robot_C": warm},
     )
+
+
+def tracked(q: np.ndarray) -> Observations:
+    """Poses q (P, n) of the nominal arm, whose flange carries a target that a tracker measures with its orientation."""
+    arm, pose, none = robot(), np.arange(len(q)), np.zeros(len(q), int)
+    tool = se3.transform(se3.rotation_exp(np.array([0.2, 0.1, 0.3])), np.array([30.0, 20.0, 180.0]))
+    tracker = se3.transform(se3.rotation_exp(np.array([0.0, 0.0, 0.3])), np.array([2500.0, 300.0, 400.0]))
+    target = Artefact("target", "target", (1,), np.zeros((1, 3)), np.zeros(1))
+    here = Cell(arm, tool, (target,), (Station("1", "target"),), "tracker", POINT_NOISE, measurement=TARGET_IN_BASE)
+    blank = Observations(here, pose, none, q, pose, none, np.zeros((len(q), 3)), rotation=np.tile(np.eye(3), (len(q), 1, 1)))
+    seen = forward_model.predict(blank, CellState(arm.chain, tool, tracker[None], np.zeros((1, 3))))
+    return replace(blank, xyz=seen.xyz, rotation=seen.rotation)
 
 
 def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:

@@ -9,6 +9,9 @@ import simulated
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
 from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
@@ -92,3 +95,32 @@ def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
     s = Context(plan, state, forward_model.predict(plan, state))
     assert payload.candidates(s) == []
     assert payload.correction_for(s, {}) == []
+
+
+def compared(*sets):
+    """A fit that compared these sets, each (log posterior, labels)."""
+
+    def member(label):
+        name, where = label.split(":")
+        return Member(simulated.candidate(name, where, [1.0]), None)
+
+    none = Hypothesis((), None, 0.0)
+    found = [Hypothesis(tuple(member(label) for label in labels), None, log) for log, labels in sets]
+    return EvidenceFit(tuple(sorted([*found, none], key=lambda h: -h.log_posterior)), none, None, 50.0)
+
+
+@pytest.mark.parametrize(("odds", "claimed"), [(10.0, False), (30.0, True)])
+def test_a_payload_that_stands_for_elastic_joints_needs_odds_of_twenty_to_one(odds, claimed):
+    elastic = ["joint_compliance:A5", "joint_compliance:A2", "joint_compliance:A3", "backlash:A1"]
+    wrong_tool = ["joint_compliance:A5", "payload:mount", "backlash:A1"]
+    fit = compared((50.0 + np.log(odds), wrong_tool), (50.0, elastic))
+
+    reported = reported_hypothesis(fit)
+
+    assert reported.labels == frozenset(wrong_tool if claimed else elastic)
+    assert payload_instead(fit, reported) == (None if claimed else pytest.approx(1.0))
+
+
+def test_a_payload_that_elasticity_excludes_is_not_spoken_of():
+    fit = compared((50.0, ["joint_compliance:A2", "joint_compliance:A3"]), (40.0, ["joint_compliance:A2", "payload:mount"]))
+    assert payload_instead(fit, reported_hypothesis(fit)) is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,9 +16,10 @@ from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.pose import payload
+from mbcacq.effects.pose import joint_compliance, payload
 
 POLISHING_ROUNDS = 4  # at most
+EXCHANGES = 3  # at most: sets whose effects are exchanged for others
 MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 
 
@@ -47,14 +49,19 @@ class EvidenceSearch:
         best, beam = none, [none]
         if begin is not None and begin.members:
             best = estimated(begin.members, replace(start, theta=begin.point.theta), self.log_prior(begin.members))
-            self.known[best.key], beam = best, [best]
+            self.known[best.key] = best
+            best = self.relieved(best)
+            beam = [best]
         for _ in range(OPTIONS.most_effects):
             beam = self.grown(beam)
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
-            best = beam[0] = self.polished(beam[0])
-        if self.alternatives:
+            best = beam[0] = self.relieved(self.polished(beam[0]))
+        for _ in range(EXCHANGES if self.alternatives else 0):
             self.exchange(best)
+            if self.ranked()[0].key == best.key:
+                break
+            best = self.ranked()[0]  # what stands in for an effect of it is asked as well
         return self.ranked()
 
     def ranked(self) -> list[Hypothesis]:
@@ -141,10 +148,33 @@ class EvidenceSearch:
         self.known[found.key] = found
         return max(best, found, key=lambda h: h.log_posterior)
 
+    def relieved(self, best: Hypothesis) -> Hypothesis:
+        """A set with a wrong payload, or the one with the elasticity of further joints in its place where that is more probable: a payload
+        shows through all elastic joints, so it may stand for no more than these. Every arm is elastic: to say so is no less probable
+        beforehand than to say that the payload is wrong.
+        """
+        rest = tuple(m for m in best.members if m.candidate.name != payload.NAME)
+        if self.context is None or len(rest) == len(best.members):
+            return best
+        loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(self.context)}
+        elastic = [c for c in self.candidates if c.name == joint_compliance.NAME and c.where in loaded]
+        while True:
+            present, node = [m.candidate for m in rest], conditioned(best.point, rest)
+            further = [c for c in elastic if self.allowed(c, present)]
+            log, member = max(
+                (self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda one: one[0], default=(0.0, None)
+            )
+            if log <= 0 or member is None:
+                break
+            rest = (*rest, member)
+        found = self.known.get(key_of(rest)) or estimated(rest, best.point, self.log_prior(rest))
+        found = replace(found, log_prior=max(found.log_prior, best.log_prior))
+        self.known[found.key] = found
+        return max(best, found, key=lambda h: h.log_posterior)
+
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
-        for j in range(len(best.members)):
-            rest = best.members[:j] + best.members[j + 1 :]
+        for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
             for _, member in self.extensions(node, -np.inf, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
@@ -153,6 +183,13 @@ class EvidenceSearch:
                     other = first_order(members, best.point, self.log_prior(members))
                     near = other.log_posterior > best.log_posterior - OPTIONS.reach
                     self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other
+
+
+def without_each(members: Sequence[Member]) -> list[tuple[Member, ...]]:
+    """The set without each effect; the orders of a gear are left out one by one, and all together."""
+    by_one = [tuple(m for m in members if m is not left_out) for left_out in members]
+    labels = [label for label, count in Counter(m.label for m in members).items() if count > 1]
+    return [*by_one, *(tuple(m for m in members if m.label != label) for label in labels)]
 
 
 def log_e_value(ranked: Sequence[Hypothesis]) -> float:

@@ -22,12 +22,14 @@ from mbcacq.estimation.variance_components import pack
 class EvidenceFit:
     """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
     one, without discrepancy. log_e_value: of all effects together against none; above that of the false-alarm rate there is an effect.
+    found: the set that the search ended with, where only its rivals were compared afterwards; it stays the best one.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     none: Hypothesis
     linear: LinearProblem
     log_e_value: float
+    found: Hypothesis | None = None
 
     @property
     def significant(self) -> bool:
@@ -36,14 +38,19 @@ class EvidenceFit:
     @property
     def best(self) -> Hypothesis:
         """The most probable set where there is an effect at all, else the empty one."""
-        return next(h for h in self.hypotheses if h.members) if self.significant else self.none
+        return (self.found or next(h for h in self.hypotheses if h.members)) if self.significant else self.none
 
 
 def fit_evidence(
-    problem: DiagnosisProblem, keep: np.ndarray | None = None, unmodelled: bool = True, begin: Hypothesis | None = None
+    problem: DiagnosisProblem,
+    keep: np.ndarray | None = None,
+    unmodelled: bool = True,
+    begin: Hypothesis | None = None,
+    rivals: bool = False,
 ) -> EvidenceFit:
     """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged. unmodelled:
-    whether unmodelled effects are candidates. begin: a set from which the search goes on.
+    whether unmodelled effects are candidates. begin: a set from which the search goes on. rivals: whether it is asked what else each effect
+    of the set so found could be; where outliers are judged it always is.
     """
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
     prior = problem.prior_noise
@@ -57,8 +64,12 @@ def fit_evidence(
         search = EvidenceSearch(
             problem.candidates, blocks, effects, problem.context, *effort, alternatives=keep is None and from_set is not None
         )
-        ranked = search.run(NoisePoint(linear, prior, none), from_set)
-        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked))
+        ranked, found = search.run(NoisePoint(linear, prior, none), from_set), None
+        if rivals and ranked[0].members:
+            found = ranked[0]
+            search.exchange(found)
+            ranked = search.ranked()
+        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), found)
 
     fit = searched(linear, pack(problem.noise), begin)
     for _ in range(OPTIONS.relinearizations if keep is None else 0):

@@ -27,11 +27,33 @@ class Rival:
 
 
 def reported_hypothesis(fit: EvidenceFit) -> Hypothesis:
-    """The smallest part of the most probable set that is not excluded: a further effect needs odds of twenty to one."""
+    """The smallest part of the most probable set that is not excluded: a further effect needs odds of twenty to one. So does a wrong
+    payload, against the elasticity of the joints through which it shows.
+    """
     best = fit.best
     least = best.log_posterior + np.log(OPTIONS.undecided)
-    parts = [h for h in fit.hypotheses if h.members and set(h.key) <= set(best.key) and h.log_posterior > least]
-    return min(parts, key=lambda h: (len(h.members), -h.log_posterior), default=best)
+    parts = [h for h in fit.hypotheses if h.members and is_part(h, best) and h.log_posterior > least]
+    return min(parts, key=lambda h: (with_payload(h), len(h.members), -h.log_posterior), default=best)
+
+
+def is_part(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether a set is part of another, or has nothing but elastic joints in the place of its payload."""
+    if with_payload(one) or not with_payload(other):
+        return set(one.key) <= set(other.key)
+    return {m.key for m in one.members if not m.label.startswith(COMPLIANCE)} <= set(other.key)
+
+
+def with_payload(hypothesis: Hypothesis) -> bool:
+    return any(m.label.startswith(PAYLOAD) for m in hypothesis.members)
+
+
+def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
+    """Odds of the most probable set with a wrong payload against the reported one without, where these do not exclude it."""
+    if with_payload(reported):
+        return None
+    others = [h.log_posterior - reported.log_posterior for h in fit.hypotheses if with_payload(h) and is_part(reported, h)]
+    best = max(others, default=-np.inf)
+    return float(np.exp(min(best, 0.0))) if best > np.log(OPTIONS.undecided) else None
 
 
 def by_labels(hypotheses: Sequence[Hypothesis]) -> dict[frozenset[str], float]:
@@ -51,17 +73,20 @@ def probability(fit: EvidenceFit, labels: frozenset[str]) -> float:
 
 
 def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:
-    """What else could stand in the place of a reported effect, most probable first."""
-    rest = reported.labels - {label}
+    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
+    most probable set.
+    """
     best: dict[str, Rival] = {}
-    for h in fit.hypotheses:
-        others = h.labels - rest
-        if label in h.labels or len(others) != 1 or not rest <= h.labels:
-            continue
-        (name,) = others
-        odds = float(np.exp(min(h.log_posterior - reported.log_posterior, 0.0)))
-        if name not in best:
-            best[name] = Rival(name, odds, h)
+    for base in (reported, fit.best):
+        for h in fit.hypotheses:
+            rest = base.labels - {label}
+            others = h.labels - rest
+            if label in h.labels or len(others) != 1 or not rest <= h.labels:
+                continue
+            (name,) = others
+            odds = float(np.exp(min(h.log_posterior - base.log_posterior, 0.0)))
+            if name not in best or best[name].odds < odds:
+                best[name] = Rival(name, odds, h)
     return sorted(best.values(), key=lambda r: -r.odds)
 
 

@@ -20,6 +20,7 @@ TYPICAL = 1e-4  # rad: half a wind-up of 0.2 mrad, as of 1 kN m at 2e-7 rad/(N m
 UPRIGHT_SIGMA = np.radians(10.0)
 STEP = 1e-3  # rad, of a numerical derivative
 LEAST_SPAN = np.radians(20.0)
+HEAVY_KG = 200.0  # mass of the links: a lighter arm whose A2 may turn all around has no rod that would be in its way
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -28,6 +29,8 @@ def candidates(context: Context) -> list[Candidate]:
     upright = None if context.n < 3 else upright_angle(robot.chain, robot.gravity)
     if upright is None:
         raise Missing("A2 does not lift the arm against gravity")
+    if robot.mass.sum() < HEAVY_KG and np.ptp(robot.limits[1]) >= 2 * np.pi:
+        raise Missing("A2 of this light arm turns all around, past where the rod of a balancer would be")
     if np.ptp(context.obs.q[:, 1]) < LEAST_SPAN:
         raise Missing("A2 turns too little for the law of a balancer")
 
