@@ -291,7 +291,7 @@ def _fixed(loaded: Any, plan: Path) -> Any:
         try:
             plan.write_text(fixed.text, encoding="utf-8")
         except OSError as error:
-            raise RecordingError(f"{plan}: cannot be written: {error.strerror}") from error
+            raise RecordingError(f"{plan}: cannot be written: {error.strerror}; change its rights, or fix a copy of it") from error
     for sentence in said or ["nothing is out of reach that --fix can change"]:
         echo(sentence, err=True)
     return fixed

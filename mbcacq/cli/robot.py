@@ -62,7 +62,7 @@ def import_(
     try:
         target.write_text(found.text, encoding="utf-8")
     except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror}") from error
+        raise RecordingError(f"{target}: cannot be written: {error.strerror}; give another --out") from error
     if as_json:
         about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
         figures = {"miss_mm": found.miss_mm, "miss_rad": found.miss_rad}
