@@ -39,8 +39,10 @@ def import_(
 ) -> None:
     """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, or a table of DH rows (.csv, .yaml).
 
+    The rows are compared with the file's own forward kinematics at random joint angles.
+
     \b
-    The rows are compared with the file's own forward kinematics at random joint angles. Examples:
+    Examples:
       mbcacq robot import ur10e.urdf --base base_link --flange tool0
       mbcacq robot import rows.csv --convention modified --out my_arm.yaml
     """
