@@ -70,7 +70,7 @@ def command(
 
     \b
     Examples:
-      mbcacq challenge --count 3                         through the real protocols
+      mbcacq challenge --count 3                       through the real protocols
       mbcacq challenge --fast --count 32 --effects catalogue   each effect twice
       mbcacq challenge --fast --count 50 --effects none        false alarms
     """

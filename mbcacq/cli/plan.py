@@ -47,7 +47,7 @@ def new(
 
     \b
     Example:
-      mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact balls.yaml
+      mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact mbc-8
     """
     from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.errors import ConfigError
@@ -70,8 +70,8 @@ def new(
 
         made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=said)
     if as_json:
-        stations = [str(s.id) for s in made.plan.stations]
-        echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": stations}))
+        places = [str(s.id) for s in made.plan.stations]
+        echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}))
 
 
 @command.command("show")
