@@ -29,7 +29,7 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
     \b
     Examples:
       mbcacq simulate plans/kuka.yaml --out twin/            the nominal cell
-      mbcacq simulate plans/kuka.yaml --cell runs/today --out twin/   as calibrated
+      mbcacq simulate plans/kuka.yaml --cell runs/today --out twin/  as calibrated
       mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/
       mbcacq simulate recorded-motion/ --out twin/           a rigid arm, moving
     """
