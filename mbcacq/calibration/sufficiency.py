@@ -20,6 +20,7 @@ from mbcacq.model.observations import Observations
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
 RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
 LEAST_ROTATION = np.radians(4.0)
+RADIANS_AS_DEG = np.radians(2 * np.pi)  # of joint angles: a full turn in radians, read as degrees
 FIRST_LOOK = 64  # poses of which a few degrees of rotation are looked for first
 HAND_EYE_ALONE = (
     "all poses are at one station, which leaves the arm's geometry undetermined elsewhere: the hand-eye transform alone is calibrated, "
@@ -54,6 +55,11 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     if per_station:
         _refuse_few_balls(obs)
     turn = orientation_range(obs, enough=LEAST_ROTATION)
+    if turn < LEAST_ROTATION and float(np.abs(obs.q).max(initial=0.0)) < RADIANS_AS_DEG:
+        raise CalibrationError(
+            f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g} deg, and all poses of a station have the same orientation (within "
+            f"{np.degrees(turn):.1f} deg): they look like radians; give joint angles in degrees"
+        )
     if turn < LEAST_ROTATION:
         raise CalibrationError(
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "

@@ -100,7 +100,7 @@ def command(
     \b
     Examples:
       mbcacq calibrate latest
-      mbcacq calibrate runs/monday runs/friday --effects diagnosis.json --out arm.json
+      mbcacq calibrate runs/monday runs/friday --effects found.json --out arm.json
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
       mbcacq calibrate latest --effects diagnosis.json --out result.json
     """

@@ -70,9 +70,9 @@ def command(
 
     \b
     Examples:
-      mbcacq challenge --count 3                                 through the real protocols
-      mbcacq challenge --fast --count 32 --effects catalogue     every effect of the catalogue twice
-      mbcacq challenge --fast --count 50 --effects none          how often is there a false alarm
+      mbcacq challenge --count 3                       through the real protocols
+      mbcacq challenge --fast --count 32 --effects catalogue   each effect twice
+      mbcacq challenge --fast --count 50 --effects none        false alarms
     """
     import numpy as np
 

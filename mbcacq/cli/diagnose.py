@@ -94,7 +94,7 @@ def command(
       mbcacq diagnose latest --propose my-effect
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
-      mbcacq diagnose motion1 motion2 --simulation arm.xml --check motion3 --write-model found.xml
+      mbcacq diagnose motion1 motion2 --simulation arm.xml --write-model found.xml
     """
     import mbcacq
     from mbcacq.effects.catalogue import with_files

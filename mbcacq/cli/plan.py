@@ -30,6 +30,7 @@ def command() -> None:
 @click.option("--poses", "count", type=click.IntRange(6, 400), default=36, show_default=True, help="Calibration poses at them.")
 @click.option("--seed", default=0, show_default=True, help="Of the random views to choose from.")
 @click.option("--force", is_flag=True, help="Replace the file if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def new(
     robot: str | None,
     scanner: str | None,
@@ -40,11 +41,13 @@ def new(
     count: int,
     seed: int,
     force: bool,
+    as_json: bool,
 ) -> None:
     """Make a plan from nothing: stations and views that this arm reaches, the scanner sees and the calibration learns from.
 
     \b
-    Example: mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact my_balls.yaml --out plan.yaml
+    Example:
+      mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact mbc-8
     """
     from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.errors import ConfigError
@@ -65,7 +68,10 @@ def new(
             echo(text, err=True)
             steps.begin(text)
 
-        new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=said)
+        made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=said)
+    if as_json:
+        places = [str(s.id) for s in made.plan.stations]
+        echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}))
 
 
 @command.command("show")
@@ -291,7 +297,7 @@ def _fixed(loaded: Any, plan: Path) -> Any:
         try:
             plan.write_text(fixed.text, encoding="utf-8")
         except OSError as error:
-            raise RecordingError(f"{plan}: cannot be written: {error.strerror}") from error
+            raise RecordingError(f"{plan}: cannot be written: {error.strerror}; change its rights, or fix a copy of it") from error
     for sentence in said or ["nothing is out of reach that --fix can change"]:
         echo(sentence, err=True)
     return fixed

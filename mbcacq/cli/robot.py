@@ -39,8 +39,10 @@ def import_(
 ) -> None:
     """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, or a table of DH rows (.csv, .yaml).
 
+    The rows are compared with the file's own forward kinematics at random joint angles.
+
     \b
-    The rows are compared with the file's own forward kinematics at random joint angles. Examples:
+    Examples:
       mbcacq robot import ur10e.urdf --base base_link --flange tool0
       mbcacq robot import rows.csv --convention modified --out my_arm.yaml
     """
@@ -62,7 +64,7 @@ def import_(
     try:
         target.write_text(found.text, encoding="utf-8")
     except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror}") from error
+        raise RecordingError(f"{target}: cannot be written: {error.strerror}; give another --out") from error
     if as_json:
         about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
         figures = {"miss_mm": found.miss_mm, "miss_rad": found.miss_rad}

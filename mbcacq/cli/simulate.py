@@ -28,10 +28,10 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
 
     \b
     Examples:
-      mbcacq simulate plans/kuka.yaml --out twin/                           the nominal cell
-      mbcacq simulate plans/kuka.yaml --cell runs/today --out twin/         the cell as calibrated today
-      mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/   and with its noise
-      mbcacq simulate recorded-motion/ --out twin/                          set points, joint-side angles and torques of a rigid arm
+      mbcacq simulate plans/kuka.yaml --out twin/            the nominal cell
+      mbcacq simulate plans/kuka.yaml --cell runs/today --out twin/  as calibrated
+      mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/
+      mbcacq simulate recorded-motion/ --out twin/           a rigid arm, moving
     """
     import mbcacq
     from mbcacq.recording import write_observation_set

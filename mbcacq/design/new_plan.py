@@ -129,7 +129,7 @@ def _write(out: Path, text: str, names: dict[Path, str]) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordingError(f"{out}: cannot be written: {error.strerror}") from error
+        raise RecordingError(f"{out}: cannot be written: {error.strerror}; give another file") from error
 
 
 def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict[Path, str]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
 from mbcacq.model.cell import Artefact
+from mbcacq.plan.plausibility import SMALLEST_BALL_MM
 
 MAX_BYTES = 16 << 20
 Row = dict[str, Any]  # of a certificate, by the keys that ALIASES leads to
@@ -70,6 +72,7 @@ def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Arte
     if len(set(labels)) != len(labels):
         twice = next(n for n in labels if labels.count(n) > 1)
         raise ConfigError(f"{path}: sphere '{twice}' is listed twice; correct the certificate")
+    _refuse_other_units(path, rows)
     U = [float(r["U"]) / float(r.get("k", about.get("k", 2.0))) for r in rows if r.get("U") is not None]
     if "U" in about:
         U.append(float(about["U"]) / float(about.get("k", 2.0)))
@@ -83,6 +86,16 @@ def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Arte
         reference_temperature_C=float(about.get("T", next((r["T"] for r in rows if r.get("T") is not None), 20.0))),
         expansion_ppm_per_K=_optional(about.get("alpha", next((r["alpha"] for r in rows if r.get("alpha") is not None), None))),
     )
+
+
+def _refuse_other_units(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raise ConfigError for a diameter that is none in mm; 0 says that it is not known."""
+    for row in rows:
+        if 0 < float(row["d"]) < SMALLEST_BALL_MM:
+            raise ConfigError(
+                f"{path}: sphere '{row['label']}' has a diameter of {row['d']:g} mm, which looks like metres or inches; "
+                "give all lengths in mm"
+            )
 
 
 def artefact_yaml(artefact: Artefact) -> str:

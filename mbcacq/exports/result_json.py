@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.errors import ConfigError
+from mbcacq.recording.run_folder.latest import refuse_plan
 
 MAX_BYTES = 256 << 20
 Row = tuple[float, float, float, float]
@@ -97,6 +98,7 @@ def load_result(path: str | Path) -> dict[str, Any]:
 
     Raises ConfigError naming file and what is wrong."""
     path, number = split_number(Path(path))
+    refuse_plan(path)
     file = path / "result.json" if path.is_dir() else path
     try:
         if file.stat().st_size > MAX_BYTES:

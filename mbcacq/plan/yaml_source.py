@@ -18,6 +18,8 @@ MAX_NODES = 40_000
 MAX_DEPTH = 40
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml takes a tenth of the time
 
+KINDS = {"steps": "a plan", "links": "a robot file", "balls": "an artefact file"}  # by the key that only such a file has
+
 Path_ = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -42,6 +44,10 @@ class YamlFile:
 
     def validate(self, schema: type[Model]) -> Model:
         """The data checked against a schema; numbers must be numbers. Raises ConfigError for the first thing that is wrong."""
+        wanted = next((kind for key, kind in KINDS.items() if key in schema.model_fields and key not in self.data), None)
+        given = next((kind for key, kind in KINDS.items() if key in self.data), None)
+        if wanted is not None and given is not None:
+            raise self.error((), f"this is {given}, where {wanted} is needed; name the right file")
         try:
             # As JSON, because only there strict types still take a list for a tuple.
             return schema.model_validate_json(json.dumps(self.data, default=str), strict=True)
@@ -67,11 +73,13 @@ def read(path: Path, role: str = "file") -> YamlFile:
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         raise ConfigError(f"{path}:{line}: the {role} is not UTF-8 text; save it as UTF-8") from None
-    return parse(text, path)
+    return parse(text, path, role)
 
 
-def parse(text: str, path: Path) -> YamlFile:
+def parse(text: str, path: Path, role: str = "file") -> YamlFile:
     """The values and lines of a text. Raises ConfigError where it is no plain YAML."""
+    if text.lstrip().startswith("<"):
+        raise ConfigError(f"{path}:1: this is XML, where a {role} in YAML is needed; of a URDF, mbcacq robot import makes a robot file")
     try:
         data, lines = _values_and_lines(text, path)
     except ConfigError:
@@ -95,7 +103,7 @@ def parse(text: str, path: Path) -> YamlFile:
         reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
         raise ConfigError(f"{path}:1: not valid YAML: {reason}; correct it") from None
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}:1: the file must be a mapping of keys to values; write it as lines of 'key: value'")
+        raise ConfigError(f"{path}:1: this is no {role}, which must be a mapping of keys to values; write it as lines of 'key: value'")
     return YamlFile(path, text, data, lines)
 
 

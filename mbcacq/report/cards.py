@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.report.content import Content, DiagnosisContent, EffectContent
 
-SIGNS = {"pass": "✔", "fail": "✘", "undecided": "?", "found": "→", "none": "–"}
+SIGNS = {"pass": "✓", "fail": "✗", "undecided": "?", "found": "→", "none": "–"}
 
 
 def verdict_card(content: Content) -> str:

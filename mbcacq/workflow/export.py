@@ -64,7 +64,7 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
     try:
         output.write_text(artefact_yaml(found), encoding="utf-8")
     except OSError as error:
-        raise RecordingError(f"{output}: cannot be written: {error.strerror}") from error
+        raise RecordingError(f"{output}: cannot be written: {error.strerror}; give another --output") from error
     return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm}
 
 

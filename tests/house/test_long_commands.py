@@ -8,9 +8,12 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
 from mbcacq.cli import step_progress
+from mbcacq.cli.app import app
 from mbcacq.cli.step_progress import StepProgress
 
 ROOT = Path(__file__).parents[2]
@@ -44,6 +47,28 @@ def test_nothing_is_said_where_nothing_is_wanted(capfd):
     with StepProgress(quiet=True) as progress:
         progress("calibrating")
     assert capfd.readouterr().err == ""
+
+
+def commands(group=app, above=()):
+    """Every command with its names, groups and their commands alike."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        yield (*above, name)
+        if isinstance(command, click.Group):
+            yield from commands(command, (*above, name))
+
+
+@pytest.mark.parametrize("command", list(commands()), ids=" ".join)
+def test_the_help_of_every_command_fits_eighty_columns(command):
+    done = CliRunner().invoke(app, [*command, "--help"], terminal_width=80)
+    assert done.exit_code == 0
+    assert [line for line in done.output.splitlines() if len(line) > 80] == []
+
+
+def test_the_list_of_drivers_fits_eighty_columns():
+    done = CliRunner().invoke(app, ["drivers"])
+    assert max(map(len, done.output.splitlines())) <= 80
 
 
 def test_the_table_of_challenges_fits_eighty_columns(monkeypatch, capsys):

@@ -211,7 +211,7 @@ def test_a_missing_or_unreadable_plan_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"latin\.yaml:2: the plan is not UTF-8 text"):
         load(tmp_path / "latin.yaml")
     (tmp_path / "empty.yaml").write_text("")
-    with pytest.raises(ConfigError, match=r"empty\.yaml:1: the file must be a mapping"):
+    with pytest.raises(ConfigError, match=r"empty\.yaml:1: this is no plan, which must be a mapping"):
         load(tmp_path / "empty.yaml")
 
 

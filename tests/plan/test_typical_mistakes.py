@@ -9,6 +9,7 @@ from plan_folder import Folder
 import mbcacq
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.certificate import read_certificate
+from mbcacq.exports.result_json import load_result
 from mbcacq.model.robot_import import import_robot
 from mbcacq.plan import load
 from mbcacq.plan.expansion import expand_reachable
@@ -143,6 +144,48 @@ def without(name: str):
     return act
 
 
+def plan_from(name: str, text: str):
+    """A file of something else in the place of a plan."""
+
+    def act(path: Path) -> Sentences:
+        (path / name).write_text(text)
+        return refused(load, path / name)
+
+    return act
+
+
+def swapped(path: Path) -> Sentences:
+    folder = Folder(path)
+    for name in ("robot", "mbc"):
+        (folder.path / f"{name}.yaml").rename(path / f"{name}.old")
+    (path / "robot.old").rename(folder.path / "mbc.yaml")
+    (path / "mbc.old").rename(folder.path / "robot.yaml")
+    return refused(load, folder.plan())
+
+
+def plan_for_result(path: Path) -> Sentences:
+    return refused(load_result, Folder(path).plan())
+
+
+def workbook(path: Path) -> Sentences:
+    for name, text in SET.items():
+        (path / name.replace("poses.csv", "poses.xlsx")).write_text(text)
+    return refused(load_observations, path)
+
+
+def in_radians(path: Path) -> Sentences:
+    poses = "".join(f"{k},table,{0.1 * k},{-0.3 * k}\n" for k in range(1, 5))
+    centres = "".join(f"{k},{b},{k},{b},3\n" for k in range(1, 5) for b in (1, 2))
+    three = CELL.replace("{id: 2, ", "{id: 3, centre_mm: [0, 20, 0], diameter_mm: 12}, {id: 2, ")
+    for name, text in {
+        "cell.yaml": three,
+        "poses.csv": "pose,station,q1_deg,q2_deg\n" + poses,
+        "centres.csv": "pose,ball,x_mm,y_mm,z_mm\n" + centres + "1,3,1,2,3\n",
+    }.items():
+        (path / name).write_text(text)
+    return refused(mbcacq.calibrate, path)
+
+
 TABLE = "obstacles:\n  - {name: table, min_mm: [300, -500, 0], max_mm: [900, 500, 500]}\nartefacts: ["
 POST = "obstacles:\n  - {name: post, min_mm: [450, -50, 500], max_mm: [650, 50, 1100]}\nartefacts: ["
 
@@ -184,6 +227,12 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "a symmetric artefact": (square, "looks the same turned", "make all distances between its balls differ"),
     "a certificate without diameters": (certificate("label,x,y,z\nB1,0,0,0\n"), "column 'd' is missing", "needs label, x, y, z and d in mm"),
     "a certificate as PDF": (certificate("%PDF-1.7", "certificate.pdf"), "must be .csv, .yaml or DMIS output (.dmo), not '.pdf'", "convert it"),
+    "a certificate in metres": (certificate("label,x,y,z,d\nB1,0,0,0,0.012\nB2,0.06,0,0,0.012\n"), "looks like metres or inches", "in mm"),
+    "a certificate in inches": (certificate("label,x,y,z,d\nB1,0,0,0,0.47\nB2,2.4,0,0,0.47\n"), "looks like metres or inches", "in mm"),
+    "a URDF for a plan": (plan_from("arm.urdf", URDF), "this is XML, where a plan", "robot import makes a robot file"),
+    "a certificate for a plan": (plan_from("balls.csv", "label,x,y\nB1,0,0\n"), "this is no plan", "write it as lines of 'key: value'"),
+    "a robot file and an artefact file exchanged": (swapped, "this is an artefact file, where a robot file is needed", "name the right file"),
+    "a plan for a result": (plan_for_result, "is a plan, nothing was measured yet", "then give the folder of the run"),
     "limits the wrong way round": (file("robot.yaml", ("[-170, 170]", "[170, -170]")), "limits of A1", "exchange them"),
     "an axis without speed": (file("robot.yaml", (", speed_deg_s: 300", "")), "A1 has no speed_deg_s", "give it for every axis"),
     "a length of a link without its unit": (file("robot.yaml", ("d_mm: 400", "d: 400")), "links[0] lacks 'd_mm'", "add it"),
@@ -206,6 +255,8 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "a misspelt key in cell.yaml": (data("cell.yaml", "stations", "station"), "'station' is not known", "'stations' is meant? correct it"),
     "an artefact that cell.yaml does not have": (data("cell.yaml", "artefact: mbc", "artefact: bar"), "not among: mbc", "name one of these"),
     "no measured points": (without("centres.csv"), "neither centres.csv nor a folder scans", "add one of them"),
+    "a workbook for a CSV": (workbook, "cannot be read", "save poses.xlsx as CSV"),
+    "angles in radians": (in_radians, "they look like radians", "in degrees"),
     "a folder of something else": (lambda path: refused(load_observations, path), "is not a recording", "give a run folder"),
 }  # fmt: skip
 

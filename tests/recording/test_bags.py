@@ -46,11 +46,16 @@ def path():
 
 @pytest.fixture(params=[StoragePlugin.SQLITE3, StoragePlugin.MCAP], ids=["sqlite", "mcap"])
 def bag(request, tmp_path):
+    return write_bag(tmp_path, request.param)
+
+
+def write_bag(folder, plugin, quaternion=(0.0, 0.0, 0.6, 0.8)):
+    """A bag of the path in ``folder``. quaternion: x, y, z, w of the target in every message, with both signs."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = store.types
     header = lambda t: kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](int(t), int(round(t % 1 * 1e9))), "base")  # noqa: E731
     q, at = path()
-    with Writer(tmp_path / "run", version=9, storage_plugin=request.param) as writer:
+    with Writer(folder / "run", version=9, storage_plugin=plugin) as writer:
         states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
         poses = writer.add_connection("/tracker/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
         for k, (angles, i) in enumerate(zip(q, at, strict=True)):
@@ -62,11 +67,11 @@ def bag(request, tmp_path):
             if i >= 0:
                 turn = 1.0 if k % 2 else -1.0  # both quaternions of one rotation
                 pose = kind["geometry_msgs/msg/Pose"](
-                    kind["geometry_msgs/msg/Point"](*PLACES[i]), kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, turn * 0.6, turn * 0.8)
+                    kind["geometry_msgs/msg/Point"](*PLACES[i]), kind["geometry_msgs/msg/Quaternion"](*(turn * c for c in quaternion))
                 )
                 message = kind["geometry_msgs/msg/PoseStamped"](header(t), pose)
                 writer.write(poses, int(t * 1e9), store.serialize_cdr(message, message.__msgtype__))
-    return tmp_path
+    return folder
 
 
 def test_each_standstill_is_a_pose_with_its_target(bag):
@@ -78,6 +83,15 @@ def test_each_standstill_is_a_pose_with_its_target(bag):
     np.testing.assert_allclose(obs.xyz, 1e3 * PLACES)
     np.testing.assert_allclose(obs.rotation[0][:2, :2], [[0.28, -0.96], [0.96, 0.28]], atol=1e-12)
     assert obs.time_s[1] - obs.time_s[0] == pytest.approx(STEP * (STILL + MOVE), abs=1e-3)
+
+
+def test_an_orientation_that_was_never_measured_is_none(tmp_path):
+    """Instruments of positions publish the identity with every pose."""
+    write_bag(tmp_path, StoragePlugin.SQLITE3, (0.0, 0.0, 0.0, 1.0))
+    (tmp_path / "cell.yaml").write_text(TRACKER)
+    obs = load_observations(tmp_path)
+    assert obs.rotation is None
+    np.testing.assert_allclose(obs.xyz, 1e3 * PLACES)
 
 
 def test_the_joint_states_of_a_bag_are_a_motion(bag):

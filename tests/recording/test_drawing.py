@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic
@@ -13,9 +15,11 @@ from mbcacq.recording import Recorder, Recording
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, scan_colouring
 from mbcacq.recording.rrd.chart import ticks, written
+from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import flange_strips
 from mbcacq.recording.rrd.result_recording import round_scale
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
+from mbcacq.report.cards import SIGNS
 
 CELL = parse_cell(synthetic.CELL)
 
@@ -146,3 +150,18 @@ def test_another_urdf_is_refused_with_a_warning_and_the_links_are_drawn(tmp_path
     recording = Recording(tmp_path / "run" / "run.rrd")
     assert any(what in r["text"][0] for r in recording.rows(layout.LOG) if "text" in r)
     assert list(recording.rows(f"{layout.link(2)}/body"))
+
+
+def test_what_the_viewer_has_no_shape_for_is_shown_as_a_question_mark_and_kept_in_the_data(tmp_path):
+    assert drawable("Überprüfung 5 µm ± 0,1 → ✓ Калибровка") == "Überprüfung 5 µm ± 0,1 → ✓ Калибровка"
+    assert drawable("測定 ✘ 😀") == "?? ? ?"
+    start = synthetic.start()
+    with Recorder(tmp_path) as recorder:
+        recorder(replace(start, name="測定", plan_yaml=start.plan_yaml + "# 測定\n"))
+    recording = Recording(tmp_path / "run.rrd")
+    assert recording.text(layout.PLAN).endswith("# 測定\n")
+    assert recording.text(layout.PLAN_SHOWN).endswith("# ??\n")
+
+
+def test_every_sign_of_a_verdict_can_be_drawn():
+    assert {drawable(sign) for sign in SIGNS.values()} == set(SIGNS.values())

@@ -195,7 +195,7 @@ def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice])
     pose = np.array(sorted(points), dtype=np.int64)
     out: dict[str, Any] = {"pose": pose, "ball": np.zeros(len(pose), dtype=np.int64)}
     out["xyz"] = MM_IN_M * np.array([np.mean(points[p], axis=0) for p in pose.tolist()]).reshape(-1, 3)
-    if len(turns) == len(points) and turns:
+    if len(turns) == len(points) and turns and not _never_turned(turns):
         out["rotation"] = quaternions.to_matrix(np.array([_mean_turn(turns[p]) for p in pose.tolist()]))
     return out
 
@@ -215,6 +215,11 @@ def _vector(v: Any) -> np.ndarray:
 
 def _quaternion(q: Any) -> np.ndarray:
     return np.array([q.w, q.x, q.y, q.z], dtype=float)
+
+
+def _never_turned(turns: dict[int, list[np.ndarray]]) -> bool:
+    """Whether every quaternion is the identity, several poses long: what instruments publish that measure positions only."""
+    return len(turns) > 1 and all(abs(q[0]) == 1.0 and not q[1:].any() for each in turns.values() for q in each)
 
 
 def _mean_turn(turns: list[np.ndarray]) -> np.ndarray:

@@ -22,6 +22,7 @@ from mbcacq.recording.datasets import angles, quaternions
 from mbcacq.recording.datasets.synced_files import write_synced
 
 MAX_BYTES = 1 << 30
+SPREADSHEETS = (".xlsx", ".xls", ".ods")
 XYZ = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
 SEPARATORS = (",", ";", "\t")
@@ -200,7 +201,8 @@ def _text(path: Path) -> str:
             raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; split the set")
         data = path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the path") from None
+        cure = next((f"save {path.stem}{s} as CSV" for s in SPREADSHEETS if path.with_suffix(s).exists()), "check the path")
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; {cure}") from None
     try:
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return data.decode("utf-16")

@@ -15,6 +15,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.chart import SHEET_HEIGHT, SHEET_WIDTH, sheet_height
+from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
@@ -74,8 +75,8 @@ def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Contai
     texts = rrb.Tabs(
         *((rrb.TextDocumentView(name="Verdict", origin=layout.VERDICT),) if enlarged.pose is not None else ()),
         rrb.TextLogView(name="Log", origin=layout.LOG, columns=LOG_COLUMNS),
-        rrb.TextDocumentView(name="Plan", origin=layout.PLAN),
-        rrb.TextDocumentView(name="Cell description", origin=layout.CELL),
+        rrb.TextDocumentView(name="Plan", origin=layout.PLAN_SHOWN),
+        rrb.TextDocumentView(name="Cell description", origin=layout.CELL_SHOWN),
     )
     found = _curves("Balls found", [layout.BALLS_FOUND], legend=False, most=10 * -(-balls // 10) + 1)  # round, and its label in the frame
     return rrb.Horizontal(
@@ -188,7 +189,7 @@ def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
 
 def _chart(name: str, entity: str, height: float = SHEET_HEIGHT) -> rrb.Spatial2DView:
     bounds = rrb.VisualBounds2D(x_range=(0.0, SHEET_WIDTH), y_range=(0.0, height))
-    return rrb.Spatial2DView(name=name, origin=f"/{entity}", background=rrb.Background(color=NIGHT), visual_bounds=bounds)
+    return rrb.Spatial2DView(name=drawable(name), origin=f"/{entity}", background=rrb.Background(color=NIGHT), visual_bounds=bounds)
 
 
 def _space(name: str, contents: list[str], viewpoint: ViewerCamera, hidden: tuple[str, ...] = ()) -> rrb.Spatial3DView:

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
+from mbcacq.recording.rrd.drawable import drawable
+
 SHEET_WIDTH, SHEET_HEIGHT = 900.0, 420.0  # of a chart with its labels
 ROOM, FLATTEST = 860.0, 200.0  # height for charts one below the other in half of a usual window; least height of one of them
 LEFT, RIGHT, TOP, BOTTOM = 70.0, 20.0, 42.0, 34.0
@@ -131,7 +133,7 @@ class Chart:
     def _labels(self, part: str, places: Sequence[np.ndarray], texts: Sequence[str]) -> None:
         self._rec.log(
             f"{self._entity}/{part}",
-            rr.Points2D(np.array(places), labels=list(texts), show_labels=True, radii=0.01, colors=[INK]),
+            rr.Points2D(np.array(places), labels=[drawable(text) for text in texts], show_labels=True, radii=0.01, colors=[INK]),
             static=True,
         )
 

@@ -16,6 +16,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
+from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
@@ -50,7 +51,7 @@ def write_diagnosis(
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
         stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
-        stream.log(layout.DIAGNOSIS_TEXT, rr.TextDocument(cards or f"```\n{text}\n```", media_type=rr.MediaType.MARKDOWN), static=True)
+        stream.log(layout.DIAGNOSIS_TEXT, drawn_text(cards or f"```\n{text}\n```"), static=True)
         for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
             stream.log(
                 f"{layout.DIAGNOSIS_ARROWS}/{name}",
@@ -62,7 +63,7 @@ def write_diagnosis(
         for k, cause in enumerate(pictures["causes"]):
             entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
             label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
-            stream.log(entity, rr.SeriesPoints(names=[label], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
+            stream.log(entity, rr.SeriesPoints(names=[drawable(label)], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
         for k, curve in enumerate(curves):
             _log_response(stream, f"{layout.RESPONSES}/{k}", curve, height)
         _log_poses(stream, centres, before, after, pictures["causes"], times)

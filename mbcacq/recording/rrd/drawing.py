@@ -12,6 +12,7 @@ from mbcacq.devices import Scan
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import layout, scan_colouring, scene
+from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.spheres.found import SphereOptions
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
@@ -37,8 +38,8 @@ class Drawing:
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
         scene.log_limits(self._rec)
-        self._rec.log(layout.SUMMARY, _markdown("No calibration yet: `mbcacq run` makes one at its end."), static=True)
-        self._rec.log(layout.DIAGNOSIS_TEXT, _markdown("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
+        self._rec.log(layout.SUMMARY, drawn_text("No calibration yet: `mbcacq run` makes one at its end."), static=True)
+        self._rec.log(layout.DIAGNOSIS_TEXT, drawn_text("No diagnosis yet: `mbcacq diagnose RUN` makes one."), static=True)
         if event.route:
             strips = flange_strips(cell, scene.home(event.plan_yaml, cell.robot.n), event.route)
             self._rec.log(layout.PATH, rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.6)), static=True)
@@ -117,7 +118,7 @@ class Drawing:
                 colour = scene.CURVES[len(self._drawn_temperatures) % len(scene.CURVES)]
                 self._drawn_temperatures.add(name)
                 title = name.removesuffix("_C").replace("_", " ")  # the unit stands above the curves
-                self._rec.log(entity, rr.SeriesLines(names=[title], colors=[colour], widths=[1.5]), static=True)
+                self._rec.log(entity, rr.SeriesLines(names=[drawable(title)], colors=[colour], widths=[1.5]), static=True)
             self._rec.log(entity, rr.Scalars(float(value)))
 
 
@@ -127,10 +128,6 @@ def _by_ball(cell: Cell, ball: np.ndarray, values: np.ndarray) -> np.ndarray:
     out = np.full((len(ids), values.shape[1]), np.nan)
     out[[ids.index(b) for b in np.asarray(ball).tolist()]] = values
     return out
-
-
-def _markdown(markdown: str) -> rr.TextDocument:
-    return rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
 
 
 def flange_strips(cell: Cell, home: np.ndarray, route: Mapping[int, np.ndarray]) -> list[np.ndarray]:

@@ -59,6 +59,7 @@ OBSTACLES = "world/obstacles"  # Boxes3D
 RESIDUAL = "result/residual_um"  # result/residual_um/after, before: Scalars, mean of a pose along x, y, z
 RESIDUAL_BALL = "result/residual"  # mbcacq.Residual: float64, every centre
 RMS_POSE = "result/rms_pose_um"  # .../before, .../after: Scalars, 3D rms of a pose
+PLAN_SHOWN, CELL_SHOWN = "view/plan", "view/cell"  # TextDocument: the texts in characters that the viewer can draw
 VIEW = "view"  # TextDocument, only in the small file that ``mbcacq view`` opens first
 SUMMARY = "result/summary"  # TextDocument
 VERDICT = "result/verdict"  # TextDocument: the verdict, and the one number against its limit

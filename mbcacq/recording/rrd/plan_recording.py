@@ -26,6 +26,7 @@ def write_plan_recording(
 
     from mbcacq.recording.rrd import layout, scene
     from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, NIGHT, place_camera
+    from mbcacq.recording.rrd.drawable import drawable
     from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 
     cell = loaded.cell
@@ -62,7 +63,7 @@ def write_plan_recording(
             centers=(low + high) / 2,
             half_sizes=(high - low) / 2,
             colors=[OBSTACLE],
-            labels=[o.name for o in loaded.plan.obstacles],
+            labels=[drawable(o.name) for o in loaded.plan.obstacles],
             show_labels=False,
         ),
         static=True,
@@ -77,7 +78,7 @@ def write_plan_recording(
             rec.set_time(layout.TIME, duration=start + 0.5 * (end - start) * k / (len(path) - 1))
             scene.log_arm(rec, cell, q)
         seen = f"{len(pose.balls)} ball{'' if len(pose.balls) == 1 else 's'}"
-        rec.log(layout.LOG, rr.TextLog(f"{start:.0f} s  pose {pose.number}: {pose.step_name}, station {pose.station}, {seen}"))
+        rec.log(layout.LOG, rr.TextLog(drawable(f"{start:.0f} s  pose {pose.number}: {pose.step_name}, station {pose.station}, {seen}")))
         last = pose.q
     rec.disconnect()
 

@@ -17,6 +17,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.chart import Chart
+from mbcacq.recording.rrd.drawable import drawn_text
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.rrd.rerun_path import rerun_path
@@ -80,7 +81,7 @@ def log_result(
         if judgement is not None:
             _log_judgement(stream, judgement)
         summary = _summary(observations, errors, shown, scale)
-        stream.log(layout.SUMMARY, rr.TextDocument(summary, media_type=rr.MediaType.MARKDOWN), static=True)
+        stream.log(layout.SUMMARY, drawn_text(summary), static=True)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
         os.replace(partial, path)
@@ -178,7 +179,7 @@ def _log_all(
 
 def _log_judgement(stream: rr.RecordingStream, judged: Judgement) -> None:
     """The verdict, and the chart of the number that judges: the length error at each place."""
-    stream.log(layout.VERDICT, rr.TextDocument(judged.text, media_type=rr.MediaType.MARKDOWN), static=True)
+    stream.log(layout.VERDICT, drawn_text(judged.text), static=True)
     if not len(judged.error):
         return
     uncertainty = np.zeros(len(judged.error)) if judged.sigma is None else 2 * judged.sigma

@@ -14,6 +14,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.drawable import drawable, drawn_text
 
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
 HOUSING, VIEW, BALL, BAR, PALE = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168), (62, 68, 78)
@@ -101,7 +102,7 @@ def log_obstacles(rec: rr.RecordingStream, plan_yaml: str) -> None:
             rr.Boxes3D(
                 centers=[(low + high) / 2 for _, low, high in boxes],
                 half_sizes=[(high - low) / 2 for _, low, high in boxes],
-                labels=[name for name, _, _ in boxes],
+                labels=[drawable(name) for name, _, _ in boxes],
                 show_labels=False,
                 colors=[BASE],
                 radii=rr.Radius.ui_points(1.0),
@@ -136,6 +137,12 @@ def log_arm(rec: rr.RecordingStream, cell: Cell, q: np.ndarray) -> None:
         rec.log(entity, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
 
 
+def log_texts(rec: rr.RecordingStream, plan_yaml: str, cell_yaml: str) -> None:
+    """Plan and cell as the viewer can draw them."""
+    for entity, text in ((layout.PLAN_SHOWN, plan_yaml), (layout.CELL_SHOWN, cell_yaml)):
+        rec.log(entity, drawn_text(text, markdown=False), static=True)
+
+
 def log_balls(rec: rr.RecordingStream, station: str, artefact: Artefact, balls: dict[int, np.ndarray]) -> None:
     """Measured balls of one station: id -> centre (3,) mm in the base frame. Two of them are joined by their bar."""
     entity = f"{layout.STATIONS}/{rr.escape_entity_path_part(station)}"
@@ -149,7 +156,7 @@ def log_balls(rec: rr.RecordingStream, station: str, artefact: Artefact, balls: 
             half_sizes=np.repeat(radius[:, None], 3, axis=1),
             colors=[BALL],
             fill_mode="solid",
-            labels=[f"{station}: {ball}" for ball in balls],
+            labels=[drawable(f"{station}: {ball}") for ball in balls],
             show_labels=False,
         ),
     )

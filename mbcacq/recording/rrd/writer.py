@@ -20,6 +20,7 @@ from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import blueprint, for_cell
 from mbcacq.recording.rrd.cycles import CycleWriter
+from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import Drawing
 from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
 from mbcacq.recording.rrd.new_stream import send_default_blueprint
@@ -133,10 +134,11 @@ class Recorder:
         self._cycles.started(self._started_s)
         self._set_times(event.time_s)
         rec = self._rec
-        rec.send_recording_name(f"{event.name} (simulated)" if event.simulated else event.name)
+        rec.send_recording_name(drawable(f"{event.name} (simulated)" if event.simulated else event.name))
         texts = {layout.PLAN: event.plan_yaml, layout.CELL: event.cell_yaml, layout.CELL_COPY: event.cell_yaml}
         for entity, text in {**texts, **({layout.PLAN_FILES: event.plan_files} if event.plan_files else {})}.items():
             rec.log(entity, rr.TextDocument(text), text_row(text), static=True)
+        scene.log_texts(rec, event.plan_yaml, event.cell_yaml)
         about = rows.row(
             layout.RUN_ARCHETYPE,
             layout=layout.VERSION,
@@ -161,7 +163,7 @@ class Recorder:
 
     def _say(self, time_s: float, text: str, level: str) -> None:
         """A line of the log. Its time is part of the text: the viewer's own column of it is too narrow to be read."""
-        self._rec.log(layout.LOG, rr.TextLog(f"{time_s:.1f} s  {text}", level=level))
+        self._rec.log(layout.LOG, rr.TextLog(drawable(f"{time_s:.1f} s  {text}"), level=level))
 
     def _draw_from_urdf(self, path: str, cell: Cell, time_s: float) -> None:
         """A URDF that does not fit is no reason not to measure: a warning is logged, and the arm is drawn from its links."""
@@ -185,12 +187,12 @@ class Recorder:
     def _(self, event: events.StepStarted) -> None:
         self._step = event.index
         self._set_times(event.time_s)
-        self._rec.log(layout.STEP, rr.StateChange(state=event.name))
+        self._rec.log(layout.STEP, rr.StateChange(state=drawable(event.name)))
 
     @_write.register
     def _(self, event: events.StationReached) -> None:
         self._drawing.station(event)
-        self._rec.log(layout.STATION, rr.StateChange(state=f"{event.station}: {event.artefact}"))
+        self._rec.log(layout.STATION, rr.StateChange(state=drawable(f"{event.station}: {event.artefact}")))
 
     @_write.register
     def _(self, event: events.Message) -> None:

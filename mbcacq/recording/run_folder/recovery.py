@@ -101,7 +101,7 @@ def _merge_what_is_whole(source: Path, output: Path) -> None:
         except RecordingError:
             raise
         except OSError as error:
-            raise RecordingError(f"{output} cannot be written: {error.strerror}") from error
+            raise RecordingError(f"{output} cannot be written: {error.strerror}; give another folder or free the disk") from error
         finally:
             cut.unlink(missing_ok=True)
 
@@ -124,7 +124,7 @@ def _merge(sources: list[Path], output: Path) -> None:
     except RecordingError:
         raise
     except OSError as error:
-        raise RecordingError(f"{output} cannot be written: {error.strerror}") from error
+        raise RecordingError(f"{output} cannot be written: {error.strerror}; give another folder or free the disk") from error
     finally:
         partial.unlink(missing_ok=True)
 

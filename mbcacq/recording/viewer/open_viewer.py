@@ -131,11 +131,12 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
     from mbcacq.recording.rrd.blueprint import for_cell
     from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
     from mbcacq.recording.rrd.reader import Recording
-    from mbcacq.recording.rrd.scene import log_axes_key
+    from mbcacq.recording.rrd.scene import log_axes_key, log_texts
 
     try:
         first = Recording(sources[0])
-        plan, cell = first.text(layout.PLAN), parse_cell(first.text(layout.CELL))
+        plan, cell_yaml = first.text(layout.PLAN), first.text(layout.CELL)
+        cell = parse_cell(cell_yaml)
     except MbcacqError:
         return list(sources)
     path = folder / "layout.rrd"
@@ -143,7 +144,8 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
     stream.save(rerun_path(path))
     send_default_blueprint(stream, for_cell(cell, plan, enlarged(sources)))
     stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
-    log_axes_key(stream, cell.robot.n)  # an older recording has none
+    log_axes_key(stream, cell.robot.n)  # an older recording has none,
+    log_texts(stream, plan, cell_yaml)  # nor these
     stream.flush(timeout_sec=10.0)
     stream.disconnect()
     return [path, *sources]
@@ -240,8 +242,10 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
                 time.sleep(0.2)
         try:
             yield client
-        except (RuntimeError, TimeoutError) as error:
-            raise RecordingError(f"no picture could be made ({str(error).splitlines()[0]}); try again, or look with mbcacq view") from error
+        except (RuntimeError, TimeoutError, ConnectionError) as error:
+            ended = child.poll()
+            why = str(error).splitlines()[0] if ended is None else f"the viewer ended by itself, code {ended}; is there too little memory?"
+            raise RecordingError(f"no picture could be made ({why}); try again, or look with mbcacq view") from error
     finally:
         rerun_program.end(child)
         child.wait()
