@@ -51,7 +51,9 @@ class WorkerPool:
         from concurrent.futures.process import BrokenProcessPool
 
         try:
-            return _counted(self._pool.map(function, *arguments), answered)
+            # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
+            calls = [self._pool.submit(function, *given) for given in zip(*arguments, strict=False)]
+            return _counted((call.result() for call in calls), answered)
         except BrokenProcessPool:
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
 
