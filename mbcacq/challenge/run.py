@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -108,7 +108,9 @@ _challenger: Challenger | None = None
 
 
 def _begin(plan: Path, protocols: bool, folder: Path | None) -> None:
+    """In a new process, which leaves Ctrl-C to the one that started it."""
     global _challenger
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _challenger = Challenger.of(plan, protocols, folder)
 
 
@@ -138,5 +140,12 @@ def _each(plan: Path, scenarios: Sequence[Scenario], protocols: bool, folder: Pa
         challenger = Challenger.of(plan, protocols, folder)
         yield from map(challenger.take, scenarios)
         return
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(plan, protocols, folder)) as pool:
-        yield from pool.map(_take, scenarios)
+    from loky import ProcessPoolExecutor
+
+    pool, complete = ProcessPoolExecutor(jobs, initializer=_begin, initargs=(plan, protocols, folder)), False
+    try:
+        for taken in [pool.submit(_take, scenario) for scenario in scenarios]:
+            yield taken.result()
+        complete = True
+    finally:
+        pool.shutdown(wait=True, kill_workers=not complete)  # what was begun may take a minute, and nobody waits for it any more

@@ -14,8 +14,7 @@ def main() -> None:
     from mbcacq.cli.signals import interrupt_once
     from mbcacq.errors import ExitCode
 
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # what is started in the background stays deaf to Ctrl-C
-        signal.signal(signal.SIGINT, interrupt_once)
+    interrupt_once()
     try:
         from mbcacq.cli.app import app
 
@@ -23,3 +22,5 @@ def main() -> None:
     except KeyboardInterrupt:  # outside of what the command group handles: while it is loaded, while it ends
         sys.stderr.write("mbcacq: interrupted\n")
         sys.exit(ExitCode.INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: the interpreter, while it ends, would let it end us by the signal

@@ -8,9 +8,11 @@ import io
 import os
 import re
 import sys
+from typing import NoReturn
 
 import click
 
+from mbcacq.cli.signals import ended_by_signal
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
 from mbcacq.version import __version__
@@ -53,6 +55,12 @@ def refused_by_the_system(error: Exception) -> str:
     return ""
 
 
+def end_interrupted(how: BaseException | None = None) -> NoReturn:
+    """End with the sentence and the code of what a signal raised."""
+    echo(f"mbcacq: {how}" if isinstance(how, MbcacqError) else "mbcacq: interrupted", err=True)
+    sys.exit(how.exit_code if isinstance(how, MbcacqError) else ExitCode.INTERRUPTED)
+
+
 class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -91,14 +99,15 @@ class LazyGroup(click.Group):
             echo(shown.getvalue(), err=True, nl=False)
             sys.exit(ExitCode.USAGE)
         except (KeyboardInterrupt, click.Abort):
-            echo("mbcacq: interrupted", err=True)
-            sys.exit(ExitCode.INTERRUPTED)
+            end_interrupted()
         except MbcacqError as error:
             echo(f"mbcacq: {error}", err=True)
             sys.exit(error.exit_code)
         except Exception as error:
             if os.environ.get("MBCACQ_DEBUG"):
                 raise
+            if ended := ended_by_signal():  # a library made another error of it
+                end_interrupted(ended)
             if isinstance(error, OSError) and error.errno in FULL:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where not even our words find room
                 where = error.filename or "the output"

@@ -50,21 +50,6 @@ def test_memory_files_and_threads_that_are_refused_are_no_bug():
     assert refused_by_the_system(RuntimeError("another")) == refused_by_the_system(ValueError("x")) == ""
 
 
-AT_BOTH_ENDS = """
-import atexit, signal
-from mbcacq import cli
-from mbcacq.cli import app
-atexit.register(lambda: signal.raise_signal(signal.SIGINT))  # while the interpreter ends
-app.app = lambda: signal.raise_signal(signal.SIGINT)  # before a command has its say
-cli.main()
-"""
-
-
-def test_ctrl_c_before_the_first_and_after_the_last_line_of_a_command_is_an_interruption():
-    done = subprocess.run([sys.executable, "-c", AT_BOTH_ENDS], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (130, "mbcacq: interrupted\n")
-
-
 def over_eki(plan):
     plan["robot"] |= {
         "driver": "kuka_eki",

@@ -56,6 +56,7 @@ class WorkerPool:
         from concurrent.futures.process import BrokenProcessPool
 
         try:
+            # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
             others = {j: self._pool.submit(function, *call) for j, call in enumerate(calls) if j % self._workers}
             out: dict[int, Any] = {}
             for j in range(0, len(calls), self._workers):
