@@ -157,8 +157,7 @@ def faults(typed: Typed, run: Path, shared: set[str], moment: str) -> list[str]:
 
 def before_our_first_line(typed: Typed) -> bool:
     """Whether the key came while the interpreter itself started, where no program has a say."""
-    ended_by_it = bool(typed.code) and (typed.code == -signal.SIGINT or "KeyboardInterrupt" in typed.text)
-    return ended_by_it and not any(word in typed.text for word in ("mbcacq: ", "in main", "cli/app.py"))
+    return typed.code not in (None, 0, 130) and not any(word in typed.text for word in ("mbcacq: ", "in main", "cli/app.py"))
 
 
 def resumed(command: list[str], run: Path) -> list[str]:

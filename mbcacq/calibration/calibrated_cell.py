@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.calibration import result_io
 from mbcacq.calibration.cell_methods import CalibratedCellMethods
+from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
@@ -60,7 +61,7 @@ class CalibratedCell(CalibratedCellMethods):
         (``result.json#2``), or without where ``any_of_them`` will do, since they share the arm. Raises ConfigError."""
         if isinstance(source, str) and source.lstrip().startswith("{"):
             try:
-                return cls.from_dict(json.loads(source))
+                return cls.from_dict(unsealed(json.loads(source), Path("the calibration result")))
             except ValueError as error:
                 raise ConfigError(f"the calibration result is not JSON ({error}); give the content of a result.json") from error
         return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them))
@@ -70,8 +71,8 @@ class CalibratedCell(CalibratedCellMethods):
         return self.content
 
     def to_json(self) -> str:
-        """``to_dict`` as JSON text."""
-        return json.dumps(self.content, indent=1)
+        """``to_dict`` as JSON text, with its checksum."""
+        return sealed_text(self.content)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.errors import ConfigError
 
 FORMAT = "mbcacq-joint-result/1"
@@ -22,8 +23,9 @@ def split_number(path: Path) -> tuple[Path, int | None]:
 
 def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: bool = False) -> Any:
     """The result of one recording in a joint result; any other content as it is. any_of_them: without a number the first will do, where
-    only what they share is asked for. Raises ConfigError where it is not said which.
+    only what they share is asked for. Raises ConfigError where it is not said which, and where the content's checksum does not hold.
     """
+    content = unsealed(content, file)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         if number is not None:
             raise ConfigError(f"{file} is not of several recordings; leave out '#{number}'")

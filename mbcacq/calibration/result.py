@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from mbcacq.calibration import notebook, result_io
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter, Rejected
 from mbcacq.calibration.cell_methods import CalibratedCellMethods
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 
@@ -38,8 +38,8 @@ class Calibration(CalibrationFit, CalibratedCellMethods):
         return result_io.to_dict(self)
 
     def to_json(self) -> str:
-        """``to_dict`` as JSON text."""
-        return json.dumps(self.to_dict(), indent=1)
+        """``to_dict`` as JSON text, with its checksum."""
+        return sealed_text(self.to_dict())
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> Calibration:
         """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.

@@ -11,16 +11,16 @@ def main() -> None:
     import signal
     import sys
 
-    from mbcacq.cli.signals import interrupt_once
-    from mbcacq.errors import ExitCode
-
-    interrupt_once()
     try:
+        from mbcacq.cli.signals import interrupt_once
+
+        interrupt_once()
         from mbcacq.cli.app import app
 
         app()
     except KeyboardInterrupt:  # outside of what the command group handles: while it is loaded, while it ends
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         sys.stderr.write("mbcacq: interrupted\n")
-        sys.exit(ExitCode.INTERRUPTED)
+        sys.exit(130)  # ExitCode.INTERRUPTED, which may not be loaded yet
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: the interpreter, while it ends, would let it end us by the signal

@@ -136,8 +136,10 @@ def command(
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:
+        from mbcacq.calibration.sealed_json import sealed_text
+
         try:
-            out.write_text(json.dumps(result, indent=1), encoding="utf-8")
+            out.write_text(sealed_text(result), encoding="utf-8")
         except OSError as error:
             raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
         result["files"] = {"result": str(out)}

@@ -84,5 +84,5 @@ def print_check(recording: Path, as_json: bool) -> None:
     if number := sum(len(file.faults) for file in found):
         raise RecordingError(
             f"{number} fault{'s' * (number != 1)} in {recording}: poses named are left out by calibrate and measured anew by run --resume; "
-            "a recording that cannot be read is made readable by mbcacq recover"
+            "a recording that cannot be read is made readable by mbcacq recover; what was computed, calibrate and diagnose compute anew"
         )

@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.calibration import state_from_dict
 from mbcacq.calibration.result_io import effects_of
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import RecordingError
 from mbcacq.exports import joint_frames, kuka, mjcf, ros, tables, urdf
 from mbcacq.exports.marks import comments, mjcf_comments, with_comments
@@ -50,7 +51,7 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
     """File name -> content. Raises ConfigError where a target does not fit, before anything is written."""
     T, marks = state_from_dict(dict(result)).T_flange_scanner, comments(result)
     text = {
-        "result.json": json.dumps(result, indent=1),
+        "result.json": sealed_text(result),
         "result.schema.json": json.dumps(result_schema(), indent=1),
         "parameters.csv": tables.parameters_csv(result),
         "covariance.csv": tables.covariance_csv(result),

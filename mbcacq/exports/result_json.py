@@ -85,6 +85,7 @@ class ResultFile(Open):
     noise: ResultNoise
     fit: Fit
     effects: dict[str, Any] | None = Field(None, description="effects as terms of the cell, format mbcacq-effect-model/1")
+    sha256: str = Field("", description="of the other keys as JSON, keys sorted, no spaces, shortest decimals")
 
 
 def result_schema() -> dict[str, Any]:

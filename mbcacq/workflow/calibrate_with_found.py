@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.workflow.calibrate import calibrate, verify
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
@@ -60,7 +60,7 @@ class CalibratedWithFound:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""
         from mbcacq.report.charts.stages_svg import stages_picture
 
-        files = {folder / "result.json": json.dumps(self.result(), indent=1)}
+        files = {folder / "result.json": sealed_text(self.result())}
         if self.places:
             files[folder / "bar.svg"] = stages_picture(self.places, self.stages)
         try:

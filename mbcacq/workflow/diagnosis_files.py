@@ -9,6 +9,7 @@ from typing import Any
 from mbcacq.errors import RecordingError
 from mbcacq.model.observations import Observations
 from mbcacq.recording import write_diagnosis
+from mbcacq.recording.rrd.checksums import note_copy
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
@@ -26,9 +27,11 @@ def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], o
     try:
         (run / DIAGNOSIS_JSON).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         (run / PICTURES_JSON).write_text(json.dumps(pictures, allow_nan=False), encoding="utf-8")
+        note_copy(run / DIAGNOSIS_JSON)
+        note_copy(run / PICTURES_JSON)
     except OSError as error:
         raise RecordingError(f"the diagnosis cannot be kept in {run}: {error.strerror}; free the disk, or make it writable") from error
-    write_diagnosis(run / "diagnosis.rrd", observations, words, pictures, run, cards_of(content))
+    note_copy(write_diagnosis(run / "diagnosis.rrd", observations, words, pictures, run, cards_of(content)))
 
 
 def cards_of(content: dict[str, Any]) -> str:

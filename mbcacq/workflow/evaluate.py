@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification, calibrate, verify
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.errors import CalibrationError
 from mbcacq.workflow.load import load_observations
@@ -84,7 +84,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     }
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
-    write_text(run / "result.json", json.dumps(content, indent=1))
+    write_text(run / "result.json", sealed_text(content))
     progress("writing the report")
     page = content_of(content, observations, read_run_info(run))
     report = write_report_page(page, run / "report.html")

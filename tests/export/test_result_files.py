@@ -8,6 +8,8 @@ import json
 import numpy as np
 import pytest
 
+from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.exports import tables
 from mbcacq.exports.result_json import load_result, result_schema
@@ -47,6 +49,38 @@ def test_a_damaged_file_is_named(solved, tmp_path, key, value, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_result(path)
     assert str(path) in str(error.value)
+
+
+def test_no_flipped_bit_of_a_result_file_changes_a_value_without_a_word(solved, tmp_path):
+    path = tmp_path / "result.json"
+    data = sealed_text(solved[0]).encode()
+    path.write_bytes(data)
+    assert load_result(path) == CalibratedCell.from_json(path).content == solved[0]
+    random, refused = np.random.default_rng(1), 0
+    for at in random.integers(len(data), size=100):
+        changed = bytearray(data)
+        changed[at] ^= 1 << int(random.integers(8))
+        path.write_bytes(changed)
+        for read in (load_result, lambda path: CalibratedCell.from_json(path).content):
+            try:
+                found = read(path)
+            except ConfigError:
+                refused += 1
+                continue
+            assert {key: value for key, value in found.items() if key in solved[0]} == solved[0]  # its checksum's name was hit, or a space
+    assert refused > 0
+
+
+def test_an_edited_result_says_how_it_can_be_used_all_the_same(solved, tmp_path):
+    path = tmp_path / "result.json"
+    edited = json.loads(sealed_text(solved[0]))
+    edited["T_flange_scanner"][0][3] += 0.5
+    path.write_text(json.dumps(edited))
+    with pytest.raises(ConfigError, match="is not as it was written: bits changed, or it was edited; .* remove its 'sha256'"):
+        load_result(path)
+    del edited["sha256"]
+    path.write_text(json.dumps(edited))
+    assert load_result(path) == edited
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\xff"])

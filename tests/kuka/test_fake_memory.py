@@ -83,6 +83,15 @@ def test_ctrl_c_while_a_controller_starts_leaves_nothing(fake, moment, monkeypat
     assert all(process.poll() is not None for process in processes)
 
 
+@pytest.mark.parametrize(
+    "module",
+    ["mbcacq_fakes.protocols.krc.process", "mbcacq_fakes.protocols.krc.eki_process", "mbcacq_fakes.cell.process", "mbcacq_kuka.rsi.cycle"],
+)
+def test_a_process_whose_starter_was_interrupted_ends_without_a_word(module):
+    done = subprocess.run([sys.executable, "-m", module], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 @pytest.mark.parametrize(("mounted", "reason"), [("size=32k", "No space left on device"), ("ro", "Read-only file system")])
 def test_a_full_or_read_only_dev_shm_is_a_sentence_and_no_sigbus(mounted, reason):
     if shutil.which("unshare") is None:

@@ -14,20 +14,25 @@ import pytest
 import synthetic
 from click.testing import CliRunner
 
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.cli.recover import command as recover_command
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
-from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, poses_done, repair_and_read_progress
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, log_result, poses_done, repair_and_read_progress
 from mbcacq.recording.datasets import synced_files
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
-from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, note_stretch, read_stretches
+from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, is_as_written, note_stretch, read_stretches
 from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.check import check
 from mbcacq.recording.run_folder.journal import read_journal
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text, read_kept_plan, refuse_change
+from mbcacq.workflow.diagnosis_files import keep_in_run
 
 FILES = {"robots/made.yaml": "name: six axes\n", "balls.yaml": "id: mbc\n"}
 CELL = "the fake cell of seed 0"
 COPIES = ("plan.yaml", "plan.files.json")
+NO_CENTRES = {"pose": [], "ball": [], "point_mm": [], "before_mm": [], "after_mm": [], "of": 0}
+PICTURES = {"centres": NO_CENTRES, "causes": []}
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +162,27 @@ def test_a_run_without_any_copy_of_its_plan_can_still_be_resumed(folder):
     assert len(kept.repairs) == 2
     refuse_change(folder, kept, "name: other\n", {}, "real")
     assert repair_and_read_progress(folder).done == {0, 1, 2, 3}
+
+
+def test_what_was_computed_from_a_run_is_checked_and_read_without_a_second_process(folder):
+    obs = load_observations(folder)
+    place = np.eye(4)
+    place[:3, 3] = [300.0, 0.0, 100.0]
+    state = CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, np.stack([place, place]), obs.cell.ball_centres)
+    path = log_result(folder, obs, state)
+    (folder / "result.json").write_text(sealed_text({"format": "mbcacq-result/1", "value": 0.25}))
+    keep_in_run({"effects": []}, "nothing", PICTURES, obs, folder)
+    computed = ["result.rrd", "diagnosis.rrd", "diagnosis.json", "diagnosis-pictures.json", "result.json"]
+    assert [file.path.name for file in check(folder)][-5:] == computed
+    assert faults(folder) == []
+    assert is_as_written(path)  # else the viewer's reader needs a process of its own
+    assert is_as_written(folder / "diagnosis.rrd")
+    for name in computed:
+        flip(folder / name, (folder / name).read_bytes().rindex(b"2") if name == "result.json" else (folder / name).stat().st_size // 2)
+    assert faults(folder) == [f"{name}: it is not as it was written" for name in computed]
+    for name in computed:
+        (folder / name).unlink()
+    assert faults(folder) == []  # they may be deleted: they can be computed again
 
 
 def test_a_damaged_line_of_the_journal_is_not_believed(folder):

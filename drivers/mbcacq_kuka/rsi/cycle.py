@@ -77,7 +77,9 @@ def _newest(sock: socket.socket, session: RsiSession, data: bytes, source: Any, 
 
 def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the driver's process, which ends us in order
-    settings = json.loads(sys.stdin.readline())
+    if not (line := sys.stdin.readline()):
+        return 0  # the driver was interrupted while it started this
+    settings = json.loads(line)
     parent_gone = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: parent_gone.set())
     shared = Shared.attach(settings["shared"])

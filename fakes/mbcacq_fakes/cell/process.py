@@ -264,6 +264,8 @@ def main() -> int:
     with ExitStack() as stack:
         try:
             servers = Servers(pickle.load(source), stack)
+        except EOFError:
+            return 0  # whoever started this was interrupted
         except Exception as error:
             reply("error", error)
             return 1

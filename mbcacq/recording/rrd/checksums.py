@@ -44,7 +44,7 @@ def note_whole(folder: Path, name: str, data: bytes) -> None:
 
 
 def note_copy(path: Path) -> None:
-    """Note the checksum of a recovered recording, where its folder has checksums."""
+    """Note the checksum of a file that was made from the recording, where its folder has checksums."""
     with suppress(OSError):
         if (path.parent / FILE).exists():
             digest, size = digest_of_file(path, 0, path.stat().st_size)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import read_lines
@@ -16,6 +18,8 @@ from mbcacq.recording.run_folder.run_plan import FILES, PLAN
 
 LINES = (layout.JOURNAL_FILE, layout.LOG_FILE, FILE)
 WHOLE_FILES = (PLAN, FILES, HEADER_FILE)
+RESULT = "result.json"
+COMPUTED = (layout.RESULT_FILE, layout.DIAGNOSIS_FILE, "diagnosis.json", "diagnosis-pictures.json")  # which one may delete
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,8 @@ def check(path: Path | str) -> list[CheckedFile]:
                 for name in WHOLE_FILES
                 if name in stretches or (folder / name).exists()
             ]
+            found += [_check_whole(folder / name, stretches[name]) for name in COMPUTED if name in stretches and (folder / name).exists()]
+            found += [_check_result(folder / RESULT)] if (folder / RESULT).exists() else []
         return found
 
 
@@ -102,3 +108,13 @@ def _check_whole(path: Path, stretches: list[Stretch]) -> CheckedFile:
         return CheckedFile(path, size, size, ())
     same = size == stretches[-1].end and digest_of_file(path, 0, size)[0] == stretches[-1].sha256
     return CheckedFile(path, size, 0, () if same else ("it is not as it was written",))
+
+
+def _check_result(path: Path) -> CheckedFile:
+    """It carries its own checksum, since it is copied elsewhere."""
+    size, faults = path.stat().st_size, ()
+    try:
+        unsealed(json.loads(path.read_bytes()), path)
+    except (ValueError, RecursionError):
+        faults = ("it is not as it was written",)
+    return CheckedFile(path, size, 0, faults)

@@ -164,7 +164,9 @@ def _obey(controller: EkiController, command: dict[str, Any]) -> None:
 
 def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    start = json.loads(sys.stdin.readline())
+    if not (line := sys.stdin.readline()):
+        return 0  # whoever started this was interrupted
+    start = json.loads(line)
     state = ArmState.attach(start["state"])
     try:
         controller = EkiController(EkiSettings(**start["settings"]), state)

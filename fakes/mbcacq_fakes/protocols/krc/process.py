@@ -260,7 +260,9 @@ def _arm(settings: KrcSettings, cycle_s: float) -> IdealArm:
 
 def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    start = json.loads(sys.stdin.readline())
+    if not (line := sys.stdin.readline()):
+        return 0  # whoever started this was interrupted
+    start = json.loads(line)
     settings = KrcSettings(**start["settings"])
     gone = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), gone.set()), daemon=True).start()
