@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.challenge.best_hyperparameter import best_hyper
 from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
-from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.validation import folds, predictive_score
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload

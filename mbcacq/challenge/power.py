@@ -12,21 +12,21 @@ from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr, ndtri
 
 from mbcacq.challenge import simulated_cells
+from mbcacq.challenge.best_hyperparameter import best_hyper, independent_values
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
-from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, log_restricted_likelihood, noise_with
+from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.result import plain
-from mbcacq.diagnosis.search import hyperparameters
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
-from mbcacq.diagnosis.search.hyperparameters import best_hyper
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior
 
 INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole
 CATALOGUE_LEVEL = 0.02  # false-alarm rate of a search over the whole catalogue
@@ -97,7 +97,7 @@ def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[Ef
             best = best_hyper(others, candidate)
             members[j] = candidate, best.hyper
             same = sum(c.key == candidate.key for c, _ in members[: j + 1])
-            choices *= max(hyperparameters.independent_values(candidate.hyper, best.hyper in candidate.hyper.preferred) / same, 1.0)
+            choices *= max(independent_values(candidate.hyper, best.hyper in candidate.hyper.preferred) / same, 1.0)
     return EffectSet(tuple(members)), choices
 
 
@@ -116,6 +116,14 @@ def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
     return log_restricted_likelihood(there, conditioned_on_effects(there, model), setup.prior_noise) - log_restricted_likelihood(
         geometry_only, geometry_only, setup.prior_noise
     )
+
+
+def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoisePrior) -> float:
+    """Twice the log of the restricted likelihood of a noise with its prior, up to a constant.
+
+    conditioned: the problem conditioned on the effects of the model, of whose coefficients no determinant is counted.
+    """
+    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * prior_noise.log_density(projected.noise)
 
 
 def reports(diagnosis: dict[str, Any], truth: dict[str, Any]) -> bool:
@@ -137,7 +145,7 @@ def search_space(challenger: Challenger, scenario: Scenario, one: dict) -> tuple
     share = np.exp(prior.log_probability_of_set([c for c, _ in members]))
     for candidate, hyper in members:
         if candidate.hyper is not None:
-            share /= hyperparameters.independent_values(candidate.hyper, hyper in candidate.hyper.preferred)
+            share /= independent_values(candidate.hyper, hyper in candidate.hyper.preferred)
     return max(sum(c.k for c, _ in members), 1), min(float(share) * factorial(len(members)), 1.0)
 
 

@@ -1,6 +1,9 @@
 """The catalogue is the contract's, found as files, each candidate consistent with its own description."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import simulated
 
 from mbcacq.effects import catalogue
@@ -59,3 +62,14 @@ def test_gravity_moment_about_a_joint_axis_is_its_torque(plan):
     for i in range(s.n):
         about_axis = s.gravity_moment(i)[:, 2] * s.obs.cell.robot.chain.sign[i]
         np.testing.assert_allclose(about_axis, s.gravity_torque[:, i], atol=1e-9)
+
+
+@pytest.mark.parametrize(("mass_kg", "highest_deg", "offered"), [(76.0, 65, True), (76.0, 360, False), (800.0, 360, True)])
+def test_no_balancer_is_offered_to_a_light_arm_that_turns_all_around(plan, mass_kg, highest_deg, offered):
+    limits, arm = plan.cell.robot.limits.copy(), plan.cell.robot
+    limits[1] = np.radians([min(-185, -highest_deg), highest_deg])
+    obs = replace(plan, cell=replace(plan.cell, robot=replace(arm, limits=limits, mass=arm.mass * mass_kg / arm.mass.sum())))
+    state = simulated.nominal_state(obs)
+    found, dropped = catalogue.candidates(Context(obs, state, forward_model.predict(obs, state)))
+    assert any(c.name == "gravity_compensator" for c in found) == offered
+    assert ("gravity_compensator" in dropped) != offered

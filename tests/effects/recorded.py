@@ -22,7 +22,7 @@ def context(world: World, recorded_temperature: bool = True) -> Context:
     robot = RobotModel(
         "independent arm",
         chain,
-        np.tile(np.radians([-350.0, 350.0]), (6, 1)),
+        np.radians([[-350.0, 350.0], [-140.0, 60.0], *[[-350.0, 350.0]] * 4]),
         plain.MASS,
         plain.COM,
         gear_ratio=np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,22 +53,6 @@ def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
     others = [h.log_posterior - reported.log_posterior for h in fit.hypotheses if with_payload(h) and is_part(reported, h)]
     best = max(others, default=-np.inf)
     return float(np.exp(min(best, 0.0))) if best > np.log(OPTIONS.undecided) else None
-
-
-def by_labels(hypotheses: Sequence[Hypothesis]) -> dict[frozenset[str], float]:
-    """Log posterior of the sets of the same effects at the same locations, whatever their harmonics or shapes."""
-    each: dict[frozenset[str], list[float]] = {}
-    for h in hypotheses:
-        each.setdefault(h.labels, []).append(h.log_posterior)
-    return {labels: float(np.logaddexp.reduce(values)) for labels, values in each.items()}
-
-
-def probability(fit: EvidenceFit, labels: frozenset[str]) -> float:
-    """Posterior probability that a set of hypotheses with all of these effects is true, among those that were compared."""
-    logs = by_labels(fit.hypotheses)
-    total = float(np.logaddexp.reduce(list(logs.values())))
-    mine = [log for own, log in logs.items() if labels <= own]
-    return float(np.exp(np.logaddexp.reduce(mine) - total)) if mine else 0.0
 
 
 def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:

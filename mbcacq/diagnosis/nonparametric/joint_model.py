@@ -46,14 +46,6 @@ def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> Can
     return projected.conditioned_on([(projected.block(c, h), prior_weight(c)) for c, h in model.effects])
 
 
-def log_restricted_likelihood(projected: CandidateScoring, conditioned: CandidateScoring, prior_noise: NoisePrior) -> float:
-    """Twice the log of the restricted likelihood of a noise with its prior, up to a constant.
-
-    conditioned: the problem conditioned on the effects of the model, of whose coefficients no determinant is counted.
-    """
-    return -projected.whiten.log_det - projected.log_det - conditioned.chi2 + 2 * prior_noise.log_density(projected.noise)
-
-
 def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
     """(M,) bool of the centres that are no outliers with the model in place, by the rule of the adjustment."""
     linear = projected.linear

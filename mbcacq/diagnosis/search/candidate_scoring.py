@@ -37,10 +37,6 @@ class ScoredCandidate:
     coefficients: np.ndarray
     covariance: np.ndarray
 
-    @property
-    def fitted(self) -> tuple[Candidate, np.ndarray, np.ndarray]:
-        return self.candidate, self.coefficients, self.covariance
-
 
 @dataclass(frozen=True)
 class ProductStore:

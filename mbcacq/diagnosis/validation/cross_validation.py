@@ -25,17 +25,16 @@ class CrossValidation:
     """Scores on data left out.
 
     before, after: with geometry alone and with the model. split: how the data were left out. without: the model without one effect, by its
-    name, or 'name:location' of one at several; without random effects at a location, by 'unknown:LOCATION'. found_by_fold: names that each
-    fold found. not_predictive: names, and locations of a name, that predict nothing better next to others; they are not in ``after``.
-    decisive: before and after where the model may be judged. parametric: of a long recording, whose random effects could explain what
-    parametric ones do, the model without these; each effect's gain is then measured against it.
+    name, or 'name:location' of one at several; without random effects at a location, by 'unknown:LOCATION'. not_predictive:
+    names, and locations of a name, that predict nothing better next to others; they are not in ``after``. decisive: before and after where
+    the model may be judged. parametric: of a long recording, whose random effects could explain what parametric ones do, the model without
+    these; each effect's gain is then measured against it.
     """
 
     before: PredictiveScore
     after: PredictiveScore
     split: str
     without: dict[str, PredictiveScore]
-    found_by_fold: tuple[tuple[str, ...], ...]
     not_predictive: tuple[str, ...] = ()
     decisive: tuple[PredictiveScore, PredictiveScore] = (NO_CENTRES, NO_CENTRES)
     parametric: PredictiveScore | None = None
@@ -73,7 +72,7 @@ def cross_validate(
     keys = effect_keys(full)
     if not keys and not everywhere:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)
-        return CrossValidation(plain, plain, how, {}, (), (), (plain, plain))
+        return CrossValidation(plain, plain, how, {}, (), (plain, plain))
     expected, elsewhere = full.smooth is not None, centres_elsewhere(full)
     problem = problem.with_linearization(linear)
     dropped: tuple[str, ...] = ()
@@ -100,7 +99,7 @@ def cross_validate(
     parametric = summed(a.parametric for a in results) if everywhere else None
     there = summed(a.before_there for a in results), summed(a.after_there for a in results)
     decisive = there if there[0].count > OPTIONS.deciding_share * before.count else (before, after)
-    return CrossValidation(before, after, how, without, tuple(a.names for a in results), dropped, decisive, parametric)
+    return CrossValidation(before, after, how, without, dropped, decisive, parametric)
 
 
 def totals(results: list[FoldResult], keys: tuple[str, ...]) -> tuple[PredictiveScore, PredictiveScore, dict[str, PredictiveScore]]:

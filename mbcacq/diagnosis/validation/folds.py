@@ -19,7 +19,7 @@ from mbcacq.estimation.options import Noise
 @dataclass(frozen=True)
 class FoldResult:
     """before, after: score on the fold with geometry alone and with the model found without it; the same where the model may be judged
-    (``there``). without: the same without one effect, by its key. parametric: without random effects. names: of the effects found.
+    (``there``). without: the same without one effect, by its key. parametric: without random effects.
     """
 
     before: PredictiveScore
@@ -28,7 +28,6 @@ class FoldResult:
     after_there: PredictiveScore
     without: dict[str, PredictiveScore]
     parametric: PredictiveScore
-    names: tuple[str, ...]
 
 
 class Fold:
@@ -61,7 +60,7 @@ class Fold:
             other, others = without_effect(replace(self.found, smooth=None) if everywhere else self.found, key)
             same = other is model and (everywhere or others is smooth)
             without[key] = whole if same else self.score(other, others)
-        return FoldResult(before, after, before_there, after_there, without, whole if everywhere else NO_CENTRES, model.names)
+        return FoldResult(before, after, before_there, after_there, without, whole if everywhere else NO_CENTRES)
 
     def without(self, names: tuple[str, ...]) -> PredictiveScore:
         """Score of the model without these effects."""

@@ -49,13 +49,6 @@ class Posterior:
             sigma[p] = np.minimum(sigma[p], size * t)
         return replace(self, sigma=sigma)
 
-    def negative_log_predictive_density(self, whiten: CentreWhitening, columns: np.ndarray, residual: np.ndarray) -> float:
-        """Minus twice the log of the density of other centres given these, up to a constant: by the chain rule, the density of all of them
-        over that of these alone.
-        """
-        chi2, log_det = self.predicted(whiten, columns, residual)
-        return chi2 + log_det
-
     def predicted(self, whiten: CentreWhitening, columns: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
         """chi2 of other centres about their prediction, under the covariance of noise and prediction together, and its log determinant
         relative to that of the noise.
