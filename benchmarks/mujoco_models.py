@@ -237,7 +237,7 @@ def page(found, match, seconds, peer, others) -> str:
         "",
         "A six-axis arm with position servos, as MJCF. It is recorded by a second model that conceals friction in all joints, a tool, an",
         f"elastic A2 and torques that are {1e3 * DELAY_S:g} ms late. Two motions of {SECONDS:g} s are diagnosed (`--simulation`), a third",
-        "takes no part. The recorder is stepped by code of its own. Noise:",
+        "is held out. The recorder is stepped by code of its own. Noise:",
         f"{NOISE['q']:g} rad on the motors' angles, {NOISE['side']:g} rad behind the gears, {NOISE['tau']:g} N m on the torques.",
         "",
         f"Named by the diagnosis: {', '.join(named)}.",

@@ -1,4 +1,4 @@
-"""Scenarios: which effect is injected in which made cell, and how strong. Closed until the diagnosis has been made."""
+"""Scenarios: which effect is injected in which simulated cell, and how strong. Closed until the diagnosis has been made."""
 
 from __future__ import annotations
 

@@ -246,7 +246,7 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
         out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")
     dropped = int(np.sum(~keep))
     if dropped:
-        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were set aside")
+        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were rejected")
     out += unproven_places(setup)
     if not setup.context.masses_known:
         out.append(

@@ -94,6 +94,8 @@ def mjcf(
     found = expressed_effects(effects) if effects else ExpressedEffects((0.0, np.zeros(3)))
     frames, flange = joint_frames(chain)
     weights = _weights(chain, effects)
+    if not _weighed(effects):
+        comments = [*comments, f"the masses of the links are not in the result: {UNIT_MASS_KG:g} kg stands for each"]
     lines = [
         *(f"<!-- {line.replace('--', '-')} -->" for line in comments),
         f"<mujoco model={quoteattr(robot)}>",
@@ -125,9 +127,14 @@ def mjcf(
     return "\n".join([*lines, "</mujoco>"]) + "\n"
 
 
+def _weighed(effects: EffectModel | None) -> bool:
+    """Whether the masses of the links are known."""
+    return effects is not None and bool(effects.robot.mass.any())
+
+
 def _weights(chain: Chain, effects: EffectModel | None) -> list[str]:
     """The <inertial> of each link."""
-    if effects is None or not effects.robot.mass.any():
+    if effects is None or not _weighed(effects):
         return [_inertial(UNIT_MASS_KG, np.zeros(3))] * chain.n
     centres = [se3.apply(T, c) for T, c in zip(behind_joints(chain), effects.robot.com, strict=True)]
     return [_inertial(max(float(m), 1e-3), 1e-3 * c) for m, c in zip(effects.robot.mass, centres, strict=True)]

@@ -21,7 +21,7 @@ REPLACED = {"told", "chance", "crew", "atlas", "ledger", "worth", "envelope", "e
 # held-out data, expected from noise alone, identified with the correct cause, a one-sided test, unmodelled effects
 REPLACED_PHRASES = re.compile(
     r"\btook no part\b|\bnoise alone makes\b|\btold by\b|\byields backwards\b|\bhalf of chance\b|\bhas no name\b"
-    r"|\bsimulation and recording part\b",
+    r"|\bsimulation and recording part\b|\bmade cells?\b|\bwere set aside\b|\bnothing yields\b",
     re.IGNORECASE,
 )
 
@@ -64,7 +64,12 @@ def test_no_name_uses_a_word_that_the_terms_replace():
 
 
 def test_no_page_and_no_text_uses_a_phrase_that_the_terms_replace():
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")]
+    pages = [
+        *(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")),
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "benchmarks").glob("*.md"),
+    ]
+    pages += [*(ROOT / "examples").rglob("*.md"), *(ROOT / "examples").rglob("*.ipynb")]
     texts = {path: path.read_text(encoding="utf-8") for path in pages}
     texts |= {
         p: "\n".join(n.value for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)) for p, t in sources().items()
