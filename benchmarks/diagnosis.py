@@ -33,7 +33,8 @@ SLIPPED = ("mount_shift", ("mount",), [0.02, 0.01, -0.02, 1e-4, -5e-5, 5e-5], 60
 INTRODUCTION = """# Diagnosis: time and memory
 
 Made by `python benchmarks/diagnosis.py --tracker ../shared/data/ur10-tracker-a`: whole processes with the full catalogue and the proof on
-data left out, on two cores: the proof is shared by two processes, each with one thread of linear algebra. Memory is that of the larger one.
+data left out, on two cores: the process itself and one more share the proof, each with one thread of linear algebra. Memory is that of the
+larger one.
 How right it is: [challenge.md](challenge.md).
 
 | recording | poses | centres | wall, s | processor, s | memory, GiB | asked: wall, memory |

@@ -105,14 +105,13 @@ def predict(observations: Observations, state: CellState, displacements: Displac
     ball = state.balls[obs.ball]
     if moved.ball is not None:
         ball = ball + moved.ball
-    if obs.cell.measurement == TARGET_IN_BASE:
-        T = se3.inverse(T_base_station) @ T_base_scanner
-    else:
-        T = se3.inverse(T_base_scanner) @ T_base_station
-    xyz = se3.apply(T[obs.pose], ball)
+    by_target = obs.cell.measurement == TARGET_IN_BASE
+    moving, observing = (T_base_scanner, T_base_station) if by_target else (T_base_station, T_base_scanner)
+    to_instrument = se3.inverse(observing)[obs.pose]
+    xyz = se3.apply(to_instrument, se3.apply(moving[obs.pose], ball))
     if moved.point is not None:
         xyz += moved.point
-    rotation = None if obs.rotation is None else T[obs.pose, :3, :3]
+    rotation = None if obs.rotation is None else to_instrument[:, :3, :3] @ moving[obs.pose, :3, :3]
     return Prediction(xyz, frames, T_base_scanner, T_base_station, ball, obs.pose, obs.cell.measurement, rotation)
 
 

@@ -75,7 +75,8 @@ class PoseRows:
         (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
         a, b = left.reshape(P * u, k), right.reshape(P * u, m)
         if self._even:
-            return np.swapaxes(a.reshape(count, -1, k), 1, 2) @ b.reshape(count, -1, m)
+            each = P * u // count
+            return np.swapaxes(a.reshape(count, each, k), 1, 2) @ b.reshape(count, each, m)
         out = np.empty((count, k, m))
         for s, (start, end) in enumerate(zip(u * self.first, u * np.r_[self.first[1:], P], strict=True)):
             np.matmul(a[start:end].T, b[start:end], out=out[s])
@@ -86,7 +87,7 @@ class PoseRows:
         (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
         a = left.reshape(P * u, k)
         if self._even:
-            return (a.reshape(count, -1, k) @ right).reshape(P, u, m)
+            return (a.reshape(count, P * u // count, k) @ right).reshape(P, u, m)
         out = np.empty((P * u, m))
         for s, (start, end) in enumerate(zip(u * self.first, u * np.r_[self.first[1:], P], strict=True)):
             np.matmul(a[start:end], right[s], out=out[start:end])

@@ -14,21 +14,28 @@ def ridge_projection(own: np.ndarray, rows_of: Sequence[slice | np.ndarray], sha
     The z columns Z are those of every station, six each, and the g of ``shared`` (rows, g), which all rows share. own: (rows, 6) columns of
     each row's own station, which vanish at the rows of all others; rows_of: the rows of each station.
     """
-    first = own.shape[1] * len(rows_of)
-    Q, beyond, log_det = np.zeros((len(own), first + shared.shape[1])), shared.copy(), 0.0
+    first, g = own.shape[1] * len(rows_of), shared.shape[1]
+    Q, beyond, log_det = np.zeros((len(own), first + g)), shared.copy(), 0.0
+    normal = np.zeros((g, g))
     for j, rows in enumerate(rows_of):
-        here, log = _orthogonal(own[rows], own[rows].T @ own[rows])
+        inverse, log = _inverse_root(own[rows].T @ own[rows])
+        here = own[rows] @ inverse.T
+        absorbed = here.T @ shared[rows]
+        beyond[rows] -= here @ absorbed
+        # With R the inverse root, I - Q'Q = R R': what remains of the normal matrix is a sum of squares, which no rounding makes negative.
+        held = inverse.T @ absorbed
+        normal += held.T @ held
         Q[rows, 6 * j : 6 * j + 6] = here
-        beyond[rows] -= here @ (here.T @ shared[rows])
         log_det += log
-    Q[:, first:], log = _orthogonal(beyond, shared.T @ beyond)
+    inverse, log = _inverse_root(normal + beyond.T @ beyond)
+    Q[:, first:] = beyond @ inverse.T
     return Q, log_det + log
 
 
-def _orthogonal(Z: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
-    """Z (rows, k) times the inverse root of I + its normal matrix (k, k), and the log determinant of that."""
-    factor = np.linalg.cholesky((normal + normal.T) / 2 + np.eye(len(normal)))
-    return Z @ inverse_of_lower(factor).T, 2 * float(np.log(np.diag(factor)).sum())
+def _inverse_root(normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """R (k, k), lower triangular, with R (I + normal) R' = I, and the log determinant of I + normal."""
+    factor = np.linalg.cholesky(normal + np.eye(len(normal)))
+    return inverse_of_lower(factor), 2 * float(np.log(np.diag(factor)).sum())
 
 
 def inverse_of_lower(factor: np.ndarray) -> np.ndarray:
