@@ -16,13 +16,14 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.adjustment import most_probable_noise
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Solution, system
+from mbcacq.estimation.solver import Solution, reweighted, system
 from mbcacq.estimation.terms import Term
-from mbcacq.estimation.variance_components import noise_prior, reml_step
+from mbcacq.estimation.variance_components import noise_prior
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 
@@ -32,6 +33,7 @@ class GroupSizeOptions:
     """Of the size of each group of unmodelled effects."""
 
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
+    noise_steps: int = 4  # of the noise in each
     rounds: int = 60  # of the fixed point in each
     converged: float = 0.05  # change of a logarithm of a variance
     least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
@@ -174,10 +176,7 @@ def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric
     noise, at = fitted.noise, stage.system(fitted.noise)
     for turn in range(OPTIONS.turns):
         stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
-        at = stage.system(noise)
-        for _ in range(2):
-            noise, _ = reml_step(at.system, noise, prior)
-            at = stage.system(noise)
+        at, noise = most_probable_noise(stage.reweighted, stage.system(noise), noise, prior, OPTIONS.noise_steps)
     chosen = replace(options, terms=stage.terms)
     result = Calibration.of(
         fitted.observations, chosen, stage.lineariser, at, noise, fitted.weights, fitted.preliminary, list(fitted.undetermined)
@@ -230,6 +229,10 @@ class _Stage:
     def system(self, noise: Noise) -> Solution:
         """The normal equations at the estimate."""
         return system(self.lineariser, self.estimate, noise, self.fitted.weights)
+
+    def reweighted(self, at: Solution, noise: Noise) -> Solution:
+        """The normal equations at the same estimate under another noise."""
+        return reweighted(self.lineariser, at, noise, self.fitted.weights)
 
     def sized(self, at: Solution, last: bool) -> _Stage:
         """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.

@@ -5,7 +5,9 @@ It is the one engine behind calibration and diagnosis: the same recording gives 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -176,7 +178,8 @@ def settle_noise(
     where that changes what takes part, all of it once more."""
     prior = variance_components.noise_prior(lineariser.obs.cell, options.noise)
     for _ in range(OUTLIER_ROUNDS):
-        solution, noise = most_probable_noise(lineariser, solution, noise, weights, prior)
+        refit = partial(_refitted, lineariser, weights)
+        solution, noise = most_probable_noise(refit, solution, noise, prior)
         before = weights
         solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
         if weights is before:
@@ -184,15 +187,23 @@ def settle_noise(
     return solution, noise, weights
 
 
+def _refitted(lineariser: Lineariser, weights: Weights, at: Solution, noise: Noise) -> Solution:
+    return solve(lineariser, at, noise, weights, tolerance=COARSE, within_linear=True)
+
+
 def most_probable_noise(
-    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, prior: NoisePrior
+    refit: Callable[[Solution, Noise], Solution], solution: Solution, noise: Noise, prior: NoisePrior, rounds: int = NOISE_ROUNDS
 ) -> tuple[Solution, Noise]:
-    """Noise and fit with the weights held. A step that would lower the log posterior is halved."""
+    """Noise by REML, and the fit with it. refit: the fit under another noise, from the one before.
+
+    A step that would lower the log posterior is halved: variance components that share one excess would all take it up at once, and give
+    it back in the next step.
+    """
     reached = variance_components.log_restricted_posterior(solution.system, noise, prior)
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(rounds):
         proposed, gain = variance_components.reml_step(solution.system, noise, prior)
         for _ in range(HALVINGS):
-            there = solve(lineariser, solution, proposed, weights, tolerance=COARSE, within_linear=True)
+            there = refit(solution, proposed)
             value = variance_components.log_restricted_posterior(there.system, proposed, prior)
             if value > reached - NOISE_GAIN:
                 solution, noise, reached = there, proposed, value

@@ -6,7 +6,7 @@ from cells import iiwa, scanner_cell, tracker_cell
 
 from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import parameters, variance_components
-from mbcacq.estimation.adjustment import NOISE_GAIN, adjust_recording
+from mbcacq.estimation.adjustment import NOISE_GAIN, adjust_recording, most_probable_noise
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.parameters import Estimate
@@ -276,3 +276,23 @@ def test_columns_are_kept_while_nothing_turns_and_made_anew_otherwise():
         np.testing.assert_allclose(again.linear.residual, lineariser.residual(again.estimate)[1], rtol=0, atol=1e-12)
         normal = system(lineariser, again.estimate, at.noise, at.weights).normal
         np.testing.assert_allclose(again.cost, normal.cost, rtol=1e-7)
+
+
+def test_noise_that_was_taken_far_too_large_comes_down_without_swinging():
+    """Components that share one excess overshoot together; at a given estimate their steps swing by more each time unless they are halved."""
+    cell = simulated("tracker", np.random.default_rng(9), more=4)
+    found = adjust_recording(cell.observations, CalibrationOptions())
+    prior = variance_components.noise_prior(cell.observations.cell)
+    large = Noise(30 * found.noise.point, 30 * found.noise.joint, 30 * found.noise.turn)
+
+    def refit(at, noise):
+        return reweighted(found.lineariser, at, noise, found.weights)
+
+    at, noise = system(found.lineariser, found.solution.estimate, large, found.weights), large
+    reached = [variance_components.log_restricted_posterior(at.system, noise, prior)]
+    for _ in range(10):
+        at, noise = most_probable_noise(refit, at, noise, prior, 1)
+        reached.append(variance_components.log_restricted_posterior(at.system, noise, prior))
+    assert np.all(np.diff(reached) > -NOISE_GAIN)
+    assert reached[-1] - reached[-2] < NOISE_GAIN
+    assert np.all(variance_components.pack(large) - variance_components.pack(noise) > 2.0)

@@ -64,7 +64,7 @@ class WorkerPool:
                 answered(len(out) + sum(one.done() for one in others.values()))
             for j, one in others.items():
                 out[j] = one.result()
-                answered(len(out))
+                answered(len(calls) - sum(not other.done() for other in others.values()))
         except BrokenProcessPool:
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
         return [out[j] for j in range(len(calls))]
