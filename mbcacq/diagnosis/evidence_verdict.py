@@ -1,4 +1,4 @@
-"""The verdict of the evidence: one bound on false alarms at every size of recording, posterior odds for names and what they rival."""
+"""The verdict of the evidence: one bound on false alarms at every size of recording, posterior odds for names and their alternatives."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, rivals, undecided
+from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
 
-MOST_RIVALS = 3  # reported of each effect
+MOST_ALTERNATIVES = 3  # reported of each effect
 SAME = 0.9999  # correlation of the displacements by two descriptions of one effect
 
 
@@ -40,7 +40,7 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     return "partly_explained" if contributions.of(named) > contributions.of(rest) else "unexplained"
 
 
-def with_rivals(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
+def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
     """The effects, each with the strongest others that could stand in its place."""
     reported = reported_hypothesis(fit)
     out = []
@@ -48,9 +48,9 @@ def with_rivals(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[Effec
         found: dict[str, float] = {}
         for where in effect.where if effect.name != UNMODELLED else effect.where[:1]:
             for label in labels_of(reported, effect.name, where):
-                for rival in rivals(fit, reported, label):
-                    found[rival.label] = max(rival.odds, found.get(rival.label, 0.0))
-        best = sorted(found.items(), key=lambda item: -item[1])[:MOST_RIVALS]
+                for other in alternatives_of(fit, reported, label):
+                    found[other.label] = max(other.odds, found.get(other.label, 0.0))
+        best = sorted(found.items(), key=lambda item: -item[1])[:MOST_ALTERNATIVES]
         ranked = [alternative(label, odds) for label, odds in best]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return tuple(out)
@@ -63,7 +63,7 @@ def with_other_locations(tests: ResidualTests | None, effects: Sequence[EffectFo
     for effect in effects:
         if effect.name == UNMODELLED and effect.where[0] in logs:
             own = logs[effect.where[0]]
-            others = sorted((at for at in logs if at not in effect.where), key=lambda at: -logs[at])[:MOST_RIVALS]
+            others = sorted((at for at in logs if at not in effect.where), key=lambda at: -logs[at])[:MOST_ALTERNATIVES]
             odds = (float(np.exp(min(logs[at] - own, 0.0))) for at in others)
             effect = replace(effect, alternatives=tuple(Alternative(UNMODELLED, (at,), 0.0, o) for at, o in zip(others, odds, strict=True)))
         out.append(effect)

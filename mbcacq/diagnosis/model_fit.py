@@ -57,7 +57,7 @@ def fit_long_recording(
     # Every arm is elastic: what elasticity explains is not given to slow periodic errors.
     elastic = replace(small, candidates=[c for c in small.candidates if c.name == joint_compliance.NAME])
     soft = fit_evidence(elastic, small.linear.keep, unmodelled=False).best
-    found = fit_evidence(small, small.linear.keep, unmodelled=False, begin=soft, rivals=keep is None)
+    found = fit_evidence(small, small.linear.keep, unmodelled=False, begin=soft, alternatives=keep is None)
     best = reported_hypothesis(found)
     model = transferred(small, problem, EffectSet(tuple((m.candidate, m.hyper) for m in best.catalogued)))
     linear = relinearized(linear, model, best.point.noise)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
-from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_other_locations, with_rivals
+from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives, with_other_locations
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import interruptions, next_measurements
@@ -109,7 +109,7 @@ def _judged_by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation
     effects = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     mismatch = mismatch_table(full, contributions, before)
-    return _Judged(verdict_by_evidence(full, fit), mismatch, list(with_rivals(fit, effects)), True, not_separable, pairs)
+    return _Judged(verdict_by_evidence(full, fit), mismatch, list(with_alternatives(fit, effects)), True, not_separable, pairs)
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> 
         effects = reportable(parametric_effects(full, contributions, proof), verdict) + unmodelled_effects(full, contributions, proof)
     if verdict == "unexplained" and not effects:
         effects = suspected_effect(mismatch)
-    rivalled = with_other_locations(full.residual_tests, with_rivals(full.evidence, effects))
-    return _Judged(verdict, mismatch, list(rivalled), predictive)
+    compared = with_other_locations(full.residual_tests, with_alternatives(full.evidence, effects))
+    return _Judged(verdict, mismatch, list(compared), predictive)
 
 
 def reportable(effects: list[EffectFound], verdict: str) -> list[EffectFound]:

@@ -13,7 +13,7 @@ from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors, log_set_bayes_factor
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.posterior import rivals
+from mbcacq.diagnosis.evidence.posterior import alternatives_of
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit
@@ -146,7 +146,7 @@ def test_a_small_clean_recording_is_clean_whatever_noise_is_stated(small, stated
     assert 0.8 < found.fit.held_out.before_chi2_dof < 1.25
 
 
-def test_every_effect_has_rivals_with_their_odds(small):
+def test_every_effect_has_alternatives_with_their_odds(small):
     found = diagnose(simulated.observe(small, 32, [("backlash", ("A2",), [2e-4], None)]))
     assert found.verdict == "explained"
     (effect,) = found.effects
@@ -155,9 +155,9 @@ def test_every_effect_has_rivals_with_their_odds(small):
     assert all(a.odds is not None and a.odds < 0.05 for a in effect.alternatives)
 
 
-def test_rivals_of_parallel_joints_name_the_other_joint(small):
+def test_alternatives_of_parallel_joints_name_the_other_joint(small):
     fit = fit_evidence(problem.prepare(simulated.observe(small, 33, [("joint_scale", ("A2",), [2e-4], None)])))
-    assert "joint_scale:A3" in [r.label for r in rivals(fit, fit.best, "joint_scale:A2")]
+    assert "joint_scale:A3" in [r.label for r in alternatives_of(fit, fit.best, "joint_scale:A2")]
 
 
 def test_nineteen_of_twenty_true_sizes_are_below_their_limit(small):

@@ -177,7 +177,7 @@ class EvidenceSearch:
         for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
-            for _, member in self.extensions(node, -np.inf, OPTIONS.rivals, OPTIONS.unmodelled_rivals):
+            for _, member in self.extensions(node, -np.inf, OPTIONS.alternatives, OPTIONS.unmodelled_alternatives):
                 members = (*rest, member)
                 if key_of(members) not in self.known:
                     other = first_order(members, best.point, self.log_prior(members))

@@ -22,7 +22,7 @@ from mbcacq.estimation.variance_components import pack
 class EvidenceFit:
     """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
     one, without discrepancy. log_e_value: of all effects together against none; above that of the false-alarm rate there is an effect.
-    found: the set that the search ended with, where only its rivals were compared afterwards; it stays the best one.
+    found: the set that the search ended with, where only its alternatives were compared afterwards; it stays the best one.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -46,10 +46,10 @@ def fit_evidence(
     keep: np.ndarray | None = None,
     unmodelled: bool = True,
     begin: Hypothesis | None = None,
-    rivals: bool = False,
+    alternatives: bool = False,
 ) -> EvidenceFit:
     """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged. unmodelled:
-    whether unmodelled effects are candidates. begin: a set from which the search goes on. rivals: whether it is asked what else each effect
+    whether unmodelled effects are candidates. begin: a set from which the search goes on. alternatives: whether it is asked what else each effect
     of the set so found could be; where outliers are judged it always is.
     """
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
@@ -65,7 +65,7 @@ def fit_evidence(
             problem.candidates, blocks, effects, problem.context, *effort, alternatives=keep is None and from_set is not None
         )
         ranked, found = search.run(NoisePoint(linear, prior, none), from_set), None
-        if rivals and ranked[0].members:
+        if alternatives and ranked[0].members:
             found = ranked[0]
             search.exchange(found)
             ranked = search.ranked()

@@ -30,8 +30,8 @@ class EvidenceOptions:
     beam: int = 3  # sets kept
     compared: int = 8  # candidates of the catalogue, and unmodelled ones, that are proposed to extend a set
     estimated: int = 5  # sets of a round that get a noise of their own
-    rivals: int = 4  # of the catalogue in the place of an effect of the best set
-    unmodelled_rivals: int = 2  # and unmodelled ones
+    alternatives: int = 4  # of the catalogue in the place of an effect of the best set
+    unmodelled_alternatives: int = 2  # and unmodelled ones
     reach: float = 10.0  # log posterior odds to first order, against the best set, up to which a set is looked at more closely
     most_effects: int = 16  # of a set
     rounds: int = 8  # of the estimation of the noise of a set

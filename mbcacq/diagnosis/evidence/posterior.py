@@ -14,7 +14,7 @@ PAYLOAD, COMPLIANCE = "payload:", "joint_compliance:"
 
 
 @dataclass(frozen=True)
-class Rival:
+class RankedAlternative:
     """Another effect, as ``name:where``, in the place of a reported one. odds: posterior probability relative to the reported set's.
 
     hypothesis: the set with it.
@@ -55,11 +55,11 @@ def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
     return float(np.exp(min(best, 0.0))) if best > np.log(OPTIONS.undecided) else None
 
 
-def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:
+def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[RankedAlternative]:
     """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
     most probable set.
     """
-    best: dict[str, Rival] = {}
+    best: dict[str, RankedAlternative] = {}
     for base in (reported, fit.best):
         for h in fit.hypotheses:
             rest = base.labels - {label}
@@ -69,7 +69,7 @@ def rivals(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[Rival]:
             (name,) = others
             odds = float(np.exp(min(h.log_posterior - base.log_posterior, 0.0)))
             if name not in best or best[name].odds < odds:
-                best[name] = Rival(name, odds, h)
+                best[name] = RankedAlternative(name, odds, h)
     return sorted(best.values(), key=lambda r: -r.odds)
 
 
