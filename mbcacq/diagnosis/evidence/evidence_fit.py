@@ -49,8 +49,8 @@ def fit_evidence(
     alternatives: bool = False,
 ) -> EvidenceFit:
     """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged. unmodelled:
-    whether unmodelled effects are candidates. begin: a set from which the search goes on. alternatives: whether it is asked what else each effect
-    of the set so found could be; where outliers are judged it always is.
+    whether unmodelled effects are candidates. begin: a set from which the search goes on. alternatives: whether it is asked what else each
+    effect of the set so found could be; where outliers are judged it always is.
     """
     linear = problem.linear if keep is None else problem.linear.restricted(keep)
     prior = problem.prior_noise
