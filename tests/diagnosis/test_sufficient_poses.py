@@ -1,4 +1,4 @@
-"""``none`` is said only of a recording that could have told; otherwise the number of poses that could."""
+"""``none`` is said only of a recording that could have shown something; otherwise the number of poses that could."""
 
 import re
 from dataclasses import replace

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, PHASES, styled
 
-SHORT_S = 300.0  # of a run that is told in seconds
+SHORT_S = 300.0  # the times of a shorter run are shown in seconds
 STATES = {
     "moving": PHASES[0],
     "settling": "#F0E442",
