@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
@@ -46,7 +47,9 @@ def diagnose(
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        with WorkerPool(1 if poses >= OPTIONS.many_poses else workers) as pool:
+        # Matrices of a short recording are small: two threads of linear algebra take longer for them than one, and three times the work.
+        long = poses >= OPTIONS.many_poses
+        with threadpool_limits(None if long else 1), WorkerPool(1 if long else workers) as pool:
             return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas)
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error

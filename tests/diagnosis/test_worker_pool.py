@@ -59,11 +59,18 @@ def test_a_process_that_may_have_no_children_does_the_work_itself(monkeypatch):
         assert set(pool.map(lambda k: os.getpid(), range(3))) == {os.getpid()}
 
 
-def test_how_many_answers_there_are_is_said_after_each_and_never_falls(pool):
+def test_how_many_answers_there_are_is_said_after_each_of_this_process_and_never_falls(pool):
     counts = []
     pool.map(abs, range(5), answered=counts.append)
     assert counts == sorted(counts)
-    assert counts[-1] == len(counts) == 5
+    assert len(counts) == 4  # three calls of this process, and the share of the other one
+    assert counts[-1] == 5
+
+
+def test_what_calls_share_a_worker_has_once(pool):
+    home, shared = os.getpid(), []
+    counts = pool.map(lambda k, one: None if os.getpid() == home else one.append(k) or len(one), range(6), [shared] * 6)
+    assert [count for count in counts if count is not None] == [1, 2, 3]
 
 
 def refuse(k):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
@@ -39,9 +38,10 @@ def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) 
     node = conditioned(reported.point, tuple(m for m in reported.members if m is not member))
     grid = np.sort(candidate.hyper.values)
     logs = log_factors(node, candidate, grid)
-    peaks, _ = find_peaks(np.concatenate([[-np.inf], logs, [-np.inf]]))
+    around = np.concatenate([[-np.inf], logs, [-np.inf]])
+    peaks = np.flatnonzero((logs > around[:-2]) & (logs >= around[2:]))
     resolution = 2 * np.pi / float(np.ptp(setup.context.value(candidate.depends_on)))
-    apart = [int(j) - 1 for j in peaks if abs(grid[j - 1] - own) > resolution]
+    apart = [int(j) for j in peaks if abs(grid[j] - own) > resolution]
     weight = dict(zip(grid, log_weights(candidate, grid), strict=True))
     reference = float(log_factors(node, candidate, np.array([own]))[0]) + weight.get(own, float(min(weight.values())))
     found = []

@@ -46,7 +46,8 @@ class WorkerPool:
     def map(
         self, function: Callable[..., Any], *arguments: Iterable[Any], answered: Callable[[int], None] = lambda count: None
     ) -> list[Any]:
-        """Answers to all calls, in order. answered: gets the number of answers so far, after each.
+        """Answers to all calls, in order. answered: gets the number of answers so far, after each of this process and after those of
+        each other one.
 
         Which process makes a call depends on its number alone. Raises the error of a call, and CalibrationError where a process was killed.
         """
@@ -57,17 +58,19 @@ class WorkerPool:
 
         try:
             # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
-            others = {j: self._pool.submit(function, *call) for j, call in enumerate(calls) if j % self._workers}
-            out: dict[int, Any] = {}
-            for j in range(0, len(calls), self._workers):
+            # All calls of a process go together: what they share, and what is computed from it once, it has once.
+            shares = [calls[k :: self._workers] for k in range(1, self._workers)]
+            others = [self._pool.submit(_all, function, share) for share in shares]
+            out: list[Any] = [None] * len(calls)
+            for count, j in enumerate(range(0, len(calls), self._workers)):
                 out[j] = function(*calls[j])
-                answered(len(out) + sum(one.done() for one in others.values()))
-            for j, one in others.items():
-                out[j] = one.result()
-                answered(len(calls) - sum(not other.done() for other in others.values()))
+                answered(count + 1 + sum(len(share) for share, one in zip(shares, others, strict=True) if one.done()))
+            for k, one in enumerate(others, start=1):
+                out[k :: self._workers] = one.result()
+                answered(len(calls) - sum(len(share) for share, other in zip(shares, others, strict=True) if not other.done()))
         except BrokenProcessPool:
             raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
-        return [out[j] for j in range(len(calls))]
+        return out
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -83,6 +86,10 @@ def _counted(answers: Iterable[Any], answered: Callable[[int], None]) -> list[An
         out.append(answer)
         answered(len(out))
     return out
+
+
+def _all(function: Callable[..., Any], calls: list[tuple[Any, ...]]) -> list[Any]:
+    return [function(*call) for call in calls]
 
 
 def _prepare() -> None:
