@@ -1,6 +1,6 @@
 """False alarms and right names of the diagnosis by recording size, instrument and noise statement. Writes benchmarks/recording_sizes.md.
 
-    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py                 200 cells a row, half as many with an effect (ten hours)
+    OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py                 200 cells a row, half as many with an effect (four hours)
     OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py --minutes 4     go on for so long: every row grows evenly
     OMP_NUM_THREADS=1 python benchmarks/recording_sizes.py --cells 12 --poses 20 28 --instruments tracker artefact
 
@@ -177,26 +177,30 @@ def report(records: list[dict]) -> str:
 
 
 def jobs(options: argparse.Namespace) -> list[tuple[str, int, float, int, int]]:
-    """Round by round over all rows: a cell with nothing injected, and every other round one with an effect."""
+    """Round by round over all rows: first cells with nothing injected, then half as many with an effect."""
     rows = list(product(options.instruments, options.poses, options.stated))
-    rounds = [(which, n) for n in range(options.cells) for which in ((0,) if n % 2 else (0, 1 + n // 2 % (len(EFFECTS) - 1)))]
+    numbers = range(options.first, options.first + options.cells)
+    rounds = [(0, n) for n in numbers] + [(1 + j % (len(EFFECTS) - 1), n) for j, n in enumerate(numbers[::2])]
     return [(*row, *which) for which in rounds for row in rows]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=200, help="with nothing injected, and half as many with an effect")
+    parser.add_argument("--first", type=int, default=0, help="number of the first cell of each row: other numbers are other cells")
     parser.add_argument("--poses", type=int, nargs="*", default=POSES)
     parser.add_argument("--instruments", nargs="*", choices=INSTRUMENTS, default=INSTRUMENTS)
     parser.add_argument("--stated", type=float, nargs="*", default=STATED)
     parser.add_argument("--minutes", type=float, default=np.inf, help="stop after so many")
-    parser.add_argument("--keep", type=Path, default=Path("recording_sizes.jsonl"), help="outcomes so far; go on with them")
+    parser.add_argument(
+        "--keep", type=Path, nargs="*", default=[Path("recording_sizes.jsonl")], help="outcomes so far; go on with the first, read all"
+    )
     parser.add_argument("--out", type=Path, default=HERE / "recording_sizes.md")
     options = parser.parse_args()
     start = perf_counter()
-    kept = [json.loads(line) for line in options.keep.read_text(encoding="utf-8").splitlines()] if options.keep.exists() else []
+    kept = [json.loads(line) for file in options.keep if file.exists() for line in file.read_text(encoding="utf-8").splitlines()]
     done = {tuple(r["job"]) for r in kept}
-    with options.keep.open("a", encoding="utf-8") as out:
+    with options.keep[0].open("a", encoding="utf-8") as out:
         for job in (j for j in jobs(options) if j not in done):
             if perf_counter() - start > 60 * options.minutes:
                 break
