@@ -15,7 +15,7 @@ from mbcacq.errors import ContradictionError
 from mbcacq.estimation import initial_guess as starting
 from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.identifiability import Undetermined, hold_undetermined, refuse_undetermined
+from mbcacq.estimation.identifiability import Undetermined, determines, hold_undetermined, refuse_undetermined
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
@@ -157,17 +157,21 @@ def robust_solve(
         fresh = reject_outliers(d, weights, lineariser.obs.pose)
         if np.array_equal(fresh.centre, weights.centre) and np.array_equal(fresh.pose, weights.pose):
             break
+        everything = Weights(np.ones_like(weights.centre), np.ones_like(weights.pose))
         weights = fresh
         if np.mean(weights.pose == 0) > REJECTED_SHARE or np.mean(weights.centre == 0) > REJECTED_SHARE:
             if not options.refuse:
                 # So many are structure, not outliers.
-                everything = Weights(np.ones_like(weights.centre), np.ones_like(weights.pose))
                 return solve(lineariser, solution, noise, everything, tolerance=tolerance, within_linear=True, reuse=reuse), everything
             raise ContradictionError(
                 f"more than {REJECTED_SHARE:.0%} of the measurements contradict the rest; check the certificate of the "
                 "artefact, the stations, and that joint angles and scans belong together"
             )
+        determined = determines(lineariser.layout, solution.normal.information)
         solution = solve(lineariser, solution, noise, weights, tolerance=tolerance, within_linear=True, reuse=reuse)
+        if determined and not determines(lineariser.layout, solution.normal.information):
+            # What is left determines less than everything did: the noise is taken for too small, and its estimate comes first.
+            return solve(lineariser, solution, noise, everything, tolerance=tolerance, within_linear=True, reuse=reuse), everything
     return solution, weights
 
 

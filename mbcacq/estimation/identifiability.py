@@ -49,7 +49,7 @@ def hold_undetermined(
     H = scale[:, None] * information * scale
     reference = None
     kept = np.arange(len(names))
-    if _determines(H):
+    if determines(layout, information):
         return layout, found
     while len(kept):
         value, vector = np.linalg.eigh(H[np.ix_(kept, kept)])
@@ -71,10 +71,11 @@ def hold_undetermined(
     return layout, found
 
 
-def _determines(H: np.ndarray) -> bool:
-    """Whether scaled information (g, g) determines every direction; as the smallest eigenvalue says, but cheaper."""
+def determines(layout: ParameterLayout, information: np.ndarray) -> bool:
+    """Whether the reduced information (g, g) determines every direction; as its smallest eigenvalue says, but cheaper."""
+    scale = layout.gather("scale")
     try:
-        np.linalg.cholesky(H - np.eye(len(H)) / LIMIT**2)
+        np.linalg.cholesky(scale[:, None] * information * scale - np.eye(len(scale)) / LIMIT**2)
     except np.linalg.LinAlgError:
         return False
     return True

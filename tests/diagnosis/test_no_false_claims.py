@@ -11,7 +11,9 @@ from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.verdict import unproven_places, verdict_of
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.forward_model import Displacements
+from mbcacq.estimation.options import CalibrationOptions
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -35,6 +37,18 @@ def test_noise_is_estimated_whatever_the_cell_file_says(plan):
 
     np.testing.assert_allclose(found.noise.point, simulated.POINT_NOISE, rtol=0.15)
     np.testing.assert_allclose(np.exp(np.mean(np.log(found.noise.joint))), simulated.JOINT_NOISE, rtol=0.25)
+
+
+@pytest.mark.parametrize("seed", [4, 28, 47, 53])
+def test_the_noise_of_twelve_poses_of_a_bar_is_estimated_though_stated_five_times_too_small(seed):
+    """Under the stated noise many centres are outliers, and what is left does not determine the cell."""
+    plan = simulated.plan(stations=2, bars=2, each=4)
+    obs = simulated.observe(plan.select(np.isin(np.arange(plan.n_poses), np.linspace(0, plan.n_poses - 1, 12).round())), seed)
+    true = obs.cell.noise_mm
+    stated = replace(obs, cell=replace(obs.cell, noise_mm=true / 5))
+    found = adjust_recording(stated, CalibrationOptions(refuse=False))
+    assert found.used.all()
+    assert np.all(np.abs(np.log(found.noise.point / true)) < np.log(3))
 
 
 def test_effects_without_their_columns_are_reported_as_dropped(plan):

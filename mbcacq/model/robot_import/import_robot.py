@@ -104,9 +104,10 @@ def _frame_remarks(rows: ChainInFrames) -> list[str]:
         (rows.T_given_base, "the rows' base lies on axis 1 and differs from the file's: X Y Z A B C of it there {} (mm, deg)"),
         (rows.T_flange_given, "the rows' flange lies on the last axis and differs from the file's: X Y Z A B C of that in it {} (mm, deg)"),
     ):
-        if not np.array_equal(T, np.eye(4)):
-            xyz, abc = se3.to_abc(T)
-            out.append(sentence.format(" ".join(f"{v:.4f}" for v in (*xyz, *np.degrees(abc)))))
+        xyz, abc = se3.to_abc(T)
+        said = [_short(v, 4) for v in (*xyz, *np.degrees(abc))]
+        if any(v != "0" for v in said):
+            out.append(sentence.format(" ".join(said)))
     return out
 
 
@@ -143,9 +144,9 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
 
 
 def _short(value: float, digits: int = 9) -> str:
-    """As few digits as say the number to ``digits`` decimals."""
-    rounded = round(float(value), digits) + 0.0
-    return str(int(rounded)) if rounded == int(rounded) else repr(rounded)
+    """As few digits as say the number to ``digits`` decimals; never as 1e-09, which YAML takes for a word."""
+    text = f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def _compared(path: Path, text: str, rows: ChainInFrames, source: ArmSource) -> tuple[float, float]:
