@@ -200,6 +200,6 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
     if result.get("held_out"):
         console.print(tables.held_out(result["held_out"]))
     for gap in result.get("gaps") or ():
-        console.print(f"Gap in the recording: {gap}", markup=False)
+        console.print(f"About the recording: {gap}", markup=False)
     for name, path in (result.get("files") or {}).items():
         console.print(f"{name}: {path}", soft_wrap=True)

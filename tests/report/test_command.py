@@ -84,9 +84,9 @@ def test_calibrate_and_report_name_the_gaps_of_a_recording(a_set, tmp_path):
     assert shown.exception is None, shown.exception
     said = json.loads(CliRunner().invoke(app, ["calibrate", str(run), "--json"], standalone_mode=False).stdout)["gaps"]
     assert said == ["3 cycles of the controller were lost after pose 4", "1 of 25 planned poses were not measured: 24"]
-    assert all(f"Gap in the recording: {gap}" in shown.stdout for gap in said)
+    assert all(f"About the recording: {gap}" in shown.stdout for gap in said)
     CliRunner().invoke(app, ["report", str(run)], standalone_mode=False, catch_exceptions=False)
-    assert f"The recording lacks something: {'; '.join(said)}." in Page((run / "report.html").read_text(encoding="utf-8")).words
+    assert f"About the recording: {'; '.join(said)}." in Page((run / "report.html").read_text(encoding="utf-8")).words
 
 
 def test_a_file_needs_a_path_for_its_report(a_set, tmp_path):

@@ -261,7 +261,7 @@ def _warnings(result: Mapping[str, Any]) -> list[str]:
         )
     if gaps := result.get("gaps"):
         more = f"; and {len(gaps) - 2} more, under Devices and timing" if len(gaps) > 2 else ""
-        out.append(f"The recording lacks something: {'; '.join(map(str, gaps[:2]))}{more}.")
+        out.append(f"About the recording: {'; '.join(map(str, gaps[:2]))}{more}.")
     rejected = result.get("rejected", ())
     if rejected:
         listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])
