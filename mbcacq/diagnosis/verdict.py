@@ -23,6 +23,7 @@ from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.output.noise_statement import stated_noise_is_wrong
 from mbcacq.diagnosis.output.observability import Unobservable, unobservable
 from mbcacq.diagnosis.output.plot_data import plot_data
+from mbcacq.diagnosis.output.shares import sum_of_shares
 from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
 from mbcacq.diagnosis.output.sufficient_poses import MOST_POSES, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -69,7 +70,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=(*advice, *silent.advice),
         dropped=setup.dropped,
-        notes=(*notes(setup, full), *of_effects(setup, full, judged.effects), *silent.notes),
+        notes=(*sum_of_shares(mismatch, before, after), *notes(setup, full), *of_effects(setup, full, judged.effects), *silent.notes),
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
         model=kept_model(setup, full, judged.effects) or None,

@@ -1,0 +1,24 @@
+"""The shares of the mismatch add up to 100 %, or a sentence says why not."""
+
+import pytest
+
+from mbcacq.diagnosis.output.shares import sum_of_shares
+from mbcacq.diagnosis.result import MismatchEntry
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
+
+
+@pytest.mark.parametrize(
+    ("shares", "left", "said"),
+    [
+        ([0.6, 0.4], 100.0, []),
+        ([0.3, 0.05], 160.0, ["the shares add up to 35%: another 59% is explained by several places alike, 6% is not explained"]),
+        ([0.7, 0.6], 150.0, ["the shares add up to 130%: together they explain 95%, since some compensate others, 5% is not explained"]),
+        ([0.5], 1100.0, ["the shares add up to 50%: none is proven, 100% is not explained"]),
+        ([], 1100.0, []),
+    ],
+)
+def test_what_the_shares_add_up_to_is_said(shares, left, said):
+    """An excess of 1000 over 100 degrees of freedom, of which a model leaves some."""
+    before, after = (PredictiveScore(1.0, 50, chi2, 100.0) for chi2 in (1100.0, left))
+    mismatch = [MismatchEntry(f"A{k + 1}", f"q{k + 1}", share, 1e-9) for k, share in enumerate(shares)]
+    assert sum_of_shares(mismatch, before, after) == said
