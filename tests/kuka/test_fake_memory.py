@@ -42,6 +42,21 @@ def test_the_memory_is_allocated_at_creation():
         control.close()
 
 
+@pytest.mark.parametrize(
+    "made",
+    [
+        "from mbcacq_fakes.protocols.krc.control import Control; kept = Control.create(log=False)",
+        "from mbcacq_fakes.protocols.krc.arm_state import ArmState; kept = ArmState.create()",
+    ],
+    ids=["control", "arm"],
+)
+def test_memory_that_is_still_looked_at_when_the_program_ends_is_no_error(made):
+    """An interrupted program closes nothing: its views live as long as the block."""
+    program = f"{made}; kept.forget(); view = memoryview(kept._buffer)[:8]; del kept"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_what_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
     blocks = []
 

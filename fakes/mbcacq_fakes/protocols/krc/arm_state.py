@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker, shared_memory
 from pathlib import Path
@@ -123,13 +124,21 @@ class ArmState:
         self.close()
 
 
+class _Block(shared_memory.SharedMemory):
+    """Where views of it are left, as in a program that was interrupted while it ended, it goes with the process: that is no error."""
+
+    def close(self) -> None:
+        with suppress(BufferError):
+            super().close()
+
+
 def create_shared_memory(size: int, name: str | None = None) -> shared_memory.SharedMemory:
     """A new block whose memory is there. Raises ConnectError where it is not: a write into memory that was only promised ends the process.
 
     Linux promises at creation and allocates at the first write; other systems allocate at creation.
     """
     try:
-        memory = shared_memory.SharedMemory(name=name, create=True, size=size)
+        memory = _Block(name=name, create=True, size=size)
     except FileExistsError:
         raise
     except OSError as error:
@@ -149,10 +158,10 @@ def create_shared_memory(size: int, name: str | None = None) -> shared_memory.Sh
 def attach_shared_memory(name: str) -> shared_memory.SharedMemory:
     """Attach without making this process responsible for the block's removal."""
     if sys.version_info >= (3, 13):
-        return shared_memory.SharedMemory(name=name, track=False)
+        return _Block(name=name, track=False)
     register = resource_tracker.register
     resource_tracker.register = lambda *_: None  # Python < 3.13 would unlink the block when this process ends
     try:
-        return shared_memory.SharedMemory(name=name)
+        return _Block(name=name)
     finally:
         resource_tracker.register = register
