@@ -21,7 +21,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Solution, reweighted, system
+from mbcacq.estimation.solver import Solution, Weights, reweighted, system
 from mbcacq.estimation.terms import Term
 from mbcacq.estimation.variance_components import noise_prior
 from mbcacq.geometry.chain import PARAMETERS
@@ -33,6 +33,7 @@ class GroupSizeOptions:
     """Of the size of each group of unmodelled effects."""
 
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
+    most_poses: int = 1000  # by which sizes and noise are found, to a few per cent; coefficients take all poses
     noise_steps: int = 4  # of the noise in each
     rounds: int = 60  # of the fixed point in each
     converged: float = 0.05  # change of a logarithm of a variance
@@ -73,19 +74,19 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
     found = with_unmodelled(fitted, options, parametric, unmodelled)
-    pattern = common_pattern_of(found, fitted, options, unmodelled)
+    pattern = common_pattern_of(found, fitted, options, parametric, unmodelled)
     if pattern is not None:
         # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
         apart = parametric.select(lambda t: t.name != PERIODIC or joint_of(t) not in pattern.joints)
         if len(apart.terms) < len(parametric.terms):
             fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
-        found = with_unmodelled(fitted, options, apart, with_pattern(obs, unmodelled, pattern))
+        found = with_unmodelled(fitted, options, apart, with_pattern(obs, unmodelled, pattern), found.noise)
         found = replace(found, extra={**found.extra, "common_pattern": asdict(pattern)})
     return _beside(alone, found)
 
 
 def common_pattern_of(
-    found: Calibration, fitted: Calibration, options: CalibrationOptions, unmodelled: EffectModel
+    found: Calibration, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel
 ) -> CommonPattern | None:
     """The pattern that joints share in their own errors, by its evidence in a recording that was calibrated with groups for them.
 
@@ -97,10 +98,9 @@ def common_pattern_of(
     own = [t for t in unmodelled.terms if own_joint(t) is not None and t.k == 2 * groups.OPTIONS.own_order]
     if known or fitted.observations.n_poses < groups.OPTIONS.many_poses or len(own) < LEAST_JOINTS:
         return None
-    others = tuple(t for t in fitted.options.terms if not t.name.startswith(f"{PERIODIC}:"))
-    start = tuple(np.zeros(t.size) for t in others)
-    bare = replace(fitted, options=replace(fitted.options, terms=others), coefficients=start)
-    stage = _Stage.first(bare, options, unmodelled)
+    others = parametric.select(lambda t: t.name != PERIODIC)
+    bare = replace(fitted, coefficients=tuple(np.zeros(t.k) for t in others.terms))
+    stage = _Stage.first(bare, options, others, unmodelled, np.ones(fitted.observations.n_poses, bool))
     assert found.effects is not None, "the groups were fitted"
     size = {t.key: t.sigma for t in found.effects.terms if t.name == UNKNOWN}
     normal = stage.system(found.noise).normal
@@ -165,18 +165,26 @@ def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:
     return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 
-def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel) -> Calibration:
-    """The unmodelled groups added to a calibration that has the parametric effects.
+def with_unmodelled(
+    fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, start: Noise | None = None
+) -> Calibration:
+    """The unmodelled groups added to a calibration that has the parametric effects. start: a noise to begin with.
 
     Each group is a random effect whose size maximises the marginal likelihood (MacKay 1992), with the geometry, the stations and the
     parametric effects free; groups that the data do not ask for are dropped.
     """
     prior = noise_prior(fitted.cell, options.noise)
-    stage = _Stage.first(fitted, options, unmodelled)
-    noise, at = fitted.noise, stage.system(fitted.noise)
+    poses = some_poses(fitted.observations, OPTIONS.most_poses)
+    stage = _Stage.first(fitted, options, parametric, unmodelled, poses)
+    noise = start or fitted.noise
+    at = stage.system(noise)
     for turn in range(OPTIONS.turns):
         stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
         at, noise = most_probable_noise(stage.reweighted, stage.system(noise), noise, prior, OPTIONS.noise_steps)
+    if not poses.all():
+        stage = stage.by_all_poses(parametric, unmodelled)
+        stage = stage.sized(stage.system(noise), last=True)
+        at = stage.system(noise)
     chosen = replace(options, terms=stage.terms)
     result = Calibration.of(
         fitted.observations, chosen, stage.lineariser, at, noise, fitted.weights, fitted.preliminary, list(fitted.undetermined)
@@ -186,24 +194,47 @@ def with_unmodelled(fitted: Calibration, options: CalibrationOptions, parametric
     return replace(result, effects=with_estimates(model, result))
 
 
+def some_poses(obs: Observations, most: int) -> np.ndarray:
+    """(P,) bool of at most so many poses, evenly at random along their order."""
+    chosen = np.zeros(obs.n_poses, bool)
+    rng = np.random.default_rng(0)
+    chosen[[rng.choice(part) for part in np.array_split(np.arange(obs.n_poses), min(most, obs.n_poses))]] = True
+    return chosen
+
+
 @dataclass(frozen=True)
 class _Stage:
-    """An estimate with the groups that are left. built: the terms of the parametric effects, then one for each group; scale: (G,) size of
-    each group in its prior size.
+    """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, then one for
+    each group; scale: (G,) size of each group in its prior size.
     """
 
     fitted: Calibration
     options: CalibrationOptions
+    observations: Observations
+    weights: Weights
     built: tuple[Term, ...]
     groups: tuple[EffectTerm, ...]
     scale: np.ndarray
     estimate: Estimate
 
     @classmethod
-    def first(cls, fitted: Calibration, options: CalibrationOptions, unmodelled: EffectModel) -> _Stage:
-        obs, groups = fitted.observations, unmodelled.terms
+    def first(
+        cls, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, poses: np.ndarray
+    ) -> _Stage:
+        """By these poses (P,) bool, with the groups at zero."""
+        groups = unmodelled.terms
         start = Estimate(fitted.state, (*fitted.coefficients, *(np.zeros(g.k) for g in groups)))
-        return cls(fitted, options, (*fitted.options.terms, *unmodelled.at(obs)), groups, np.ones(len(groups)), start)
+        obs, weights = fitted.observations, fitted.weights
+        if not poses.all():
+            obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
+        built = (*parametric.at(obs), *unmodelled.at(obs))
+        return cls(fitted, options, obs, weights, built, groups, np.ones(len(groups)), start)
+
+    def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
+        """The same sizes and estimate by all poses."""
+        obs = self.fitted.observations
+        left = replace(unmodelled, terms=self.groups)
+        return replace(self, observations=obs, weights=self.fitted.weights, built=(*parametric.at(obs), *left.at(obs)))
 
     @property
     def named(self) -> tuple[Term, ...]:
@@ -217,22 +248,22 @@ class _Stage:
 
     @cached_property
     def layout(self) -> ParameterLayout:
-        layout = build(self.fitted.observations, replace(self.options, terms=self.terms))
+        layout = build(self.observations, replace(self.options, terms=self.terms))
         for name, why in self.fitted.held.items():
             layout = layout if name in layout.held else layout.hold(name, why)
         return layout
 
     @cached_property
     def lineariser(self) -> Lineariser:
-        return Lineariser(self.fitted.observations, self.layout, replace(self.options, terms=self.terms))
+        return Lineariser(self.observations, self.layout, replace(self.options, terms=self.terms))
 
     def system(self, noise: Noise) -> Solution:
         """The normal equations at the estimate."""
-        return system(self.lineariser, self.estimate, noise, self.fitted.weights)
+        return system(self.lineariser, self.estimate, noise, self.weights)
 
     def reweighted(self, at: Solution, noise: Noise) -> Solution:
         """The normal equations at the same estimate under another noise."""
-        return reweighted(self.lineariser, at, noise, self.fitted.weights)
+        return reweighted(self.lineariser, at, noise, self.weights)
 
     def sized(self, at: Solution, last: bool) -> _Stage:
         """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.
@@ -259,13 +290,12 @@ class _Stage:
         moved = self.estimate.moved(layout, step, stations)
         alive = np.r_[np.ones(len(self.named), bool), scale > 0]
         kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
-        return _Stage(
-            self.fitted,
-            self.options,
-            tuple(t for t, keep in zip(self.built, alive, strict=True) if keep),
-            tuple(g for g, keep in zip(self.groups, scale > 0, strict=True) if keep),
-            scale[scale > 0],
-            kept,
+        return replace(
+            self,
+            built=tuple(t for t, keep in zip(self.built, alive, strict=True) if keep),
+            groups=tuple(g for g, keep in zip(self.groups, scale > 0, strict=True) if keep),
+            scale=scale[scale > 0],
+            estimate=kept,
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -75,14 +75,15 @@ class Lineariser:
         chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
         moving = np.concatenate([twists.reshape(len(twists), -1, 6)[:, chain_free], self._of_recordings(mount)[:, mount_free]], axis=1)
         moved, of_station, jointly = (np.ascontiguousarray(np.swapaxes(t[order], 1, 2)) for t in (moving, station, joints))
-        basis = rows.pad(prediction.gradient)
-        if basis.shape[1] < 6:
-            # Fewer rows than a twist has components: the rows themselves are the shorter basis.
+        basis, own, size = rows.pad(prediction.gradient), self._own(prediction), rows.depth * rows.width
+        by_rows = size <= 6
+        if by_rows:
+            # No more rows than a twist has components: the rows themselves are the shorter basis, in which effects are twists as well.
             moved, of_station, jointly = basis @ moved, basis @ of_station, basis @ jointly
-            basis = np.broadcast_to(np.eye(basis.shape[1]), (len(basis), *basis.shape[1:2] * 2))
-        return Linearization(
-            prediction, residual, PoseColumns(basis, moved, of_station, jointly, self._own(prediction), rows.pad(residual))
-        )
+            basis = np.broadcast_to(np.eye(size), (len(basis), size, size))
+            if not own.k:
+                moved, own = np.concatenate([moved, own.other], axis=2), replace(own, other=own.other[..., :0])
+        return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows))
 
     def _own(self, prediction: forward_model.Prediction) -> OwnColumns:
         rows, options = self.rows, self.options

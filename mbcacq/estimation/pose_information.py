@@ -24,7 +24,8 @@ class PoseColumns:
     """A linearised problem, pose by pose in the order of ``PoseRows``.
 
     basis: (P, B R, u) derivative of a pose's rows by its twist. twists: (P, u, f) of the first f parameters; station: (P, u, 6) of the
-    pose's own station; joints: (P, u, n) of the joints. own: the e columns of the other parameters. residual: (P, B R).
+    pose's own station; joints: (P, u, n) of the joints. own: the e columns of the other parameters. residual: (P, B R). by_rows: whether
+    the first columns of the basis are the rows themselves, so that any column is a twist.
     """
 
     basis: np.ndarray
@@ -33,6 +34,7 @@ class PoseColumns:
     joints: np.ndarray
     own: OwnColumns
     residual: np.ndarray
+    by_rows: bool = False
 
     @property
     def size(self) -> int:
@@ -61,6 +63,9 @@ class PoseColumns:
 
     def with_parameters(self, columns: np.ndarray) -> PoseColumns:
         """The same with further parameters, of which these are the columns (P, B R, k)."""
+        if self.by_rows and not self.own.size:
+            further = self.basis.shape[2] - columns.shape[1]
+            return replace(self, twists=np.concatenate([self.twists, np.pad(columns, [(0, 0), (0, further), (0, 0)])], axis=2))
         return replace(self, own=replace(self.own, other=np.concatenate([self.own.other, columns], axis=2)))
 
     def with_noise(self, columns: np.ndarray) -> PoseColumns:

@@ -39,20 +39,6 @@ def diagnose_together(
     return found
 
 
-def thinned(observations: Observations) -> Observations:
-    """At most as many poses as a diagnosis uses, evenly at random."""
-    import numpy as np
-
-    from mbcacq.diagnosis.options import OPTIONS
-
-    if observations.n_poses <= OPTIONS.most_poses:
-        return observations
-    keep = np.zeros(observations.n_poses, bool)
-    rng = np.random.default_rng(0)
-    keep[[rng.choice(part) for part in np.array_split(np.arange(observations.n_poses), OPTIONS.most_poses)]] = True
-    return observations.select(keep)
-
-
 def checked(
     learnt: Observations, found: DiagnosisResult, others: Sequence[Observations | Path | str], place: str, progress: Callable[[str], None]
 ) -> DiagnosisResult:
@@ -62,7 +48,6 @@ def checked(
     from mbcacq.calibration.with_effects import calibrate_with_effects
 
     options = CalibrationOptions(refuse=False)
-    learnt = thinned(learnt)
     progress("calibrating with what was found")
     alone = calibrate(learnt, options)
     cell = calibrate_with_effects(learnt, options, found.model) if found.model else alone
@@ -146,7 +131,7 @@ def with_fitted_model(found: Diagnosis, observations: Observations, progress: Ca
         return found
     progress("fitting the cell with its effects")
     try:
-        fitted = calibrate_with_effects(thinned(observations), CalibrationOptions(refuse=False), found.model)
+        fitted = calibrate_with_effects(observations, CalibrationOptions(refuse=False), found.model)
     except CalibrationError as reason:
         return replace(found, notes=(*found.notes, f"the effects could not be fitted with the cell: {reason}"))
     return replace(found, model=fitted.effects)
