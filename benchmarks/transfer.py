@@ -96,7 +96,7 @@ HEADER = (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--poses", type=int, default=1500)
+    parser.add_argument("--poses", type=int, default=100_000, help="of each campaign, at random")
     parser.add_argument("--only", choices=("ur5", "ur10"))
     parser.add_argument("--write", action="store_true", help="put the table into benchmarks/transfer.md")
     given = parser.parse_args()

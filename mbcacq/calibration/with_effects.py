@@ -33,7 +33,8 @@ class GroupSizeOptions:
     """Of the size of each group of unmodelled effects."""
 
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
-    most_poses: int = 1000  # by which sizes and noise are found, to a few per cent; coefficients take all poses
+    most_poses: int = 1000  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
+    most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
     noise_steps: int = 4  # of the noise in each
     rounds: int = 60  # of the fixed point in each
     converged: float = 0.05  # change of a logarithm of a variance
@@ -53,14 +54,18 @@ def calibrate_with_effects(
 ) -> Calibration:
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
-    hold: the effects stay as they were learnt, the geometry alone is fitted. Raises ConfigError where the effects are of another arm, and
-    CalibrationError as ``mbcacq.calibration.maximum_likelihood.calibrate``.
+    hold: the effects stay as they were learnt, the geometry alone is fitted. Unmodelled effects are learnt from 3000 poses at most, evenly
+    at random; the calibration is of these. Raises ConfigError where the effects are of another arm, and CalibrationError as
+    ``mbcacq.calibration.maximum_likelihood.calibrate``.
     """
     options = options or CalibrationOptions()
     if options.method != "ml":
         raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
     refuse_other_arm(observations, model)
-    return fitted_with_effects(select_phases(observations, options), options, model, hold, calibrate)
+    obs = select_phases(observations, options)
+    if obs.n_poses > OPTIONS.most_learnt and not hold and any(t.name == UNKNOWN for t in model.terms):
+        obs = obs.select(some_poses(obs, OPTIONS.most_learnt))
+    return fitted_with_effects(obs, options, model, hold, calibrate)
 
 
 def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:
