@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.diagnosis.output.kept_model import kept_group, partly_covered, term_of
@@ -137,6 +137,19 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     assert {"A2", "A4"} <= kept
     assert found.chi2 / found.dof < 1.15
     assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
+
+
+def test_sizes_found_by_some_of_the_poses_lead_to_the_coefficients_of_all(plan, recording, monkeypatch):
+    wanted = (unmodelled.group(Covariates(recording), "A2", "gravity_torque_2"),)
+    model = EffectModel(plan.cell.robot, wanted, LearntRecording.of(recording))
+    whole = calibrate_with_effects(recording, OPTIONS, model)
+    monkeypatch.setattr(with_effects, "OPTIONS", replace(with_effects.OPTIONS, most_poses=64))
+    found = calibrate_with_effects(recording, OPTIONS, model)
+    assert found.observations.n_poses == recording.n_poses
+    (a,), (b,) = whole.effects.terms, found.effects.terms
+    assert np.all(np.abs(a.coefficients - b.coefficients) < 0.5 * a.std)
+    np.testing.assert_allclose(b.std, a.std, rtol=0.3)
+    np.testing.assert_allclose(found.rms_mm, whole.rms_mm, rtol=0.1)
 
 
 def moved_to(plan, seed, size):

@@ -5,8 +5,13 @@ import pickle
 
 import numpy as np
 import pytest
+import simulated
 
 from mbcacq.diagnosis.problem import prepare
+from mbcacq.estimation import parameters
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.variance_components import reml_score_and_information
 
 
 @pytest.fixture(scope="module")
@@ -36,3 +41,24 @@ def test_a_pickled_linear_problem_has_the_same_columns(linear):
 
     np.testing.assert_array_equal(received.residual, linear.residual)
     np.testing.assert_array_equal(received.unit("frame", 2, 4), linear.unit("frame", 2, 4))
+
+
+@pytest.mark.parametrize("shown", [1, 2])
+def test_effects_as_twists_of_a_pose_of_few_rows_give_what_their_own_columns_give(plan, shown):
+    """One or two centres a pose have no more rows than a twist has components."""
+    first = np.flatnonzero(np.r_[True, np.diff(plan.pose) != 0])
+    few = np.isin(np.arange(plan.n_centres), first[:, None] + np.arange(shown))
+    obs = dataclasses.replace(plan, pose=plan.pose[few], ball=plan.ball[few], xyz=plan.xyz[few])
+    layout = parameters.build(obs, CalibrationOptions(balls=False))
+    linear = LinearProblem.of(obs, simulated.nominal_state(obs), layout=layout)
+    assert linear.columns_by_pose.by_rows
+    own = dataclasses.replace(linear, columns_by_pose=dataclasses.replace(linear.columns_by_pose, by_rows=False))
+    columns = np.random.default_rng(0).normal(size=(*linear.residual.shape, 4))
+    noise = Noise(np.array([0.01, 0.02, 0.03]), np.full(6, 2e-5), 1e-4)
+    one, other = (problem.extended(columns, np.full(4, 0.1)).at(noise) for problem in (linear, own))
+    assert other.poses.columns.own.size == one.poses.columns.own.size + 4
+    size = np.sqrt(np.diag(other.normal.information))
+    np.testing.assert_allclose(one.normal.information / np.outer(size, size), other.normal.information / np.outer(size, size), atol=1e-9)
+    np.testing.assert_allclose(one.normal.gradient / size, other.normal.gradient / size, atol=1e-6 * np.sqrt(one.normal.cost))
+    for a, b in zip(reml_score_and_information(one, noise), reml_score_and_information(other, noise), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6 * np.abs(b).max())
