@@ -124,7 +124,7 @@ class ArmState:
         self.close()
 
 
-class _Block(shared_memory.SharedMemory):
+class _FakeBlock(shared_memory.SharedMemory):
     """Where views of it are left, as in a program that was interrupted while it ended, it goes with the process: that is no error."""
 
     def close(self) -> None:
@@ -138,7 +138,7 @@ def create_shared_memory(size: int, name: str | None = None) -> shared_memory.Sh
     Linux promises at creation and allocates at the first write; other systems allocate at creation.
     """
     try:
-        memory = _Block(name=name, create=True, size=size)
+        memory = _FakeBlock(name=name, create=True, size=size)
     except FileExistsError:
         raise
     except OSError as error:
@@ -158,10 +158,10 @@ def create_shared_memory(size: int, name: str | None = None) -> shared_memory.Sh
 def attach_shared_memory(name: str) -> shared_memory.SharedMemory:
     """Attach without making this process responsible for the block's removal."""
     if sys.version_info >= (3, 13):
-        return _Block(name=name, track=False)
+        return _FakeBlock(name=name, track=False)
     register = resource_tracker.register
     resource_tracker.register = lambda *_: None  # Python < 3.13 would unlink the block when this process ends
     try:
-        return _Block(name=name)
+        return _FakeBlock(name=name)
     finally:
         resource_tracker.register = register
