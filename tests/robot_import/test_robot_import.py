@@ -126,6 +126,16 @@ def test_a_modified_table_is_the_arm_of_the_standard_one(tmp_path):
     assert arm.chain.rows == pytest.approx(known.chain.rows, abs=1e-9)
 
 
+def test_no_number_is_written_that_yaml_takes_for_a_word(tmp_path):
+    """A limit of 1e-05 deg, which YAML 1.1 reads as text for want of a dot."""
+    rows = [[400.0, 0.0, 0.0, -90.0], [0.0, 25.0, 0.0, 0.0], [50.0, 455.0, 10.0, -90.0]]
+    lines = ["d_mm,a_mm,theta_deg,alpha_deg,lower_deg,upper_deg", *(",".join(str(v) for v in [*row, -1e-5, 170.0]) for row in rows)]
+    path = tmp_path / "rows.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    links = yaml.safe_load(import_robot(path, convention="standard").text)["links"]
+    assert [link["limits_deg"] for link in links] == [[-1e-5, 170]] * 3
+
+
 def test_a_standard_table_in_yaml(tmp_path):
     path = tmp_path / "ur.yaml"
     rows = [(0, 127.3, 0, 90), (0, 0, -612, 0), (0, 0, -572.3, 0), (0, 163.941, 0, 90), (0, 115.7, 0, -90), (0, 92.2, 0, 0)]
