@@ -86,10 +86,10 @@ class PtyProxy(Proxy):
         while not self._closing.is_set():
             try:
                 self._far = far = socket.create_connection(self._device, 5.0)
-            except OSError:
+                far.settimeout(POLL_S)
+            except OSError:  # nobody there yet, or the plug was pulled meanwhile
                 self._closing.wait(POLL_S)
                 continue
-            far.settimeout(POLL_S)
             ends = [threading.Thread(target=self._pump, args=(sender, far), daemon=True) for sender in (DRIVER, DEVICE)]
             for end in ends:
                 end.start()

@@ -186,6 +186,26 @@ def test_datagrams_and_serial_lines_pass_too():
             assert there.recv(100) == b"T?\n"
 
 
+def test_a_plug_that_is_pulled_while_the_line_is_made_ends_no_proxy(monkeypatch):
+    """The connection may be closed between its making and its use; the line is then made again."""
+    connect, made = socket.create_connection, []
+
+    def pulled_at_once(*arguments):
+        made.append(connect(*arguments))
+        if len(made) == 1:
+            made[0].close()
+        return made[-1]
+
+    with socket.create_server(("127.0.0.1", 0)) as device:
+        monkeypatch.setattr(socket, "create_connection", pulled_at_once)
+        with PtyProxy(Channel("line"), device.getsockname(), cut=ended(b"\n")) as proxy:
+            device.accept()[0].close()
+            there, _ = device.accept()
+            with there, open(proxy.path, "r+b", buffering=0) as port:
+                there.sendall(b"T=1\n")
+                assert port.read(100) == b"T=1\n"
+
+
 @pytest.mark.parametrize(
     ("data", "size"), [(b"", 0), (b"\x05\0\0", 0), (b"\x05\0\0\0", 0), (b"\x05\0\0\0x", 5), (b"\x05\0\0\0xy", 5), (b"\0\0\0\0", 4)]
 )
