@@ -18,10 +18,7 @@ from scipy.spatial import KDTree
 import mbcacq
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
-from mbcacq.effects import unmodelled
-from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import LearntRecording
+from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.model.observations import Observations
 
 OFF_GRID = 20
@@ -35,11 +32,9 @@ def some(obs: Observations, poses: int) -> Observations:
 
 
 def learnt(obs: Observations) -> tuple[mbcacq.Calibration, mbcacq.Calibration]:
-    """The cell with all groups, and as geometry alone."""
+    """The cell with what a diagnosis finds, and as geometry alone."""
     options = mbcacq.CalibrationOptions(refuse=False)
-    terms = tuple(unmodelled.everywhere(Covariates(obs)))
-    model = EffectModel(obs.cell.robot, terms, LearntRecording.of(obs), obs.cell.measurement)
-    return calibrate_with_effects(obs, options, model), mbcacq.calibrate(obs, options)
+    return calibrate_with_effects(obs, options, diagnose(obs).model), mbcacq.calibrate(obs, options)
 
 
 def tried(cell: mbcacq.Calibration, alone: mbcacq.Calibration, other: Observations, name: str) -> str:

@@ -21,6 +21,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
 from mbcacq.estimation.solver import Solution, Weights, reweighted, system
 from mbcacq.estimation.terms import Term
 from mbcacq.estimation.variance_components import noise_prior
@@ -37,7 +38,6 @@ class GroupSizeOptions:
     most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
     noise_steps: int = 4  # of the noise in each
     rounds: int = 60  # of the fixed point in each
-    converged: float = 0.05  # change of a logarithm of a variance
     least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
     smallest: float = 1e-4  # of a group's prior size: it is dropped below
     largest: float = 10.0  # times a group's prior size: no group is believed to be larger
@@ -78,27 +78,26 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     fitted = fit(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
-    found = with_unmodelled(fitted, options, parametric, unmodelled)
-    pattern = common_pattern_of(found, fitted, options, parametric, unmodelled)
-    if pattern is not None:
-        # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
-        apart = parametric.select(lambda t: t.name != PERIODIC or joint_of(t) not in pattern.joints)
-        if len(apart.terms) < len(parametric.terms):
-            fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
-        found = with_unmodelled(fitted, options, apart, with_pattern(obs, unmodelled, pattern), found.noise)
-        found = replace(found, extra={**found.extra, "common_pattern": asdict(pattern)})
-    return _beside(alone, found)
+    stage, noise = sized_groups(fitted, options, parametric, unmodelled)
+    pattern = common_pattern_of(stage, noise, parametric, unmodelled)
+    if pattern is None:
+        return _beside(alone, with_groups(stage, noise, parametric, unmodelled))
+    # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
+    apart = parametric.select(lambda t: t.name != PERIODIC or joint_of(t) not in pattern.joints)
+    if len(apart.terms) < len(parametric.terms):
+        fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
+    patterned = with_pattern(obs, unmodelled, pattern)
+    stage, noise = sized_groups(fitted, options, apart, patterned, noise)
+    found = with_groups(stage, noise, apart, patterned)
+    return _beside(alone, replace(found, extra={**found.extra, "common_pattern": asdict(pattern)}))
 
 
-def common_pattern_of(
-    found: Calibration, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel
-) -> CommonPattern | None:
-    """The pattern that joints share in their own errors, by its evidence in a recording that was calibrated with groups for them.
+def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
+    """The pattern that joints share in their own errors, by its evidence in a recording, where the groups for them have these sizes.
 
     None where there is none, where the recording is too short to tell, or where the groups have one.
-
-    found: with the groups; fitted: without them.
     """
+    fitted, options = sized.fitted, sized.options
     known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
     own = [t for t in unmodelled.terms if own_joint(t) is not None and t.k == 2 * groups.OPTIONS.own_order]
     if known or fitted.observations.n_poses < groups.OPTIONS.many_poses or len(own) < LEAST_JOINTS:
@@ -106,9 +105,8 @@ def common_pattern_of(
     others = parametric.select(lambda t: t.name != PERIODIC)
     bare = replace(fitted, coefficients=tuple(np.zeros(t.k) for t in others.terms))
     stage = _Stage.first(bare, options, others, unmodelled, np.ones(fitted.observations.n_poses, bool))
-    assert found.effects is not None, "the groups were fitted"
-    size = {t.key: t.sigma for t in found.effects.terms if t.name == UNKNOWN}
-    normal = stage.system(found.noise).normal
+    size = {g.key: g.sigma * s for g, s in zip(sized.groups, sized.scale, strict=True)}
+    normal = stage.system(noise).normal
     layout = stage.layout
     position = {name: j for j, name in enumerate(layout.names)}
     index = {joint_of(t): np.array([position[name] for name in t.names]) for t in own}
@@ -170,27 +168,33 @@ def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:
     return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 
-def with_unmodelled(
+def sized_groups(
     fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, start: Noise | None = None
-) -> Calibration:
-    """The unmodelled groups added to a calibration that has the parametric effects. start: a noise to begin with.
+) -> tuple[_Stage, Noise]:
+    """The sizes of unmodelled groups beside a calibration that has the parametric effects, and the noise that they leave. start: a noise
+    to begin with.
 
     Each group is a random effect whose size maximises the marginal likelihood (MacKay 1992), with the geometry, the stations and the
     parametric effects free; groups that the data do not ask for are dropped.
     """
     prior = noise_prior(fitted.cell, options.noise)
-    poses = some_poses(fitted.observations, OPTIONS.most_poses)
-    stage = _Stage.first(fitted, options, parametric, unmodelled, poses)
+    stage = _Stage.first(fitted, options, parametric, unmodelled, some_poses(fitted.observations, OPTIONS.most_poses))
     noise = start or fitted.noise
     at = stage.system(noise)
     for turn in range(OPTIONS.turns):
         stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
         at, noise = most_probable_noise(stage.reweighted, stage.system(noise), noise, prior, OPTIONS.noise_steps)
-    if not poses.all():
+    return stage, noise
+
+
+def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> Calibration:
+    """The calibration by all poses with groups that were sized by some of them."""
+    fitted = stage.fitted
+    if stage.observations is not fitted.observations:
         stage = stage.by_all_poses(parametric, unmodelled)
         stage = stage.sized(stage.system(noise), last=True)
-        at = stage.system(noise)
-    chosen = replace(options, terms=stage.terms)
+    at = stage.system(noise)
+    chosen = replace(stage.options, terms=stage.terms)
     result = Calibration.of(
         fitted.observations, chosen, stage.lineariser, at, noise, fitted.weights, fitted.preliminary, list(fitted.undetermined)
     )
@@ -317,39 +321,14 @@ def group_scales(information: np.ndarray, right: np.ndarray, first: int, several
     taken = np.linalg.solve(root, scale0[:, None] * np.c_[information[:first, first:] * sigma, right[:first]])
     S = sigma[:, None] * information[first:, first:] * sigma - taken[:, :-1].T @ taken[:, :-1]
     b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
-    return fixed_point(S, b, slices, start, np.array([given_size(g) for g in several]))
+    fixed = np.array([given_size(g) for g in several])
+    begin = np.where(fixed, 1.0, start)
+    return sizes_by_marginal_likelihood(S, b, slices, begin, (OPTIONS.smallest, OPTIONS.largest), OPTIONS.rounds, fixed)
 
 
 def given_size(t: EffectTerm) -> bool:
     """Whether a group's prior size is physical, and not estimated."""
     return t.units[0] in OPTIONS.fixed_units
-
-
-def fixed_point(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], start: np.ndarray, fixed: np.ndarray) -> np.ndarray:
-    """(G,) sizes by MacKay's fixed point; S (k, k), b (k,) in units of the prior sigma. fixed: (G,) bool, groups of a given size."""
-    variance = np.where(fixed, 1.0, start**2)
-    for _ in range(OPTIONS.rounds):
-        alive = [int(g) for g in np.flatnonzero(variance > 0)]
-        index = np.concatenate([np.arange(slices[g].start, slices[g].stop) for g in alive]) if len(alive) else np.zeros(0, int)
-        if not len(index):
-            break
-        prior = np.concatenate([np.full(slices[g].stop - slices[g].start, variance[g]) for g in alive])
-        root = np.sqrt(prior)
-        inverse = np.linalg.inv(root[:, None] * S[np.ix_(index, index)] * root + np.eye(len(index)))
-        u = root * (inverse @ (root * b[index]))
-        posterior = prior * np.diag(inverse)
-        before, begin = variance.copy(), 0
-        for g in alive:
-            own = slice(begin, begin + slices[g].stop - slices[g].start)
-            begin = own.stop
-            if not fixed[g]:
-                determined = own.stop - own.start - float(posterior[own].sum()) / variance[g]
-                variance[g] = float(np.sum(u[own] ** 2)) / max(determined, 1e-3) if determined > 1e-4 else 0.0
-        variance = np.where(variance < OPTIONS.smallest**2, 0.0, np.minimum(variance, OPTIONS.largest**2))
-        still = (variance > 0) & (before > 0)
-        if np.all(np.abs(np.log(variance[still] / before[still])) < OPTIONS.converged):
-            break
-    return np.sqrt(variance)
 
 
 REFIT.append(lambda c, model, hold: calibrate_with_effects(c.observations, c.options, model, hold=hold))

@@ -37,7 +37,7 @@ def diagnose(
     """Locate the mismatch, explain it by effects, and validate these on data left out.
 
     recordings: one, or several of one arm, which share the arm and its effects and keep their own base, tool, stations and noise.
-    folds: of the cross-validation; by default as many as the recording allows. workers: its processes, of a recording that is not long.
+    folds: of the cross-validation; by default as many as the recording allows. workers: its processes.
     options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out. formulas: whether
     formulas are proposed for unmodelled effects.
     Raises CalibrationError where the data do not even determine the geometry.
@@ -47,9 +47,8 @@ def diagnose(
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        # Matrices of a short recording are small: two threads of linear algebra take longer for them than one, and three times the work.
-        long = poses >= OPTIONS.many_poses
-        with threadpool_limits(None if long else 1), WorkerPool(1 if long else workers) as pool:
+        # The matrices are small: two threads of linear algebra take longer for them than one, and three times the work.
+        with threadpool_limits(1), WorkerPool(workers) as pool:
             return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas)
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error

@@ -45,6 +45,8 @@ class DiagnosisOptions:
     other_order: float = 9.0  # periods a turn of what a joint's angle does elsewhere: bearings and couplings are smooth
     initial_size_mm: float = 0.02  # size of a group of coefficients at the start of the fixed-point iteration
     smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
+    largest_size_mm: float = 10.0  # of a group: more is a wrong recording
+    size_rounds: int = 25  # of that iteration at most
 
     # Search and validation
     few_stations: int = 6  # up to which each is left out alone

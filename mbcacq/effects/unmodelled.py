@@ -60,6 +60,8 @@ def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
 def everywhere(here: Covariates) -> list[EffectTerm]:
     """Groups for a recording of many poses: every joint by its own angle, by its movement from the pose before and by gravity, the links
     by the weight behind them.
+
+    There is none by the clock: where postures follow an order, a drift of that recording takes what belongs to the arm (transfer.md).
     """
     n, torque = here.n, here.gravity_torque
     moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]
@@ -70,12 +72,6 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
     found += [group(here, f"A{i + 1}", f"gravity_torque_{i + 1}") for i in loaded]
     found += [group(here, "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}") for i in range(n)]
     return [g for g in found if g is not None]
-
-
-def of_clock(here: Covariates) -> list[EffectTerm]:
-    """Groups of what drifts while the recording is made: base and mount by time, or by the order of the poses."""
-    clock = "pose" if here.obs.time_s is None or np.ptp(here.obs.time_s) == 0 else "time"
-    return [g for g in (group(here, at, clock) for at in ("base", "mount")) if g is not None]
 
 
 def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequence[int], joints: Sequence[int]) -> EffectTerm:

@@ -15,6 +15,7 @@ import numpy as np
 from mbcacq.estimation.normal_equations import Normal, PoseSystem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import flat_product
+from mbcacq.estimation.random_effect_sizes import inverse_of_lower
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms.
@@ -208,7 +209,7 @@ class _PoseVariance:
 
 def _inverse_root(normal: Normal) -> np.ndarray:
     """R (g, g) with R'R the covariance of the parameters."""
-    return np.linalg.inv(np.linalg.cholesky(_regular(normal.information)))
+    return inverse_of_lower(np.linalg.cholesky(_regular(normal.information)))
 
 
 def _regular(information: np.ndarray) -> np.ndarray:

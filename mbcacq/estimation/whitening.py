@@ -106,6 +106,9 @@ def _noise_scales(obs: Observations, width: int) -> tuple[np.ndarray, np.ndarray
     return np.concatenate([point, np.ones((len(point), width - 3))], axis=1), obs.noise_scale[:, None, 3:]
 
 
+COLUMNS_AT_ONCE = 128  # of a whitening: several copies of them are in memory
+
+
 class Whitening:
     """W with W' W = inverse covariance of every pose, as one small matrix per pose.
 
@@ -160,7 +163,14 @@ class CentreWhitening:
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         flat = columns if columns.ndim == 3 else columns[..., None]
-        out = self.rows.unpad(self.blocks(self.rows.pad(flat))).reshape(-1, flat.shape[2])
+        M, R, k = flat.shape
+        if k <= COLUMNS_AT_ONCE:
+            out = self.rows.unpad(self.blocks(self.rows.pad(flat))).reshape(M * R, k)
+        else:
+            out = np.empty((M * R, k))
+            for first in range(0, k, COLUMNS_AT_ONCE):
+                some = slice(first, first + COLUMNS_AT_ONCE)
+                out[:, some] = self.rows.unpad(self.blocks(self.rows.pad(flat[:, :, some]))).reshape(M * R, -1)
         return out if columns.ndim == 3 else out[:, 0]
 
     def transpose(self, rows: np.ndarray) -> np.ndarray:

@@ -67,7 +67,7 @@ def diagnose(
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
     observations = as_observations(one)
-    found = diagnose_poses(observations, progress, workers, options, propose)
+    found = diagnose_poses(observations, progress, workers, options, propose, fitted=not check)
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
         others = [other for other in check if not isinstance(other, Trajectory)]

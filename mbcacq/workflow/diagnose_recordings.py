@@ -110,13 +110,14 @@ def diagnose_poses(
     workers: int | None,
     options: CalibrationOptions | None = None,
     formulas: bool = False,
+    fitted: bool = True,
 ) -> DiagnosisResult:
-    """The diagnosis of poses at standstill. Raises CalibrationError."""
+    """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
     found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options, formulas=formulas)
-    return DiagnosisResult(with_fitted_model(found, observations, progress), observations=observations)
+    return DiagnosisResult(with_fitted_model(found, observations, progress) if fitted else found, observations=observations)
 
 
 def with_fitted_model(found: Diagnosis, observations: Observations, progress: Callable[[str], None]) -> Diagnosis:

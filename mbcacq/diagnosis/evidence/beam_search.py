@@ -52,7 +52,7 @@ class EvidenceSearch:
             self.known[best.key] = best
             best = self.relieved(best)
             beam = [best]
-        for _ in range(OPTIONS.most_effects):
+        while len(beam[0].members) < OPTIONS.most_effects:
             beam = self.grown(beam)
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break

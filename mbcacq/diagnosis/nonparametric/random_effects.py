@@ -1,7 +1,7 @@
 """Random effects: the model of what has no parametric effect, groups of functions at locations, each group with a size of its own.
 
-Every group is a random effect u ~ N(0, size^2 diag(weight^2)). Sizes maximise the marginal likelihood by MacKay's fixed point (1992), so
-groups that the data do not ask for vanish, and ranges without data stay near zero instead of being extrapolated.
+Every group is a random effect u ~ N(0, size^2 diag(weight^2)) whose size maximises the marginal likelihood: groups that the data do not
+ask for vanish, and ranges without data stay near zero instead of being extrapolated.
 """
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
 
 from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.projection import inverse_of_lower
 from mbcacq.effects.context import Context
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.random_effect_sizes import joined, posterior_of, sizes_by_marginal_likelihood
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,25 @@ class RandomEffect:
     depends_on: str
     columns: np.ndarray
     weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class RandomEffectOfPose:
+    """A random effect before its columns are computed, which take much memory: components at a location, (place, index, component) each,
+    by functions (P, f) of the poses with weights (f,).
+    """
+
+    location: str
+    depends_on: str
+    components: tuple[tuple[str, int, int], ...]
+    functions: np.ndarray
+    weight: np.ndarray
+
+    def on(self, linear: LinearProblem, poses: np.ndarray | None = None) -> RandomEffect:
+        """Its columns at the poses of a linearisation, which are these (P,) bool of all."""
+        F = (self.functions if poses is None else self.functions[poses])[linear.obs.pose][:, None, :]
+        columns = np.concatenate([linear.unit(*component)[:, :, None] * F for component in self.components], axis=2)
+        return RandomEffect(self.location, self.depends_on, columns, np.tile(self.weight, len(self.components)))
 
 
 @dataclass(frozen=True)
@@ -63,11 +81,6 @@ def slices_of(groups: Sequence[RandomEffect]) -> list[slice]:
     return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
-def joined(slices: Sequence[slice]) -> np.ndarray:
-    """Indices of some slices, one after the other."""
-    return np.concatenate([np.arange(p.start, p.stop) for p in slices]) if slices else np.zeros(0, int)
-
-
 def cosine_basis(x: np.ndarray, highest: float, least: int = 4) -> tuple[np.ndarray, np.ndarray]:
     """Cosines over a little more than the range of an angle x (P,), up to ``highest`` per turn: (P, K), and weights (K,)."""
     span = max(float(np.ptp(x)) * 1.15, 1e-9)
@@ -76,13 +89,12 @@ def cosine_basis(x: np.ndarray, highest: float, least: int = 4) -> tuple[np.ndar
     return np.cos(np.pi * (x - x.min())[:, None] / span * k), 1.0 / (1.0 + (k * np.pi / span / (highest / 4)) ** 2)
 
 
-def all_locations(linear: LinearProblem, s: Context) -> list[RandomEffect]:
+def all_locations(s: Context) -> list[RandomEffectOfPose]:
     """Groups for a recording with many poses: gear, bearing, elasticity, coupling and time at every joint."""
-    obs, out = linear.obs, list[RandomEffect]()
+    obs, out = s.obs, list[RandomEffectOfPose]()
 
-    def group(location: str, name: str, keys: list[tuple[str, int, int]], F: np.ndarray, weight: np.ndarray) -> None:
-        columns = np.concatenate([linear.unit(*key)[:, :, None] * F[obs.pose][:, None, :] for key in keys], axis=2)
-        out.append(RandomEffect(location, name, columns, np.tile(weight, len(keys))))
+    def group(location: str, name: str, components: list[tuple[str, int, int]], F: np.ndarray, weight: np.ndarray) -> None:
+        out.append(RandomEffectOfPose(location, name, tuple(components), F, weight))
 
     moving = [i for i in range(s.n) if np.ptp(obs.q[:, i]) > 0.02]
     for i in moving:
@@ -110,71 +122,53 @@ def all_locations(linear: LinearProblem, s: Context) -> list[RandomEffect]:
     return out
 
 
-def fit_random_effects(
-    projected: CandidateScoring, groups: Sequence[RandomEffect], start: np.ndarray | None = None, rounds: int = 25
-) -> RandomEffectsModel | None:
+@dataclass(frozen=True)
+class _NormalEquations:
+    """Of the groups' coefficients beyond what is projected out, in units of ``scale`` (k,)."""
+
+    groups: tuple[RandomEffect, ...]
+    scale: np.ndarray
+    S: np.ndarray
+    b: np.ndarray
+
+    @classmethod
+    def of(cls, projected: CandidateScoring, groups: Sequence[RandomEffect]) -> _NormalEquations:
+        scale = np.concatenate([unit_weight(projected, g) for g in groups])
+        X = np.concatenate([projected.whiten(g.columns) for g in groups], axis=1)
+        X *= scale
+        absorbed = projected.all_projected.T @ X
+        return cls(tuple(groups), scale, X.T @ X - absorbed.T @ absorbed, X.T @ projected.r)
+
+    def solved(self, sizes: np.ndarray) -> RandomEffectsModel | None:
+        """The coefficients with these sizes (G,); None where all are zero."""
+        chosen = [int(g) for g in np.flatnonzero(sizes > 0)]
+        if not chosen:
+            return None
+        slices = slices_of(self.groups)
+        index = joined([slices[g] for g in chosen])
+        prior = np.concatenate([np.full(slices[g].stop - slices[g].start, sizes[g] ** 2) for g in chosen])
+        mean, variance = posterior_of(self.S[np.ix_(index, index)], self.b[index], prior)
+        used = float(np.sum(1.0 - variance / prior))
+        scale = self.scale[index]
+        return RandomEffectsModel(tuple(self.groups[g] for g in chosen), mean * scale, np.sqrt(prior) * scale, sizes[chosen], used)
+
+
+def fit_random_effects(projected: CandidateScoring, groups: Sequence[RandomEffect], start: np.ndarray) -> RandomEffectsModel | None:
     """Sizes and coefficients of the groups beyond what is projected out; None where the data ask for none. start: (G,) initial sizes."""
     if not groups:
         return None
-    scale = np.concatenate([unit_weight(projected, g) for g in groups])
-    X = np.concatenate([projected.whiten(g.columns) for g in groups], axis=1) * scale
-    absorbed = projected.all_projected.T @ X
-    S, b = X.T @ X - absorbed.T @ absorbed, X.T @ projected.r
-    variance = np.full(len(groups), OPTIONS.initial_size_mm**2) if start is None else start**2
-    smallest = (OPTIONS.smallest_size * float(np.mean(projected.noise.point))) ** 2
-    slices = slices_of(groups)
-    variance, alive = mackay_fixed_point(S, b, slices, variance, smallest, rounds)
-    chosen = [int(g) for g in np.flatnonzero(alive)]
-    if not chosen:
-        return None
-    index = joined([slices[g] for g in chosen])
-    prior = prior_variance(slices, variance, chosen)
-    root = np.sqrt(prior)
-    information = S[np.ix_(index, index)] * np.outer(root, root)
-    normal = information + np.eye(len(index))
-    u = root * np.linalg.solve(normal, root * b[index])
-    used = float(np.trace(np.linalg.solve(normal, information)))
-    return RandomEffectsModel(
-        tuple(groups[g] for g in chosen), u * scale[index], np.sqrt(prior) * scale[index], np.sqrt(variance[chosen]), used
-    )
+    system = _NormalEquations.of(projected, groups)
+    smallest = OPTIONS.smallest_size * float(np.mean(projected.noise.point))
+    limits = smallest, OPTIONS.largest_size_mm
+    return system.solved(sizes_by_marginal_likelihood(system.S, system.b, slices_of(groups), start, limits, OPTIONS.size_rounds))
+
+
+def solve_random_effects(projected: CandidateScoring, groups: Sequence[RandomEffect], sizes: np.ndarray) -> RandomEffectsModel | None:
+    """Coefficients of groups of given sizes (G,)."""
+    return _NormalEquations.of(projected, groups).solved(sizes) if groups else None
 
 
 def unit_weight(projected: CandidateScoring, group: RandomEffect) -> np.ndarray:
     """(k,) weights with which a group of unit size moves the centres by about a millimetre, so that sizes compare."""
     typical = np.sqrt(np.mean(group.columns[projected.linear.keep, :3] ** 2) * group.columns.shape[2])
     return group.weight / max(float(typical), 1e-12)
-
-
-def prior_variance(slices: list[slice], variance: np.ndarray, chosen: Sequence[int]) -> np.ndarray:
-    """Prior variance of every coefficient of the chosen groups."""
-    return np.concatenate([np.full(slices[g].stop - slices[g].start, variance[g]) for g in chosen])
-
-
-def mackay_fixed_point(
-    S: np.ndarray, b: np.ndarray, slices: list[slice], variance: np.ndarray, smallest: float, rounds: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Variance of each group (G,), and (G,) bool of those that stay above the smallest. S (k, k), b (k,): normal equations."""
-    alive = np.ones(len(slices), bool)
-    for _ in range(rounds):
-        chosen = [int(g) for g in np.flatnonzero(alive)]
-        if not chosen:
-            break
-        index, prior = joined([slices[g] for g in chosen]), prior_variance(slices, variance, chosen)
-        root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
-        normal = S[np.ix_(index, index)] * np.outer(root, root)
-        normal[np.diag_indices_from(normal)] += 1.0
-        factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
-        u = root * cho_solve((factor, True), root * b[index], check_finite=False)
-        half = inverse_of_lower(factor)
-        posterior = prior * np.einsum("ij,ij->j", half, half)
-        before, first = variance.copy(), 0
-        for g in chosen:
-            k = slices[g].stop - slices[g].start
-            own = slice(first, first + k)
-            first += k
-            determined = k - np.sum(posterior[own]) / variance[g]
-            variance[g] = np.clip(np.sum(u[own] ** 2) / max(determined, 1e-3), 1e-12, 1e2) if determined > 1e-4 else 0.0
-        alive &= variance > smallest
-        if np.all(np.abs(np.log(variance[alive] / before[alive])) < 0.1):
-            break
-    return variance, alive

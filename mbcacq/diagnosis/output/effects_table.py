@@ -152,7 +152,8 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
     """
     smooth, linear = full.smooth, full.geometry_only.linear
     assert smooth is not None, "only called where unmodelled effects were fitted"
-    X = full.conditioned.whiten(smooth.columns) * smooth.sigma
+    X = full.conditioned.whiten(smooth.columns)
+    X *= smooth.sigma
     taken = full.conditioned.all_projected.T @ X
     covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
     left = uncompensated(full, np.concatenate([smooth.columns, linear.residual[:, :, None]], axis=2))[linear.keep, :3]

@@ -12,10 +12,11 @@ import numpy as np
 
 from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
 from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, solve_blocks
-from mbcacq.diagnosis.search.projection import inverse_of_lower, ridge_projection
+from mbcacq.diagnosis.search.projection import ridge_projection
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.random_effect_sizes import inverse_of_lower
 from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
 

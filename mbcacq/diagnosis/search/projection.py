@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
+
+from mbcacq.estimation.random_effect_sizes import inverse_of_lower
 
 
 def ridge_projection(own: np.ndarray, rows_of: Sequence[slice | np.ndarray], shared: np.ndarray) -> tuple[np.ndarray, float]:
@@ -36,8 +37,3 @@ def _inverse_root(normal: np.ndarray) -> tuple[np.ndarray, float]:
     """R (k, k), lower triangular, with R (I + normal) R' = I, and the log determinant of I + normal."""
     factor = np.linalg.cholesky(normal + np.eye(len(normal)))
     return inverse_of_lower(factor), 2 * float(np.log(np.diag(factor)).sum())
-
-
-def inverse_of_lower(factor: np.ndarray) -> np.ndarray:
-    """Inverse of a lower triangular matrix (k, k)."""
-    return dtrtri(factor, lower=1)[0]

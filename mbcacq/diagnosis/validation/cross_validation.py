@@ -62,8 +62,7 @@ def cross_validate(
 ) -> CrossValidation:
     """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data.
 
-    pool: of processes that share the folds, unless the recording is long: each would need as much memory as all of them in turn.
-    progress: gets a sentence a fold.
+    pool: of processes that share the folds. progress: gets a sentence a fold.
     """
     linear = full.geometry_only.linear
     fold, how = split(linear, folds)
@@ -82,21 +81,13 @@ def cross_validate(
             progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
 
     begun(0)
-    results: list[FoldResult] = []
-    if full.residual_tests is None:
-        again = [(problem, full.noise, test, expected, keys, elsewhere, everywhere) for test in left_out]
-        results = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
-        before, after, without = totals(results, keys)
-    else:
-        each = [Fold(problem, full.noise, test, expected) for test in left_out]
-        for one in each:
-            results.append(one.evaluate(keys, elsewhere, everywhere))
-            begun(len(results))
-        parametric = summed(a.parametric for a in results) if everywhere else None
-        before, after, without = totals(results, keys)
-        if dropped := not_predictive(full, without, parametric or after):
-            after = summed(one.without(dropped) for one in each)
+    again = [(problem, full.noise, test, expected, keys, elsewhere, everywhere) for test in left_out]
+    results: list[FoldResult] = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
     parametric = summed(a.parametric for a in results) if everywhere else None
+    before, after, without = totals(results, keys)
+    if full.residual_tests is not None and (dropped := not_predictive(full, without, parametric or after)):
+        each = zip(left_out, results, strict=True)
+        after = summed(Fold(linear, full.noise, test).score(a.model.without(dropped), a.smooth) for test, a in each)
     there = summed(a.before_there for a in results), summed(a.after_there for a in results)
     decisive = there if there[0].count > OPTIONS.deciding_share * before.count else (before, after)
     return CrossValidation(before, after, how, without, dropped, decisive, parametric)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -19,7 +18,7 @@ from mbcacq.estimation.options import Noise
 @dataclass(frozen=True)
 class FoldResult:
     """before, after: score on the fold with geometry alone and with the model found without it; the same where the model may be judged
-    (``there``). without: the same without one effect, by its key. parametric: without random effects.
+    (``there``). without: the same without one effect, by its key. parametric: without random effects. model, smooth: what was found.
     """
 
     before: PredictiveScore
@@ -28,43 +27,30 @@ class FoldResult:
     after_there: PredictiveScore
     without: dict[str, PredictiveScore]
     parametric: PredictiveScore
+    model: EffectSet
+    smooth: RandomEffectsModel | None
 
 
+@dataclass(frozen=True)
 class Fold:
-    """The model found without one fold, and its scores on it."""
+    """One fold. linear: of the fit of all data, noise: of that fit; test: (P,) bool, the poses left out."""
 
-    def __init__(self, problem: DiagnosisProblem, noise: Noise, test: np.ndarray, structure_expected: bool):
-        """problem: linearised at the fit of all data; noise: of that fit; test: (P,) bool, the poses left out."""
-        linear = problem.linear
-        self.linear, self.noise = linear, noise
-        self.train, self.test = linear.keep & ~test[linear.obs.pose], linear.keep & test[linear.obs.pose]
-        self.found = fit_model(problem, self.train, structure_expected=structure_expected)
+    linear: LinearProblem
+    noise: Noise
+    test: np.ndarray
+
+    @property
+    def train(self) -> np.ndarray:
+        """(M,) bool of the centres of the other poses."""
+        return self.linear.keep & ~self.test[self.linear.obs.pose]
+
+    @property
+    def left_out(self) -> np.ndarray:
+        """(M,) bool of the centres of the poses left out."""
+        return self.linear.keep & self.test[self.linear.obs.pose]
 
     def score(self, model: EffectSet, smooth: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
-        return held_out_score(self.linear, self.train, self.test if test is None else test, model, smooth, self.noise)
-
-    def evaluate(self, keys: tuple[str, ...], elsewhere: np.ndarray, everywhere: bool) -> FoldResult:
-        """keys: effects to be left out in turn; elsewhere: (M,) bool of the centres by which the model may be judged; everywhere: random
-        effects stand at all locations.
-        """
-        model, smooth = self.found.model, self.found.smooth
-        before, after = self.score(NO_EFFECTS, None), self.score(model, smooth)
-        there = self.test & elsewhere
-        partly = there.any() and not elsewhere.all()
-        before_there, after_there = NO_CENTRES, NO_CENTRES
-        if partly:
-            before_there, after_there = self.score(NO_EFFECTS, None, there), self.score(model, smooth, there)
-        whole = self.score(model, None) if everywhere else after
-        without = {}
-        for key in keys:
-            other, others = without_effect(replace(self.found, smooth=None) if everywhere else self.found, key)
-            same = other is model and (everywhere or others is smooth)
-            without[key] = whole if same else self.score(other, others)
-        return FoldResult(before, after, before_there, after_there, without, whole if everywhere else NO_CENTRES)
-
-    def without(self, names: tuple[str, ...]) -> PredictiveScore:
-        """Score of the model without these effects."""
-        return self.score(self.found.model.without(names), self.found.smooth)
+        return held_out_score(self.linear, self.train, self.left_out if test is None else test, model, smooth, self.noise)
 
 
 def evaluated_fold(
@@ -76,8 +62,27 @@ def evaluated_fold(
     elsewhere: np.ndarray,
     everywhere: bool,
 ) -> FoldResult:
-    """``Fold`` and its evaluation in one call, which a worker process can do."""
-    return Fold(problem, noise, test, structure_expected).evaluate(keys, elsewhere, everywhere)
+    """The model found without a fold, and its scores on it, in one call, which a worker process can do.
+
+    problem: linearised at the fit of all data; noise: of that fit; test: (P,) bool, the poses left out. keys: effects to be left out in
+    turn; elsewhere: (M,) bool of the centres by which the model may be judged; everywhere: random effects stand at all locations.
+    """
+    fold = Fold(problem.linear, noise, test)
+    found = fit_model(problem, fold.train, structure_expected=structure_expected)
+    model, smooth = found.model, found.smooth
+    before, after = fold.score(NO_EFFECTS, None), fold.score(model, smooth)
+    there = fold.left_out & elsewhere
+    before_there, after_there = NO_CENTRES, NO_CENTRES
+    if there.any() and not elsewhere.all():
+        before_there, after_there = fold.score(NO_EFFECTS, None, there), fold.score(model, smooth, there)
+    whole = fold.score(model, None) if everywhere else after
+    without = {}
+    for key in keys:
+        other, others = without_effect(model, None if everywhere else smooth, key)
+        same = other is model and (everywhere or others is smooth)
+        without[key] = whole if same else fold.score(other, others)
+    parametric = whole if everywhere else NO_CENTRES
+    return FoldResult(before, after, before_there, after_there, without, parametric, model, smooth)
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
@@ -97,10 +102,10 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def without_effect(found: ModelFit, key: str) -> tuple[EffectSet, RandomEffectsModel | None]:
+def without_effect(model: EffectSet, smooth: RandomEffectsModel | None, key: str) -> tuple[EffectSet, RandomEffectsModel | None]:
     """A fold's model without one effect."""
     if key.startswith("unknown:"):
         location = key.removeprefix("unknown:")
-        there = found.smooth is not None and any(g.location == location for g in found.smooth.groups)
-        return found.model, found.smooth.without(location) if found.smooth is not None and there else found.smooth
-    return found.model.without((key,)), found.smooth
+        there = smooth is not None and any(g.location == location for g in smooth.groups)
+        return model, smooth.without(location) if smooth is not None and there else smooth
+    return model.without((key,)), smooth

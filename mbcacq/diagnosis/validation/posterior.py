@@ -53,7 +53,8 @@ class Posterior:
         """chi2 of other centres about their prediction, under the covariance of noise and prediction together, and its log determinant
         relative to that of the noise.
         """
-        Z, r = whiten(columns) * self.sigma, whiten(residual)
+        Z, r = whiten(columns), whiten(residual)
+        Z *= self.sigma
         normal, right = self.normal + Z.T @ Z, self.sigma * self.right + Z.T @ r
         chi2 = r @ r - right @ np.linalg.solve(normal, right) + self.right @ self.solution
         return float(chi2), float(np.linalg.slogdet(normal)[1] - np.linalg.slogdet(self.normal)[1])

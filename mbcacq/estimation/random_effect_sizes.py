@@ -1,0 +1,74 @@
+"""Sizes of groups of random effects by MacKay's fixed point.
+
+The coefficients of a group are u ~ N(0, size^2). The size that maximises the marginal likelihood fulfils size^2 = |u|^2 / (k - trace of
+their posterior covariance / size^2) (MacKay 1992, Bayesian interpolation): the groups that the data do not ask for shrink to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
+
+CONVERGED = 0.05  # change of a logarithm of a variance
+LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
+
+
+def sizes_by_marginal_likelihood(
+    S: np.ndarray,
+    b: np.ndarray,
+    slices: Sequence[slice],
+    start: np.ndarray,
+    limits: tuple[float | np.ndarray, float],
+    rounds: int,
+    fixed: np.ndarray | None = None,
+) -> np.ndarray:
+    """(G,) size of each group, zero where the data do not ask for it.
+
+    S (k, k), b (k,): normal equations without the priors, in units in which the coefficients of a group are alike; slices: the
+    coefficients of each group; start: (G,) sizes to begin with. limits: smallest size, below which a group is dropped, and largest.
+    fixed: (G,) bool of the groups whose size is kept.
+    """
+    least, most = limits
+    kept = np.zeros(len(slices), bool) if fixed is None else fixed
+    variance = start**2
+    for _ in range(rounds):
+        alive = np.flatnonzero(variance > 0)
+        if not len(alive):
+            break
+        own = [slices[int(g)] for g in alive]
+        index, count = joined(own), np.array([p.stop - p.start for p in own])
+        mean, posterior = posterior_of(S[np.ix_(index, index)], b[index], np.repeat(variance[alive], count))
+        first = np.cumsum(count) - count
+        determined = count - np.add.reduceat(posterior, first) / variance[alive]
+        asked = np.add.reduceat(mean**2, first) / np.maximum(determined, 1e-3)
+        before = variance[alive]
+        after = np.where(kept[alive], before, np.where(determined > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0))
+        floor = np.broadcast_to(least, len(slices))[alive] ** 2
+        after = np.where(kept[alive] | (after > floor), after, 0.0)
+        variance[alive] = after
+        if np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
+            break
+    return np.sqrt(variance)
+
+
+def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean and variance (k,) of coefficients with normal equations S (k, k), b (k,) and prior variance (k,)."""
+    root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
+    normal = S * np.outer(root, root)
+    normal[np.diag_indices_from(normal)] += 1.0
+    factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
+    half = inverse_of_lower(factor)
+    return root * cho_solve((factor, True), root * b, check_finite=False), prior * np.einsum("ij,ij->j", half, half)
+
+
+def inverse_of_lower(factor: np.ndarray) -> np.ndarray:
+    """Inverse of a lower triangular matrix (k, k)."""
+    return dtrtri(factor, lower=1)[0]
+
+
+def joined(slices: Sequence[slice]) -> np.ndarray:
+    """Indices of some slices, one after the other."""
+    return np.concatenate([np.arange(p.start, p.stop) for p in slices]) if slices else np.zeros(0, int)
