@@ -36,7 +36,7 @@ class GroupSizeOptions:
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
     most_poses: int = 1000  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
     most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
-    noise_steps: int = 4  # of the noise in each
+    noise_steps: int = 2  # of the noise in each
     rounds: int = 60  # of the fixed point in each
     least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
     smallest: float = 1e-4  # of a group's prior size: it is dropped below

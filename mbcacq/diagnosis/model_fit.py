@@ -12,7 +12,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric import random_effects, residual_tests
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, kept_centres, noise_with, relinearized
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectOfPose, RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectOfPose, RandomEffectsModel
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned, transferred
@@ -55,15 +55,20 @@ def fit_long_recording(problem: DiagnosisProblem, keep: np.ndarray | None, struc
         found = fit_evidence(small, small.linear.keep, unmodelled=False, begin=found.best, alternatives=True)
         linear, noise, model = on_the_whole(problem, small, problem.linear, found)
     tests = examine_part(problem, small, model, noise) if keep is None else None
-    groups, sizes = (), np.zeros(0)
+    groups: tuple[RandomEffect, ...] = ()
+    sizes = np.zeros(0)
     if structure_expected or (tests is not None and tests.structure):
-        groups, sizes, noise = random_effects_everywhere(problem, small, model, noise)
+        asked, sizes, noise = random_effects_everywhere(problem, small, model, noise)
+        groups = tuple(g.on(linear) for g in asked)
+        smooth = random_effects.solve_random_effects(conditioned_on_effects(CandidateScoring.of(linear, noise), model), groups, sizes)
+        if smooth is not None:
+            noise = noise_left_by(linear, model, smooth, noise, problem.prior_noise)
     projected = CandidateScoring.of(linear, noise)
     # Random effects could explain what parametric effects do, with many more coefficients: here effects are not tested with them in place,
     # but on data left out.
     model = solved(projected, model.effects)
     conditioned = conditioned_on_effects(projected, model)
-    smooth = random_effects.solve_random_effects(conditioned, [g.on(linear) for g in groups], sizes)
+    smooth = random_effects.solve_random_effects(conditioned, groups, sizes)
     return ModelFit(model, smooth, (), noise, projected, conditioned, found, tests)
 
 

@@ -33,7 +33,7 @@ class EvidenceOptions:
     alternatives: int = 4  # of the catalogue in the place of an effect of the best set
     unmodelled_alternatives: int = 2  # and unmodelled ones
     reach: float = 10.0  # log posterior odds to first order, against the best set, up to which a set is looked at more closely
-    most_effects: int = 16  # of a set
+    most_effects: int = 18  # of a set
     rounds: int = 8  # of the estimation of the noise of a set
     relinearizations: int = 2
 
