@@ -286,8 +286,9 @@ class _Stage:
         weight[first:] = 1 / np.concatenate([g.sigma * s for g, s in zip(self.groups, self.scale, strict=True)]) ** 2
         information = normal.information - np.diag(weight)  # of the data, and of the priors of everything else
         right = normal.gradient + weight * now + information @ now  # for the groups' coefficients themselves, not their changes
-        scale = group_scales(information, right, first, self.groups, self.scale)
-        scale = scale if last else np.maximum(scale, OPTIONS.least_before_last)
+        smallest = OPTIONS.smallest if last else OPTIONS.least_before_last
+        scale = group_scales(information, right, first, self.groups, self.scale, smallest)
+        scale = scale if last else np.maximum(scale, smallest)
         prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
         size = np.concatenate([layout.gather("scale")[:first], prior])
         solved = size * np.linalg.solve(
@@ -308,8 +309,10 @@ class _Stage:
         )
 
 
-def group_scales(information: np.ndarray, right: np.ndarray, first: int, several: Sequence[EffectTerm], start: np.ndarray) -> np.ndarray:
-    """(G,) size of each group in its prior size, zero where the data do not ask for it.
+def group_scales(
+    information: np.ndarray, right: np.ndarray, first: int, several: Sequence[EffectTerm], start: np.ndarray, smallest: float
+) -> np.ndarray:
+    """(G,) size of each group in its prior size, zero where it is below the smallest.
 
     information (g, g), right (g,): normal equations without the groups' priors, whose columns begin at ``first``.
     """
@@ -323,7 +326,7 @@ def group_scales(information: np.ndarray, right: np.ndarray, first: int, several
     b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
     fixed = np.array([given_size(g) for g in several])
     begin = np.where(fixed, 1.0, start)
-    return sizes_by_marginal_likelihood(S, b, slices, begin, (OPTIONS.smallest, OPTIONS.largest), OPTIONS.rounds, fixed)
+    return sizes_by_marginal_likelihood(S, b, slices, begin, (smallest, OPTIONS.largest), OPTIONS.rounds, fixed)
 
 
 def given_size(t: EffectTerm) -> bool:
