@@ -31,6 +31,7 @@ sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))
 import simulated  # noqa: E402
 
 from mbcacq.diagnosis.diagnose import diagnose  # noqa: E402
+from mbcacq.diagnosis.result import Diagnosis  # noqa: E402
 from mbcacq.effects import catalogue  # noqa: E402
 from mbcacq.effects.context import Context  # noqa: E402
 from mbcacq.estimation import forward_model  # noqa: E402
@@ -114,13 +115,23 @@ def outcome(job: tuple[str, int, float, int, int]) -> dict:
     """One cell: verdict, effects, seconds of processor time."""
     instrument, poses, stated, which, number = job
     start = process_time()
-    found = diagnose(recorded(instrument, poses, crc32(repr(job).encode()), EFFECTS[which], stated))
+    effect = EFFECTS[which]
+    found = diagnose(recorded(instrument, poses, crc32(repr(job).encode()), effect, stated))
     return {
         "job": list(job),
         "verdict": found.verdict,
         "effects": [f"{e.name}:{'+'.join(e.where)}" for e in found.effects],
         "seconds": process_time() - start,
+        **({"said_possible": said_possible(found, effect)} if effect is not None and found.verdict == "none" else {}),
     }
+
+
+def said_possible(found: Diagnosis, effect: tuple[str, tuple[str, ...], tuple[float, ...]]) -> bool:
+    """Whether the exclusion limits leave room for an effect as large as the one that was injected."""
+    name, where, (value,) = effect
+    limits = [e for e in found.exclusion_limits if e.name == name and e.where == where]
+    sizes = [None if e.value is None else np.radians(e.value) if e.parameter.endswith("_deg") else e.value for e in limits]
+    return any(size is None or size >= value for size in sizes)
 
 
 def judged(record: dict) -> str:
@@ -157,6 +168,8 @@ def report(records: list[dict]) -> str:
 
     effects = "; ".join(f"{e[0]} {e[1][0]}, {e[2][0]:g}" for e in EFFECTS if e is not None)
     wrong = [r for r in records if judged(r) == "wrong"]
+    unseen = [r for r in records if judged(r) == "none"]
+    possible = sum(r.get("said_possible", False) for r in unseen)
     lines = [
         "# Recording sizes",
         "",
@@ -164,6 +177,8 @@ def report(records: list[dict]) -> str:
         "says. False alarms: an effect, or another verdict than `none` and `cannot_tell`, where nothing was injected.",
         f"With one plain effect ({effects}): right is that effect and no other,",
         "wrong is all but that, `cannot_tell` and `none`. Limits are those of Clopper and Pearson; a row of few cells says little.",
+        f"{len(unseen)} recordings with an effect were told `none`; the exclusion limits of {possible} of them say as well that this",
+        "effect may be there in that size.",
         "",
         *table("all", lambda r: ("all",)),
         *table("poses", lambda r: (r["job"][1],)),
