@@ -105,6 +105,8 @@ def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmo
     others = parametric.select(lambda t: t.name != PERIODIC)
     bare = replace(fitted, coefficients=tuple(np.zeros(t.k) for t in others.terms))
     stage = _Stage.first(bare, options, others, unmodelled, np.ones(fitted.observations.n_poses, bool))
+    # Linearised where the groups have taken their share: an arm that was fitted without them is bent by them.
+    stage = replace(stage, estimate=replace(stage.estimate, state=sized.estimate.state))
     size = {g.key: g.sigma * s for g, s in zip(sized.groups, sized.scale, strict=True)}
     normal = stage.system(noise).normal
     layout = stage.layout

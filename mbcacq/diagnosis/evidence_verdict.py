@@ -15,7 +15,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
-from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
+from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
 
 MOST_ALTERNATIVES = 3  # reported of each effect
 SAME = 0.9999  # correlation of the displacements by two descriptions of one effect
@@ -91,7 +91,7 @@ def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tup
         a, b = sized(reported, ours), sized(other, theirs)
         odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
         alike = correlation(displaced(reported, reported, ours), displaced(reported, other, theirs))
-        entries.append(NotSeparable((" and ".join(sorted(ours)), " and ".join(sorted(theirs))), alike, odds))
+        entries.append(NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), alike, odds))
         if a is not None and b is not None:
             pairs.append((a, b))
     return tuple(entries), tuple(pairs)

@@ -99,10 +99,13 @@ class FitSummary:
     repeatability_floor_mm: float
 
 
+TOGETHER = " and "  # between effects that stand together on one side of a pair
+
+
 @dataclass(frozen=True)
 class NotSeparable:
-    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain. odds: posterior
-    probability of the second relative to the first; None where that was not computed.
+    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain. Several that stand
+    together are joined by ' and '. odds: posterior probability of the second relative to the first; None where that was not computed.
     """
 
     effects: tuple[str, ...]

@@ -70,7 +70,13 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         not_separable=not_separable,
         advice=(*advice, *silent.advice),
         dropped=setup.dropped,
-        notes=(*sum_of_shares(mismatch, before, after), *notes(setup, full), *of_effects(setup, full, judged.effects), *silent.notes),
+        notes=(
+            *not_carried_over(silent.verdict, proof),
+            *sum_of_shares(mismatch, before, after),
+            *notes(setup, full),
+            *of_effects(setup, full, judged.effects),
+            *silent.notes,
+        ),
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
         model=kept_model(setup, full, judged.effects) or None,
@@ -227,6 +233,18 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     tool = payload_instead(full.evidence, reported)
     weigh = f"a payload other than declared explains as much as elastic joints ({odds_in_words(tool)}): weigh the tool" if tool else ""
     return [*partial_periods(setup, full), *aliased(setup, reported), *confounded_pauses(setup, effects), *([weigh] if weigh else [])]
+
+
+def not_carried_over(verdict: str, proof: CrossValidation) -> list[str]:
+    """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
+    left_out = proof.decisive[1]
+    if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noise_like_chi2:
+        return []
+    part = "a place" if proof.split == "station" else "a part of the poses"
+    return [
+        f"{part} that is left out is predicted with {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "
+        f"explain what was measured, and are not proven beyond it"
+    ]
 
 
 def unproven_places(setup: DiagnosisProblem) -> list[str]:

@@ -89,6 +89,9 @@ def test_with_one_station_the_base_is_the_station(plan):
     assert classes(one, ()) == [("base", f"station{name}")]
     pair = NotSeparable(("joint_compliance:A2", "joint_compliance:A3"), 0.99)
     assert ("A2", "A3") in classes(plan, [pair])
+    # Two effects that do together what one does elsewhere are at no one place.
+    several = NotSeparable(("unknown:link2 and unknown:link5", "unknown:base"), 0.99, 0.5)
+    assert classes(plan, [several]) == []
 
 
 def test_a_simulated_recording_of_another_place_is_not_the_one_learnt_from(plan):

@@ -8,8 +8,10 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import split
-from mbcacq.diagnosis.verdict import unproven_places, verdict_of
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
+from mbcacq.diagnosis.verdict import not_carried_over, unproven_places, verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.forward_model import Displacements
@@ -111,3 +113,15 @@ def test_too_few_poses_are_refused(plan):
 
     with pytest.raises(CalibrationError, match="too few"):
         diagnose(few)
+
+
+def test_what_parts_of_a_recording_do_not_bear_out_is_said_to_be_unproven_beyond_it():
+    def scores(chi2):
+        one = PredictiveScore(1.0, 100, chi2, 300.0)
+        return CrossValidation(one, one, "station", {}, decisive=(one, one))
+
+    (note,) = not_carried_over("explained", scores(900.0))
+    assert "3.0 times the variance" in note
+    assert "not proven beyond" in note
+    assert not not_carried_over("explained", scores(310.0))
+    assert not not_carried_over("partly_explained", scores(900.0))

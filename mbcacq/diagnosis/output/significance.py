@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import EffectFound, MismatchEntry, NotSeparable
+from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSeparable
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.model.observations import Observations
 
@@ -46,7 +46,8 @@ def classes(obs: Observations, not_separable: Sequence[NotSeparable]) -> list[tu
     out: list[set[str]] = [{"base", f"station{obs.cell.stations[used[0]].id}"}] if len(used) == 1 else []
     for pair in not_separable:
         split = [label.split(":", 1) for label in pair.effects]
-        if all(len(s) == 2 for s in split) and split[0][0] == split[1][0]:
+        alone = not any(TOGETHER in label for label in pair.effects)  # several effects in the place of one are at no one location
+        if alone and all(len(s) == 2 for s in split) and split[0][0] == split[1][0]:
             out.append({place for _, where in split for place in where.split("+")})
     merged: list[set[str]] = []
     for one in out:
