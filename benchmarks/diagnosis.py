@@ -27,7 +27,7 @@ CASES = (
     ("two effects", "two", 43),
     ("an effect without a name", "link_bending", 44),
 )
-LIMITS = {"made": (10.0, 2.0), "tracker": (120.0, 2.0)}
+LIMITS = {"made": (8.0, 2.0), "tracker": (25.0, 2.0)}
 ELASTIC = ("joint_compliance", ("A2",), [2.5e-6], None)
 SLIPPED = ("mount_shift", ("mount",), [0.02, 0.01, -0.02, 1e-4, -5e-5, 5e-5], 60.0)
 INTRODUCTION = """# Diagnosis: time and memory
