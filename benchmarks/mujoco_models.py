@@ -232,7 +232,7 @@ def page(found, match, seconds, peer, others) -> str:
     lines = [
         "# A MuJoCo model against a recording by another",
         "",
-        "     'mujoco[sysid]'",
+        "    pip install 'mujoco[sysid]'",
         "    python benchmarks/mujoco_models.py --write",
         "",
         "A six-axis arm with position servos, as MJCF. It is recorded by a second model that conceals friction in all joints, a tool, an",
