@@ -28,6 +28,7 @@ class FormulaOptions:
     beam: int = 4  # formulas that are extended
     compared: int = 8  # extensions of a formula that are compared to first order
     estimated: int = 8  # formulas whose noise is estimated anew
+    estimated_of_each: int = 3  # and at least so many of each number of terms
     proposed: int = 3  # formulas that are reported
     folds: int = 4  # parts of the data without which the search is repeated
     least_log_odds: float = 3.0  # posterior odds against no formula: twenty to one

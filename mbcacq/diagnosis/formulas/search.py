@@ -132,11 +132,14 @@ class FormulaSearch:
             beam = ranked
             if not beam or beam[0].log_posterior <= best:
                 break
-        ranked = sorted(known.values(), key=lambda f: -f.log_posterior)[: OPTIONS.estimated]
+        ranked = sorted(known.values(), key=lambda f: -f.log_posterior)
         if not final:
-            return ranked
-        plain = estimated(self.others, self.point, 0.0)
-        return sorted((self.estimated(f, plain) for f in ranked), key=lambda f: -f.log_posterior)
+            return ranked[: OPTIONS.estimated]
+        # Under a noise that still contains the effect every further term seems to gain: short ones are compared under their own as well.
+        plain, terms = estimated(self.others, self.point, 0.0), range(1, most_terms + 1)
+        best = {f.key: f for n in terms for f in [f for f in ranked if len(f.placed) == n][: OPTIONS.estimated_of_each]}
+        best |= {f.key: f for f in ranked[: OPTIONS.estimated]}
+        return sorted((self.estimated(f, plain) for f in best.values()), key=lambda f: -f.log_posterior)
 
     def estimated(self, formula: Formula, plain: Hypothesis) -> Formula:
         """The formula with the noise that is most probable with it, against the hypothesis without formula with its own."""
