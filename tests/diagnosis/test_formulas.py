@@ -1,6 +1,7 @@
 """Formulas for unmodelled effects: a concealed one is recovered, its draft is an effect of the catalogue, noise gives none."""
 
 import tomllib
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -85,6 +86,23 @@ def test_a_product_of_two_angles_is_found(short):
 
     assert [p.label for p in best.placed] == ["A5(0,):q2*q4[sin(q2) sin(q4)]"]
     assert abs(coefficients(best.hypothesis).mean[0] - PULL) < 4 * np.sqrt(coefficients(best.hypothesis).covariance[0, 0])
+
+
+def test_one_cube_is_preferred_to_a_pair_that_nearly_is_one(plan):
+    """Strong beside the noise: under a noise that still contains it every further term seems to gain."""
+
+    def progressive_gear(s):
+        joint = np.zeros(s.obs.q.shape)
+        torque = s.gravity_torque[:, 2]
+        joint[:, 2] = 6e-4 * (torque / np.abs(torque).max()) ** 3
+        return Displacements(joint=joint)
+
+    problem = model_fit.prepare(simulated.observe(plan, 33, [progressive_gear]))
+    spaces = spaces_at(problem, [found_at("A3", "gravity_torque_3")])
+    found = FormulaSearch(plain_noise(problem), (), spaces).run()
+    assert [p.term.shape for p in found[0].placed] == ["gravity_torque_3^3"]
+    count = Counter(len(f.placed) for f in found)
+    assert min(count[1], count[2]) >= 3
 
 
 def test_the_draft_is_found_by_its_name_and_explains_the_recording(proposals, recording, tmp_path):
