@@ -6,6 +6,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
 
 from mbcacq.estimation.pose_information import NormalBlocks, PoseInformation
 from mbcacq.estimation.whitening import PoseRows
@@ -126,3 +127,8 @@ class PoseSystem:
         step = np.linalg.solve(H + 1e-14 * np.diag(H).max(initial=1.0) * np.eye(normal.size), normal.gradient)
         residual = columns.residual - columns.change(step, normal.station_step(step)[normal.rows.run])
         return replace(self, poses=self.poses.with_residual(replace(columns, residual=residual)))
+
+
+def inverse_of_lower(factor: np.ndarray) -> np.ndarray:
+    """Inverse of a lower triangular matrix (k, k)."""
+    return dtrtri(factor, lower=1)[0]

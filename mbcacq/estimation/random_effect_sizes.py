@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
-from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
+
+from mbcacq.estimation.normal_equations import inverse_of_lower
 
 CONVERGED = 0.05  # change of a logarithm of a variance
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
@@ -62,11 +63,6 @@ def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.nd
     factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
     half = inverse_of_lower(factor)
     return root * cho_solve((factor, True), root * b, check_finite=False), prior * np.einsum("ij,ij->j", half, half)
-
-
-def inverse_of_lower(factor: np.ndarray) -> np.ndarray:
-    """Inverse of a lower triangular matrix (k, k)."""
-    return dtrtri(factor, lower=1)[0]
 
 
 def joined(slices: Sequence[slice]) -> np.ndarray:

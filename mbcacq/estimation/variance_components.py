@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.estimation.normal_equations import Normal, PoseSystem
+from mbcacq.estimation.normal_equations import Normal, PoseSystem, inverse_of_lower
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import flat_product
-from mbcacq.estimation.random_effect_sizes import inverse_of_lower
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms.

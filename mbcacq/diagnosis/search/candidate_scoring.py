@@ -15,8 +15,8 @@ from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, s
 from mbcacq.diagnosis.search.projection import ridge_projection
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.normal_equations import inverse_of_lower
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.random_effect_sizes import inverse_of_lower
 from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.estimation.random_effect_sizes import inverse_of_lower
+from mbcacq.estimation.normal_equations import inverse_of_lower
 
 
 def ridge_projection(own: np.ndarray, rows_of: Sequence[slice | np.ndarray], shared: np.ndarray) -> tuple[np.ndarray, float]:
