@@ -34,9 +34,10 @@ class GroupSizeOptions:
     """Of the size of each group of unmodelled effects."""
 
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
+    turns_again: int = 2  # of the same from a noise that was found with other groups; what is learnt is the same with four
     most_poses: int = 1000  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
     most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
-    noise_steps: int = 2  # of the noise in each
+    noise_steps: int = 1  # of the noise in each; two lead to the same within the noise's uncertainty
     rounds: int = 60  # of the fixed point in each
     least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
     smallest: float = 1e-4  # of a group's prior size: it is dropped below
@@ -183,8 +184,9 @@ def sized_groups(
     stage = _Stage.first(fitted, options, parametric, unmodelled, some_poses(fitted.observations, OPTIONS.most_poses))
     noise = start or fitted.noise
     at = stage.system(noise)
-    for turn in range(OPTIONS.turns):
-        stage = stage.sized(at, last=turn == OPTIONS.turns - 1)
+    turns = OPTIONS.turns if start is None else OPTIONS.turns_again
+    for turn in range(turns):
+        stage = stage.sized(at, last=turn == turns - 1)
         at, noise = most_probable_noise(stage.reweighted, stage.system(noise), noise, prior, OPTIONS.noise_steps)
     return stage, noise
 

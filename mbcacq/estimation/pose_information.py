@@ -184,19 +184,35 @@ class PoseInformation:
         Ft, JGt = np.swapaxes(self.F, 1, 2), np.swapaxes(self.JG, 1, 2)
         return (Ft @ self.L @ self.F + JGt @ self.JG) * self.share[:, None, None]
 
+    @property
+    def whitened_basis(self) -> np.ndarray:
+        """(P, B R, u): W with W'W = G' inv(S) G, weights of the poses included."""
+        G = self.weighted.G
+        P, R, B, u = G.shape
+        rows = (G * np.sqrt(self.precision)[:, None, None]).reshape(P, R * B, u)
+        inverse = np.eye(R * B) - rows @ self.N @ np.swapaxes(rows, 1, 2)
+        return np.swapaxes(np.linalg.cholesky(inverse), 1, 2) @ rows * np.sqrt(self.share)[:, None, None]
+
     def normal_equations(self) -> NormalBlocks:
         """Sums over all poses and over those of each station."""
         A, S, share = self.columns.twists, self.columns.station, self.share[:, None, None]
-        (P, u, f), e = A.shape, self.own.columns.size
-        information, Ft = self.twist_information, np.swapaxes(self.F, 1, 2) * share
-        right = np.empty((P, u, f + e))
-        right[..., :f], right[..., f:] = information @ A, Ft @ self.own_twist
+        f, e = A.shape[2], self.own.columns.size
+        if self.columns.by_rows:  # the product of a matrix with itself takes half of the time of another
+            W = self.whitened_basis
+            left = right = W @ A
+            left_station = right_station = W @ S
+        else:
+            information = self.twist_information
+            left, right, left_station, right_station = A, information @ A, S, information @ S
         H = np.empty((f + e, f + e))
-        H[:f] = flat_product(A, right)
+        H[:f, :f] = flat_product(left, right)
+        Hss, Hsg = (self.rows.station_products(left_station, one) for one in (right_station, right))
         if e:
+            own = np.swapaxes(self.F, 1, 2) * share @ self.own_twist
+            H[:f, f:] = flat_product(A, own)
             H[f:, :f] = H[:f, f:].T
             H[f:, f:] = self.own.gram(self.precision) - flat_product(self.own_twist, self.N @ self.own_twist * share)
-        Hss, Hsg = (self.rows.station_products(S, one) for one in (information @ S, right))
+            Hsg = np.concatenate([Hsg, self.rows.station_products(S, own)], axis=2)
         b, bs, chi2 = self.right_hand_side()
         return NormalBlocks((H + H.T) / 2, b, chi2, Hss, Hsg, bs)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.blas import dtrmm  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
 
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, inverse_of_lower
 from mbcacq.estimation.options import Noise
@@ -175,7 +176,7 @@ class _PoseVariance:
         x, y = poses.F @ x, poses.F @ y
         if columns.own.size:
             x[..., self.f :] -= poses.N @ poses.own_twist
-        x = (x.reshape(-1, system.normal.size) @ self.root.T).reshape(x.shape)
+        x = times_upper(x, self.root)
         self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
         own = self.root[self.f :, self.f :]  # the root is lower triangular: the rows above have none of the own parameters
         self.mixed, self.own = x[..., self.f :] @ own, own.T @ own
@@ -204,6 +205,12 @@ class _PoseVariance:
         A = np.concatenate([flat_product(self.moved, twist), own])
         flat = y.reshape(-1, k)
         return flat, self.root @ (A - self.normal.reduced.reshape(-1, len(A)).T @ flat)
+
+
+def times_upper(x: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """x (P, u, g) times the transpose of a lower triangular matrix (g, g): half of the work of a product with a full one."""
+    flat = np.ascontiguousarray(x).reshape(-1, len(root))
+    return dtrmm(1.0, root.T, flat.T, trans_a=1, overwrite_b=1).T.reshape(x.shape)
 
 
 def _inverse_root(normal: Normal) -> np.ndarray:
