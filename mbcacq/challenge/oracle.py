@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.best_hyperparameter import best_hyper
+from mbcacq.challenge.likelihood_gain import best_hyper, gain_at
 from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -76,7 +76,7 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
         scored = []
         for candidate in fitting:
             for hyper in true_hypers(setup, candidate, effect):
-                scored.append((hyper, screen.test(candidate, hyper) if hyper is not None else best_hyper(screen, candidate)))
+                scored.append((hyper, gain_at(screen, candidate, hyper) if hyper is not None else best_hyper(screen, candidate)))
         if effect["name"] == "gear_transmission_error":
             chosen += [(s.candidate, h) for h, s in scored]
         elif scored:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr, ndtri
 
 from mbcacq.challenge import simulated_cells
-from mbcacq.challenge.best_hyperparameter import best_hyper, independent_values
+from mbcacq.challenge.likelihood_gain import best_hyper, independent_values
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario

@@ -25,8 +25,6 @@ class DiagnosisOptions:
 
     # Candidates
     typical_multiple: float = 30.0  # prior sigma of a coefficient in typical sizes: an effect thirty times as large is not believed
-    smallest_share: float = 1e-6  # of a column's square that must survive the projection; less is rounding
-    preferred_share: float = 0.8  # prior probability of the preferred values of a hyper-parameter (orders of a gear)
 
     # Basis functions of unmodelled effects
     harmonics: int = 4  # periods a turn, of any joint's angle at any location

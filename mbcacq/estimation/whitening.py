@@ -136,12 +136,6 @@ class Whitening:
         X -= self.J @ (self.M @ (np.swapaxes(self.J, 1, 2) @ X))
         return X
 
-    def inverse_diagonal(self) -> np.ndarray:
-        """(P, B R): diagonal of W'W, the inverse covariance."""
-        inverse = np.linalg.inv(np.swapaxes(self.J, 1, 2) @ self.J + np.eye(self.J.shape[2]))
-        share = np.sum((self.J @ inverse) * self.J, axis=2)
-        return (1 - share) * self.scale[..., 0] ** 2
-
     def transpose(self, blocks: np.ndarray) -> np.ndarray:
         """W' X for blocks (P, B R, k)."""
         X = blocks - self.J @ (np.swapaxes(self.M, 1, 2) @ (np.swapaxes(self.J, 1, 2) @ blocks))
@@ -178,10 +172,6 @@ class CentreWhitening:
         flat = rows.reshape(-1, self.rows.width, 1 if rows.ndim == 1 else rows.shape[1])
         out = self.rows.unpad(self.blocks.transpose(self.rows.pad(flat)))
         return out[..., 0] if rows.ndim == 1 else out
-
-    def row_norms(self) -> np.ndarray:
-        """(M, R): diagonal of W'W, the inverse covariance's diagonal."""
-        return self.rows.unpad(self.blocks.inverse_diagonal())
 
     def pose_products(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """(P, c, z): left'right over the rows of each pose; left (M R, c), right (M R, z), whitened or not."""

@@ -42,7 +42,7 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
     batch = projected.batch(candidates)
     logs = np.zeros(len(batch.fixed.entries))
     absorbed = (projected.conditioned.T @ batch.X).T
-    for (entries, columns), (S, b, _) in zip(batch.fixed.sizes, batch.blocks, strict=True):
+    for (entries, columns), (S, b) in zip(batch.fixed.sizes, batch.blocks, strict=True):
         gone = absorbed[columns]
         typical = np.array([batch.fixed.entries[e][0].typical for e in entries])
         A = (S - gone @ np.swapaxes(gone, 1, 2)) * (typical[:, :, None] * typical[:, None])

@@ -36,10 +36,10 @@ def unobservable(setup: DiagnosisProblem, full: ModelFit) -> list[Unobservable]:
     most_loaded = sorted(elastic, key=lambda c: -np.ptp(setup.context.gravity_torque[:, int(c.where[0][1:]) - 1]))[:1]
     out = []
     for candidate in most_loaded:
-        information = 1 / max(full.geometry_only.test(candidate).covariance[0, 0], 1e-300)
+        X, normal, _ = full.geometry_only.candidate_products(candidate, None)
+        information = float(normal[0, 0])
         chi2 = candidate.typical[0] ** 2 * information
         if chi2 < OBSERVABLE:
-            X = full.geometry_only.block(candidate, None)
             share = float(np.clip(information / np.sum(X * X), 0, 1))
             poses = int(np.ceil(setup.linear.obs.n_poses * OBSERVABLE / max(STRONG**2 * chi2, 1e-12)))
             out.append(Unobservable(candidate, share, bool(STRONG**2 * chi2 < OBSERVABLE), poses))

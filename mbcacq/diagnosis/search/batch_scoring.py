@@ -42,11 +42,11 @@ def candidate_keys(candidates: list[Candidate]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class BatchScoring:
-    """Under one noise model: whitened columns X (rows, K), and of each size S (n, k, k), b, raw (n, k), geometry projected out."""
+    """Under one noise model: whitened columns X (rows, K), and of each size S (n, k, k) and b (n, k), geometry projected out."""
 
     fixed: FixedBlocks
     X: np.ndarray
-    blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    blocks: list[tuple[np.ndarray, np.ndarray]]
 
     @classmethod
     def of(
@@ -60,9 +60,9 @@ class BatchScoring:
         """absorbed_of: products (z, k) of whitened columns with the basis of what geometry absorbs; r (rows,): residual beyond it."""
         fixed = FixedBlocks.of(candidates, linear)
         X = whiten(fixed.columns)
-        absorbed, raw, b = absorbed_of(X), np.sum(X * X, axis=0), X.T @ r
+        absorbed, b = absorbed_of(X), X.T @ r
         blocks = []
         for _, columns in fixed.sizes:
             own, gone = X.T[columns], absorbed.T[columns]
-            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns], raw[columns]))
+            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
         return cls(fixed, X, blocks)

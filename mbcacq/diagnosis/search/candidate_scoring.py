@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
-from mbcacq.diagnosis.search.projected_solve import prior_weight, solve_block, solve_blocks
 from mbcacq.diagnosis.search.projection import ridge_projection
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -21,22 +20,9 @@ from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
 
 UnitKey = tuple[str, int, int]  # location, index, component
-PER_CHUNK = 2e6  # numbers of functions of one product of a scan: bounds its memory
 MOST_KEPT = 3000  # candidates whose products are kept
 LARGEST_KEPT = 1e6  # functions of a scan that are kept
 ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
-
-
-@dataclass(frozen=True)
-class ScoredCandidate:
-    """A candidate at one value of its hyper-parameter: gain in chi2, its k coefficients and their covariance."""
-
-    candidate: Candidate
-    hyper: float | None
-    gain: float
-    k: int
-    coefficients: np.ndarray
-    covariance: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -45,7 +31,7 @@ class ProductStore:
 
     units: dict[UnitKey, np.ndarray] = field(default_factory=dict)
     candidates: dict[tuple[str, float | None], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    scans: dict[tuple[str, int], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    scans: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
     beyond_geometry: list[np.ndarray] = field(default_factory=list)
@@ -145,15 +131,6 @@ class CandidateScoring:
                 kept.pop(next(iter(kept)))
         return kept[key]
 
-    def test(self, candidate: Candidate, hyper: float | None = None) -> ScoredCandidate:
-        """The candidate fitted by itself beyond geometry and what the problem is conditioned on."""
-        X, S, b = self.candidate_products(candidate, hyper)
-        if self.conditioned.shape[1]:
-            absorbed = self.conditioned.T @ X
-            S, b = S - absorbed.T @ absorbed, b - absorbed.T @ self.along
-        gain, coefficients, covariance = solve_block(S, b, np.sum(X * X, axis=0), prior_weight(candidate))
-        return ScoredCandidate(candidate, hyper, gain, len(b), coefficients, covariance)
-
     def batch(self, candidates: list[Candidate]) -> BatchScoring:
         """The candidates that need no scan, with geometry alone projected out."""
         key, kept = candidate_keys(candidates), self.store.batches
@@ -230,23 +207,11 @@ class CandidateScoring:
                 kept[components] = twists @ kept[()]
         return kept[components]
 
-    def scan(self, candidate: Candidate, values: np.ndarray | None = None) -> np.ndarray:
-        """Gain (H,) of a separable candidate at each value of its hyper-parameter, or at ``values``."""
-        assert candidate.hyper is not None, "a separable candidate has a hyper-parameter"
-        key = candidate.key if values is None else None
-        values = candidate.hyper.values if values is None else values
-        chunk = max(1, int(PER_CHUNK // max(self.linear.obs.n_poses, 1)))
-        out = []
-        for start in range(0, len(values), chunk):
-            here = values if len(values) <= chunk else values[start : start + chunk]
-            out.append(self._gains(candidate, here, None if key is None else (key, start)))
-        return np.concatenate(out)
-
     def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (H, k, k) and right-hand sides (H, k) of a separable candidate beyond all that is projected out."""
         assert candidate.hyper is not None, "a separable candidate has a hyper-parameter"
-        key = (candidate.key, 0) if values is candidate.hyper.values else None
-        flat, S, b, _ = self._normal_matrices(candidate, values, key)
+        key = candidate.key if values is candidate.hyper.values else None
+        flat, S, b = self._normal_matrices(candidate, values, key)
         if self.conditioned.shape[1]:
             absorbed = self._absorbed(candidate, flat, len(S))
             S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
@@ -260,18 +225,8 @@ class CandidateScoring:
         absorbed = (flat @ products.reshape(len(products), -1)).reshape(H, f, c, -1)
         return absorbed.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
 
-    def _gains(self, candidate: Candidate, values: np.ndarray, key: tuple[str, int] | None) -> np.ndarray:
-        """Gain (H,) of a candidate at these values. key: under which the products are kept."""
-        flat, S, b, raw = self._normal_matrices(candidate, values, key)
-        if self.conditioned.shape[1]:
-            absorbed = self._absorbed(candidate, flat, len(S))
-            S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
-        return solve_blocks(S, b, raw, prior_weight(candidate))
-
-    def _normal_matrices(
-        self, candidate: Candidate, values: np.ndarray, key: tuple[str, int] | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Functions (H f, P), normal matrices (H, k, k), right-hand sides (H, k) and raw squares (H, k), geometry projected out."""
+    def _normal_matrices(self, candidate: Candidate, values: np.ndarray, key: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Functions (H f, P), normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out; kept under ``key``."""
         if key is not None and key in self.store.scans:
             return self.store.scans[key]
         assert candidate.functions is not None, "a separable candidate has functions"
@@ -289,7 +244,7 @@ class CandidateScoring:
                 xx[:, :, i, :, j] = block
                 xx[:, :, j, :, i] = block
         xx = xx.reshape(H, c * f, c * f)
-        result = flat, xx - xq @ np.swapaxes(xq, 1, 2), xr, np.diagonal(xx, axis1=1, axis2=2)
+        result = flat, xx - xq @ np.swapaxes(xq, 1, 2), xr
         if key is not None and flat.size < LARGEST_KEPT:
             self.store.scans[key] = result
         return result
