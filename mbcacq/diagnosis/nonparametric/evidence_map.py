@@ -16,7 +16,7 @@ from scipy.special import chdtrc, gammaln
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, GivenBlocks
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,8 @@ class EvidenceMap:
     def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks | GivenBlocks):
         self.projected, self.design_blocks = projected, design_blocks
         each = [self._products(g) for g in range(len(design_blocks.groups))]
-        self.b, self.raw, absorbed = (np.concatenate([one[j] for one in each]) for j in range(3))
+        self.b, absorbed = (np.concatenate([one[j] for one in each]) for j in (0, 2))
+        self.raw = np.concatenate([without_rounding(one[1]) for one in each])
         self.S = []
         for sized in design_blocks.layout.sizes:
             whole = [each[g][3][first, second] for g, first, second in sized.products]
@@ -163,6 +164,14 @@ class EvidenceMap:
         f = self.design_blocks.groups[cell.group].functions.shape[1]
         own = (np.array(cell.rows)[:, None] * f + cell.shape.index).reshape(-1)
         return self.raw[self.design_blocks.layout.start[cell.group] + own]
+
+
+def without_rounding(raw: np.ndarray) -> np.ndarray:
+    """(k,) squares of a group's columns, with the largest in the place of those that are rounding: a turn of a bar about itself moves no
+    ball, and its coefficient, in units of what it moves, could be anything.
+    """
+    largest = float(raw.max(initial=0.0))
+    return np.where(raw > ROUNDING * largest, raw, largest)
 
 
 def last_of_each(group: np.ndarray, value: np.ndarray) -> np.ndarray:
