@@ -46,14 +46,7 @@ estimate the noise: one that knows order and moment too, and one that estimates 
 of that at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative
 normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows
 nothing, with 2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
-INTRODUCTION = """# Challenges
-
-Made by `python benchmarks/challenge.py` on the poses of `plans/seeing.yaml` (128 poses, 605 centres, the fast path of
-`mbcacq challenge`), in two processes. A challenge counts where the true model, fitted alone, lowers the held-out chi2 per
-degree of freedom by at least 10 %; strengths are drawn so that an effect raises chi2 by 5 % to 1000 % of the noise. Held out:
-whole stations (poses for `station_drift`, of which other stations know nothing). *Named*: the right name first in the list; *and
-placed*: at no wrong place; *located*: the first entry of `mismatch` is its place; *confidently wrong*: verdict `explained` with a
-wrong name among the effects.""".splitlines()
+TABLE, END = "<!-- table -->\n", "<!-- end -->\n"  # what is outside stays as it was written
 
 
 def measure(part: str, share: float, jobs: int, kept: list[dict], file: Path) -> None:
@@ -100,7 +93,7 @@ def add(kept: list[dict], file: Path, record: dict) -> None:
 
 
 def report(kept: list[dict]) -> str:
-    lines = [*INTRODUCTION, ""]
+    lines = list[str]()
     for part, (title, seed, effects, *_rest) in PARTS.items():
         mine = [r for r in kept if r["part"] == part]
         if not mine:
@@ -114,6 +107,13 @@ def report(kept: list[dict]) -> str:
         lines += bounds(part, scores)
         lines += failures(mine, scores)
     return "\n".join(lines + power_lines(kept))
+
+
+def write_table(page: Path, table: str) -> None:
+    """Put the table into a page, or begin one."""
+    text = page.read_text(encoding="utf-8") if page.exists() else f"# Challenges\n\n{TABLE}{END}"
+    before, _, after = text.partition(TABLE)
+    page.write_text(f"{before}{TABLE}\n{table}\n{END}{after.partition(END)[2]}", encoding="utf-8")
 
 
 def bounds(part: str, scores: list[Score]) -> list[str]:
@@ -194,7 +194,7 @@ def main() -> None:
             measure_power(options.share, options.jobs, kept, options.keep)
         else:
             measure(part, options.share, options.jobs, kept, options.keep)
-        options.out.write_text(report(kept), encoding="utf-8")
+        write_table(options.out, report(kept))
     print(row("all", [Score(**r["score"]) for r in kept if "score" in r]))
 
 
