@@ -20,6 +20,7 @@ from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.solution import solved
+from mbcacq.effects import unmodelled
 from mbcacq.effects.pose import joint_compliance
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
@@ -59,7 +60,7 @@ def fit_long_recording(problem: DiagnosisProblem, keep: np.ndarray | None, struc
     sizes = np.zeros(0)
     if structure_expected or (tests is not None and tests.structure):
         asked, sizes, noise = random_effects_everywhere(problem, small, model, noise)
-        groups = tuple(g.on(linear) for g in asked)
+        groups = tuple(g.on(linear, linear.obs) for g in asked)
         smooth = random_effects.solve_random_effects(conditioned_on_effects(CandidateScoring.of(linear, noise), model), groups, sizes)
         if smooth is not None:
             noise = noise_left_by(linear, model, smooth, noise, problem.prior_noise)
@@ -117,8 +118,9 @@ def random_effects_everywhere(
     """
     there = transferred(problem, small, model)
     linear = relinearized(small.linear, there, noise)
-    everywhere, chosen = random_effects.all_locations(problem.context), poses_of_part(problem, small)
-    columns = [g.on(linear, chosen) for g in everywhere]
+    whole, chosen = problem.linear.obs, poses_of_part(problem, small)
+    everywhere = [RandomEffectOfPose.of(problem.context, group) for group in unmodelled.everywhere(problem.context)]
+    columns = [g.on(linear, whole, chosen) for g in everywhere]
     groups, sizes = tuple(columns), np.full(len(columns), OPTIONS.initial_size_mm)
     for _ in range(2):
         conditioned = conditioned_on_effects(CandidateScoring.of(linear, noise), there)

@@ -19,7 +19,8 @@ from mbcacq.geometry import gravity
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-OF_CENTRES = ("x", "y", "z", "ball")
+INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
+OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE)
 LEAN = ("lean_x", "lean_y", "lean_z")
 OF_RECORDING = ("time", "pose", "station")  # they have no meaning in another recording
 _INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|gravity_torque_)([1-9][0-9]*)$")
@@ -142,10 +143,25 @@ class Covariates:
         np.minimum.at(first, self.obs.recording, self.obs.time_s)
         return self.obs.time_s - first[self.obs.recording]
 
+    @property
+    def clock(self) -> str:
+        """What tells the course of the recording: 'time', or the order of the poses, 'pose', where no times are recorded."""
+        return "time" if self.obs.time_s is not None and np.ptp(self.obs.time_s) > 0 else "pose"
+
     @cached_property
     def lean(self) -> np.ndarray:
         """(P, 3) unit normal of the artefact that each pose looks at, in the scanner's axes."""
         return artefact_normals(self.obs, self.nominal_frames[:, -1, :3, :3])
+
+    @cached_property
+    def incidence(self) -> np.ndarray:
+        """(M, 3) direction from an instrument beside the arm to the target, in the target's axes; both as measured. Raises Missing where
+        no orientation of the target is measured.
+        """
+        if self.scanner_on_flange or self.obs.rotation is None:
+            raise Missing("no orientation of a target measured")
+        line = self.obs.xyz / np.maximum(np.linalg.norm(self.obs.xyz, axis=1, keepdims=True), 1e-9)
+        return np.einsum("mji,mj->mi", self.obs.rotation, line)
 
     def value(self, name: str) -> np.ndarray:
         """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
@@ -161,6 +177,8 @@ class Covariates:
             return plain[name]()
         if name in ("x", "y", "z"):
             return obs.xyz[:, "xyz".index(name)]
+        if name in INCIDENCE:
+            return self.incidence[:, INCIDENCE.index(name)]
         if name in LEAN and self.scanner_on_flange:
             return self.lean[:, LEAN.index(name)]
         if name in obs.temperatures:

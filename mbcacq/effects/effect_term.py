@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.effects.covariates import OF_RECORDING, Covariates
+from mbcacq.effects.covariates import OF_CENTRES, OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.functions import DescribedPart, column_from_json, column_to_json
@@ -173,7 +173,7 @@ class EffectTerm:
         try:
             values = here.value(name)
         except Missing:
-            return np.full(poses, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
+            return np.full(here.obs.n_centres if name in OF_CENTRES else poses, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
         return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
 
     def to_dict(self) -> dict[str, Any]:

@@ -95,6 +95,16 @@ def monomial(factor: float = 1.0, **powers: int) -> Product:
     return Product(factor, tuple(Function(name, "power", (float(p),)) for name, p in powers.items() if p))
 
 
+def of_second_degree(names: tuple[str, str, str]) -> tuple[Column, ...]:
+    """The polynomials of first and second degree of a unit vector with these components: three linear ones, five of second degree. The
+    square of the third component follows from the others'.
+    """
+    x, y, z = names
+    linear_ones = tuple((monomial(**{one: 1}),) for one in names)
+    squares = tuple((monomial(**{one: 2}),) for one in (x, y))
+    return linear_ones + squares + tuple((monomial(**{one: 1, other: 1}),) for one, other in ((x, y), (x, z), (y, z)))
+
+
 def scaled(column: Column, factor: float) -> Column:
     """The column times a factor."""
     return tuple(Product(factor * product.factor, product.functions) for product in column)

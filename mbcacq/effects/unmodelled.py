@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.covariates import INCIDENCE, Covariates
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, is_angle, learnt_ranges
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, sine
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
 
 COMMON_PATTERN, DEVIATION = "common pattern", "deviation"
 
@@ -24,6 +24,7 @@ class UnmodelledOptions:
 
     own_order: int = 60  # periods a turn of a joint's own error: encoders and gear meshes of the open recordings end below
     other_order: int = 4  # of what a joint's angle does elsewhere: bearings are slow
+    bearing_order: int = 2  # of the frame behind a joint by its angle: an axis that leans, and its oval bearing
     middle_order: float = 25.0  # from which the prior of an order falls: errors of encoders were found at 8 to 30
     slow_order: float = 5.0  # below which it falls: slow orders trade with geometry and gravity, and extrapolate worst
     many_poses: int = 350  # fewer do not determine orders above ``few_order``
@@ -31,6 +32,8 @@ class UnmodelledOptions:
     movement_deg: tuple[float, ...] = (0.1, 0.5, 2.0, 10.0, 40.0)  # after which what a movement leaves behind is as after any longer one
     movement_size: float = 0.1  # mrad: lost motion of a gearbox
     clock_functions: int = 6  # cosines over the duration of the recording
+    drift_mm: float = 0.03  # of an instrument beside the arm, or of the base before it; a thousandth of it in rad
+    orientation_rad: float = 1e-4  # bias of a measured orientation, for a line of sight that turns by one rad
     compliance_rad_per_Nm: float = 4.5e-5  # thirty times a typical gearbox's: no joint is softer
     tilt_rad_per_Nm: float = 3e-6  # of a link or a pedestal
     slow_deviation_rad: float = 3e-5  # orders 1 and 2 of a joint beside a common pattern: a typical error of a gear
@@ -58,10 +61,9 @@ def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
 
 
 def everywhere(here: Covariates) -> list[EffectTerm]:
-    """Groups for a recording of many poses: every joint by its own angle, by its movement from the pose before and by gravity, the links
-    by the weight behind them.
-
-    There is none by the clock: where postures follow an order, a drift of that recording takes what belongs to the arm (transfer.md).
+    """Groups for a recording of many poses: every joint by its own angle, by its movement from the pose before and by gravity; the links
+    by the weight behind them, and by the angle of the joint before them; an instrument beside the arm by the clock, and the orientation
+    that it measures by the line of sight.
     """
     n, torque = here.n, here.gravity_torque
     moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]
@@ -71,7 +73,18 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
     loaded = [i for i in range(n) if np.ptp(torque[:, i]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9]
     found += [group(here, f"A{i + 1}", f"gravity_torque_{i + 1}") for i in loaded]
     found += [group(here, "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}") for i in range(n)]
+    found += [group(here, f"link{i + 1}" if i + 1 < n else "mount", f"q{i + 1}") for i in moving]
+    if not here.scanner_on_flange:
+        found += [group(here, f"station{s.id}", here.clock) for s in here.obs.cell.stations]
+        found += [group(here, "target", "incidence")] if here.obs.rotation is not None else []
     return [g for g in found if g is not None]
+
+
+def carried(groups: Sequence[EffectTerm]) -> list[EffectTerm]:
+    """Those of the groups that are kept for other recordings: all but the frame behind a joint by its angle. Over a part of a turn that is
+    what errors of the geometry are as well; the arm so learnt is worse elsewhere (transfer.md).
+    """
+    return [g for g in groups if g.where[0].startswith("A") or not is_angle(g.depends_on)]
 
 
 def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequence[int], joints: Sequence[int]) -> EffectTerm:
@@ -123,6 +136,11 @@ def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:
     n = here.n
     if location[:1] == "A" and location[1:].isdigit() and int(location[1:]) <= n:
         return [("joint", int(location[1:]) - 1, 0)]
+    stations = here.obs.cell.stations
+    if len(stations) == 1 and location == f"station{stations[0].id}":  # of several, slow drifts are in their places
+        return [("station", 0, c) for c in range(6)]
+    if location == "target":
+        return [("orientation", 0, c) for c in range(3)] if here.obs.rotation is not None else []
     frames = {"base": 0, "mount": n} | {f"link{i}": i for i in range(1, n)}
     if location in frames:
         orientation = here.scanner_on_flange or here.obs.shows_target_orientation
@@ -133,19 +151,25 @@ def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:
 
 def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
     """Columns by a covariate, their relative prior sigma, and which covariates are clamped."""
+    if covariate == "incidence":
+        functions = list(of_second_degree(INCIDENCE))
+        return functions, np.full(len(functions), OPTIONS.orientation_rad * 1e3), ()
     values = np.asarray(here.value(covariate), dtype=float)
     if np.ptp(values) < 1e-9 * max(float(np.abs(values).max()), 1e-30):
         return [], np.zeros(0), ()
     if is_angle(covariate):
         own = location == f"A{covariate[1:]}"
-        highest = OPTIONS.few_order if here.obs.n_poses < OPTIONS.many_poses else OPTIONS.own_order if own else OPTIONS.other_order
+        behind = location in (f"link{covariate[1:]}", "mount" if covariate == f"q{here.n}" else "")
+        other = OPTIONS.bearing_order if behind else OPTIONS.other_order
+        highest = OPTIONS.few_order if here.obs.n_poses < OPTIONS.many_poses else OPTIONS.own_order if own else other
         orders = np.arange(1, highest + 1).astype(float)
         weight = order_weight(orders) if own else 1 / (1 + (orders / 3) ** 2)
         return [sine(covariate, k) for k in orders] + [cosine(covariate, k) for k in orders], np.tile(weight, 2), ()
     if covariate in ("time", "pose"):
         low, high = float(values.min()), float(values.max())
         orders = np.arange(1, OPTIONS.clock_functions + 1)
-        return [of(covariate, "cosine", low, high, float(k)) for k in orders], 1.0 / orders, ()
+        size = OPTIONS.drift_mm / np.sqrt(orders) if location.startswith("station") else 1.0 / orders
+        return [of(covariate, "cosine", low, high, float(k)) for k in orders], size, ()
     if covariate.startswith("movement_"):
         ends = np.radians(OPTIONS.movement_deg)
         return [of(covariate, "clip", end, factor=1 / end) for end in ends], np.full(len(ends), OPTIONS.movement_size), ()
@@ -189,7 +213,7 @@ def _grown(
     for j, (place, index, component) in enumerate(keys):
         own = [zero] * (j * f) + list(columns) + [zero] * ((len(keys) - 1 - j) * f)
         parts.append(DescribedPart(place, index, component, tuple(own)))
-        turns = place == "joint" or (place == "frame" and component >= 3)
+        turns = place in ("joint", "orientation") or (place in ("frame", "station") and component >= 3)
         sigma.append(weight * (1e-3 if turns else 1.0))
         units += ["rad" if turns else "mm"] * f
     return _term(here, ((location,), covariate), parts, np.concatenate(sigma), units, clamped)

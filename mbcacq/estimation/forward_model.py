@@ -42,13 +42,15 @@ class Displacements:
     """Displacements of the cell by effects, at the few locations where one can act; None means none there.
 
     joint: (P, n) rad added to the controller's angles. frame: (P, n+1, 6) local twists behind the base (0) and behind each
-    link (1..n; n is the mount). point: (M, 3) mm added to the measured point in the scanner frame. ball: (M, 3) mm added to
-    the ball in its artefact's frame. station: (P, 6) local twist of the artefact's placement at that pose.
+    link (1..n; n is the mount). point: (M, 3) mm added to the measured point in the scanner frame. orientation: (M, 3) rad by which
+    the measured orientation of a target is turned about the target's own axes. ball: (M, 3) mm added to the ball in its artefact's
+    frame. station: (P, 6) local twist of the artefact's placement at that pose.
     """
 
     joint: np.ndarray | None = None
     frame: np.ndarray | None = None
     point: np.ndarray | None = None
+    orientation: np.ndarray | None = None
     ball: np.ndarray | None = None
     station: np.ndarray | None = None
 
@@ -112,6 +114,8 @@ def predict(observations: Observations, state: CellState, displacements: Displac
     if moved.point is not None:
         xyz += moved.point
     rotation = None if obs.rotation is None else to_instrument[:, :3, :3] @ moving[obs.pose, :3, :3]
+    if rotation is not None and moved.orientation is not None:
+        rotation = rotation @ se3.rotation_exp(moved.orientation)
     return Prediction(xyz, frames, T_base_scanner, T_base_station, ball, obs.pose, obs.cell.measurement, rotation)
 
 

@@ -151,6 +151,8 @@ class LinearProblem:
             out[:, :3] = forward_model.ball_jacobian(obs, prediction)[:, :, component]
         elif location == "point":
             out[:, component] = 1.0
+        elif location == "orientation" and prediction.rotation is not None:
+            out[:, 3:] = prediction.rotation[:, :, component]
         else:
             raise ValueError(f"no such location: {location}")
         return out

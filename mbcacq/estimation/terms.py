@@ -15,7 +15,7 @@ from mbcacq.estimation.forward_model import Displacements, Prediction, arm_jacob
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
-PLACES = ("joint", "frame", "point", "ball", "station")
+PLACES = ("joint", "frame", "point", "orientation", "ball", "station")
 PER_POSE = ("joint", "frame", "station")
 
 
@@ -25,8 +25,9 @@ class Part:
 
     place: 'joint' (index 0..n-1, component 0; rad); 'frame' (index 0 behind the base, i behind link i, n the mount; component
     0..5 of the local twist, mm and rad); 'station' (component 0..5 of the local twist of the pose's own station); 'point'
-    (component 0..2, mm added to the measured point in the scanner frame); 'ball' (component 0..2, mm in the artefact frame).
-    basis: (P, k) for joint, frame, station; (M, k) for point and ball.
+    (component 0..2, mm added to the measured point in the scanner frame); 'orientation' (component 0..2, rad by which the measured
+    orientation of a target is turned about the target's own axes); 'ball' (component 0..2, mm in the artefact frame).
+    basis: (P, k) for joint, frame, station; (M, k) for point, orientation and ball.
     """
 
     place: str
@@ -92,6 +93,9 @@ def columns(observations: Observations, prediction: Prediction, term: Term) -> n
             local[:, :, part.component] += part.basis
         elif part.place == "point":
             out[:, part.component] += part.basis
+        elif part.place == "orientation":
+            if prediction.rotation is not None:  # where none is measured there is nothing to turn
+                out[:, 3:] += prediction.rotation[:, :, part.component, None] * part.basis[:, None, :]
         else:
             out[:, :3] += ball_jacobian(obs, prediction)[:, :, part.component, None] * part.basis[:, None, :]
     if any(part.place in ("joint", "frame") for part in term.parts):
@@ -109,6 +113,7 @@ def accumulate(observations: Observations, terms: Sequence[Term], coefficients: 
         "frame": (obs.n_poses, n + 1, 6),
         "station": (obs.n_poses, 6),
         "point": (obs.n_centres, 3),
+        "orientation": (obs.n_centres, 3),
         "ball": (obs.n_centres, 3),
     }
     total: dict[str, np.ndarray] = {}

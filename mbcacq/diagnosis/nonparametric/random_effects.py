@@ -7,16 +7,19 @@ ask for vanish, and ranges without data stay near zero instead of being extrapol
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric import covariates
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import evaluated
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.random_effect_sizes import joined, posterior_of, sizes_by_marginal_likelihood
+from mbcacq.estimation.terms import PER_POSE, Part
+from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True)
@@ -31,21 +34,26 @@ class RandomEffect:
 
 @dataclass(frozen=True)
 class RandomEffectOfPose:
-    """A random effect before its columns are computed, which take much memory: components at a location, (place, index, component) each,
-    by functions (P, f) of the poses with weights (f,).
+    """A random effect before its columns are computed, which take much memory: a group of ``mbcacq.effects.unmodelled`` at the poses of a
+    recording. weight: (k,) relative prior sigma.
     """
 
     location: str
     depends_on: str
-    components: tuple[tuple[str, int, int], ...]
-    functions: np.ndarray
+    parts: tuple[Part, ...]
     weight: np.ndarray
 
-    def on(self, linear: LinearProblem, poses: np.ndarray | None = None) -> RandomEffect:
-        """Its columns at the poses of a linearisation, which are these (P,) bool of all."""
-        F = (self.functions if poses is None else self.functions[poses])[linear.obs.pose][:, None, :]
-        columns = np.concatenate([linear.unit(*component)[:, :, None] * F for component in self.components], axis=2)
-        return RandomEffect(self.location, self.depends_on, columns, np.tile(self.weight, len(self.components)))
+    @classmethod
+    def of(cls, here: Covariates, group: EffectTerm) -> RandomEffectOfPose:
+        """The group at all poses of a recording."""
+        return cls(group.where[0], group.depends_on, tuple(evaluated(here, group.parts)), group.sigma)
+
+    def on(self, linear: LinearProblem, whole: Observations, poses: np.ndarray | None = None) -> RandomEffect:
+        """Its columns at the poses of a linearisation, which are these (P,) bool of the whole recording's."""
+        parts = self.parts
+        if poses is not None:
+            parts = tuple(replace(p, basis=p.basis[poses if p.place in PER_POSE else poses[whole.pose]]) for p in parts)
+        return RandomEffect(self.location, self.depends_on, linear.columns(parts), self.weight)
 
 
 @dataclass(frozen=True)
@@ -79,47 +87,6 @@ class RandomEffectsModel:
 def slices_of(groups: Sequence[RandomEffect]) -> list[slice]:
     ends = np.cumsum([0] + [len(g.weight) for g in groups])
     return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-
-
-def cosine_basis(x: np.ndarray, highest: float, least: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines over a little more than the range of an angle x (P,), up to ``highest`` per turn: (P, K), and weights (K,)."""
-    span = max(float(np.ptp(x)) * 1.15, 1e-9)
-    count = int(np.clip(highest * span / np.pi, least, 90))
-    k = np.arange(1, count + 1)
-    return np.cos(np.pi * (x - x.min())[:, None] / span * k), 1.0 / (1.0 + (k * np.pi / span / (highest / 4)) ** 2)
-
-
-def all_locations(s: Context) -> list[RandomEffectOfPose]:
-    """Groups for a recording with many poses: gear, bearing, elasticity, coupling and time at every joint."""
-    obs, out = s.obs, list[RandomEffectOfPose]()
-
-    def group(location: str, name: str, components: list[tuple[str, int, int]], F: np.ndarray, weight: np.ndarray) -> None:
-        out.append(RandomEffectOfPose(location, name, tuple(components), F, weight))
-
-    moving = [i for i in range(s.n) if np.ptp(obs.q[:, i]) > 0.02]
-    for i in moving:
-        group(f"A{i + 1}", f"q{i + 1}", [("joint", i, 0)], *cosine_basis(obs.q[:, i], OPTIONS.own_order))
-        low, weight = cosine_basis(obs.q[:, i], OPTIONS.other_order)
-        for c in range(6):
-            group(f"link{i + 1}" if i + 1 < s.n else "mount", f"q{i + 1}", [("frame", i + 1, c)], low, weight)
-        for j in moving:
-            if j != i:
-                group(f"A{j + 1}", f"q{i + 1}", [("joint", j, 0)], low[:, :5], weight[:5])
-    for i in range(s.n):
-        moment = s.gravity_moment(i)
-        scale = max(float(np.abs(moment).max()), 1e-9)
-        location, name = "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}"
-        group(location, name, [("frame", i, 3 + c) for c in range(3)], moment / scale, np.ones(3))
-    F, weight = cosine_basis(s.order.astype(float), np.inf, 6) if obs.time_s is None else cosine_basis(s.time, np.inf, 6)
-    F, weight = F[:, :6], np.ones(6)
-    group("base", "time" if obs.time_s is not None else "pose", [("frame", 0, c) for c in range(6)], F, weight)
-    group("mount", "time" if obs.time_s is not None else "pose", [("frame", s.n, c) for c in range(3)], F, weight)
-    for name, T in obs.temperatures.items():
-        if np.ptp(T) > 0.2:
-            for i in range(s.n + 1):
-                location = "base" if i == 0 else "mount" if i == s.n else f"link{i}"
-                group(location, name, [("frame", i, c) for c in range(6)], covariates.standard(T)[:, None], np.ones(1))
-    return out
 
 
 @dataclass(frozen=True)
@@ -169,6 +136,11 @@ def solve_random_effects(projected: CandidateScoring, groups: Sequence[RandomEff
 
 
 def unit_weight(projected: CandidateScoring, group: RandomEffect) -> np.ndarray:
-    """(k,) weights with which a group of unit size moves the centres by about a millimetre, so that sizes compare."""
-    typical = np.sqrt(np.mean(group.columns[projected.linear.keep, :3] ** 2) * group.columns.shape[2])
-    return group.weight / max(float(typical), 1e-12)
+    """(k,) weights with which a group of unit size moves the centres by about a millimetre, or turns the target by a mrad, so that sizes
+    compare.
+    """
+    moved = (group.columns * group.weight)[projected.linear.keep]
+    size = np.sqrt(np.mean(moved[:, :3] ** 2) * moved.shape[2])
+    if size == 0 and moved.shape[1] > 3:  # only the orientation is turned
+        size = 1e3 * np.sqrt(np.mean(moved[:, 3:] ** 2) * moved.shape[2])
+    return group.weight / max(float(size), 1e-12)

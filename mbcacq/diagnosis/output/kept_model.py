@@ -70,7 +70,7 @@ def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm
     """Groups of basis functions where unmodelled effects were reported; of a long recording at every location."""
     if here.obs.n_poses > OPTIONS.many_poses:
         elastic = {t.where for t in named if t.name == "joint_compliance"}
-        return [g for g in unmodelled.everywhere(here) if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
+        return [g for g in unmodelled.carried(unmodelled.everywhere(here)) if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
     return [g for e in reported for at in e.where if (g := kept_group(here, at, e.depends_on)) is not None]
 
 
@@ -86,7 +86,7 @@ def _unit(candidate: Candidate) -> str:
     """The unit of a candidate's coefficients: of what it displaces first, per unit of its covariate."""
     assert candidate.described is not None, "only effects that are written down can be kept"
     part = candidate.described(_any(candidate))[0]
-    unit = "rad" if part.place == "joint" or (part.place in ("frame", "station") and part.component >= 3) else "mm"
+    unit = "rad" if part.place in ("joint", "orientation") or (part.place in ("frame", "station") and part.component >= 3) else "mm"
     per = {"gravity_torque": "/Nm", "gravity_moment": "/Nm", "payload_force": "/N", "qd": " s"}
     linear = all(f.kind == "power" for column in part.columns for product in column for f in product.functions)
     return unit + next((p for prefix, p in per.items() if linear and any(c.startswith(prefix) for c in part.covariates)), "")

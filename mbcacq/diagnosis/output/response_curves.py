@@ -122,11 +122,13 @@ def _of_part(fitted: _Fitted, moved: _MovedPart, candidate: Candidate, std: np.n
 
 def _axis_label(part: Part, at: str) -> tuple[str, str, float]:
     """Label of the y axis, unit, and factor to the unit."""
-    rotation = part.place == "joint" or part.component >= 3
+    rotation = part.place in ("joint", "orientation") or part.component >= 3
     name, scale = ("µrad", 1e6) if rotation else ("µm", 1e3)
     if part.place == "joint":
         return f"rotation of A{part.index + 1}", name, scale
     axis = AXES[part.component % 3]
+    if part.place == "orientation":
+        return f"measured orientation about {axis}", name, scale
     if part.place == "point":
         return f"measured point along {axis}", name, scale
     return (f"rotation of {at} about {axis}" if rotation else f"shift of {at} along {axis}"), name, scale
