@@ -143,11 +143,6 @@ class Covariates:
         np.minimum.at(first, self.obs.recording, self.obs.time_s)
         return self.obs.time_s - first[self.obs.recording]
 
-    @property
-    def clock(self) -> str:
-        """What tells the course of the recording: 'time', or the order of the poses, 'pose', where no times are recorded."""
-        return "time" if self.obs.time_s is not None and np.ptp(self.obs.time_s) > 0 else "pose"
-
     @cached_property
     def lean(self) -> np.ndarray:
         """(P, 3) unit normal of the artefact that each pose looks at, in the scanner's axes."""

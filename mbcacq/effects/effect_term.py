@@ -173,7 +173,8 @@ class EffectTerm:
         try:
             values = here.value(name)
         except Missing:
-            return np.full(here.obs.n_centres if name in OF_CENTRES else poses, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
+            rows = here.obs.n_centres if name in OF_CENTRES else poses
+            return np.full(rows, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
         return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
 
     def to_dict(self) -> dict[str, Any]:

@@ -62,8 +62,8 @@ def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
 
 def everywhere(here: Covariates) -> list[EffectTerm]:
     """Groups for a recording of many poses: every joint by its own angle, by its movement from the pose before and by gravity; the links
-    by the weight behind them, and by the angle of the joint before them; an instrument beside the arm by the clock, and the orientation
-    that it measures by the line of sight.
+    by the weight behind them, and by the angle of the joint before them; an instrument beside the arm by the order of the poses, and the
+    orientation that it measures by the line of sight.
     """
     n, torque = here.n, here.gravity_torque
     moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]
@@ -75,7 +75,7 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
     found += [group(here, "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}") for i in range(n)]
     found += [group(here, f"link{i + 1}" if i + 1 < n else "mount", f"q{i + 1}") for i in moving]
     if not here.scanner_on_flange:
-        found += [group(here, f"station{s.id}", here.clock) for s in here.obs.cell.stations]
+        found += [group(here, f"station{s.id}", "pose") for s in here.obs.cell.stations]
         found += [group(here, "target", "incidence")] if here.obs.rotation is not None else []
     return [g for g in found if g is not None]
 

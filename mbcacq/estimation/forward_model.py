@@ -42,17 +42,17 @@ class Displacements:
     """Displacements of the cell by effects, at the few locations where one can act; None means none there.
 
     joint: (P, n) rad added to the controller's angles. frame: (P, n+1, 6) local twists behind the base (0) and behind each
-    link (1..n; n is the mount). point: (M, 3) mm added to the measured point in the scanner frame. orientation: (M, 3) rad by which
-    the measured orientation of a target is turned about the target's own axes. ball: (M, 3) mm added to the ball in its artefact's
-    frame. station: (P, 6) local twist of the artefact's placement at that pose.
+    link (1..n; n is the mount). point: (M, 3) mm added to the measured point in the scanner frame. ball: (M, 3) mm added to
+    the ball in its artefact's frame. station: (P, 6) local twist of the artefact's placement at that pose. orientation: (M, 3) rad by
+    which the measured orientation of a target is turned about the target's own axes.
     """
 
     joint: np.ndarray | None = None
     frame: np.ndarray | None = None
     point: np.ndarray | None = None
-    orientation: np.ndarray | None = None
     ball: np.ndarray | None = None
     station: np.ndarray | None = None
+    orientation: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from mbcacq.estimation.forward_model import Displacements, Prediction, arm_jacob
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
-PLACES = ("joint", "frame", "point", "orientation", "ball", "station")
+PLACES = ("joint", "frame", "point", "ball", "station", "orientation")
 PER_POSE = ("joint", "frame", "station")
 
 
@@ -113,8 +113,8 @@ def accumulate(observations: Observations, terms: Sequence[Term], coefficients: 
         "frame": (obs.n_poses, n + 1, 6),
         "station": (obs.n_poses, 6),
         "point": (obs.n_centres, 3),
-        "orientation": (obs.n_centres, 3),
         "ball": (obs.n_centres, 3),
+        "orientation": (obs.n_centres, 3),
     }
     total: dict[str, np.ndarray] = {}
     for one, values in zip(terms, coefficients, strict=True):

@@ -33,6 +33,7 @@ CONTRACT = {
     "hysteresis",
     "gravity_compensator",
     "incidence_bias",
+    "orientation_bias",
 }
 
 

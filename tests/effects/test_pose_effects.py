@@ -49,7 +49,8 @@ def test_the_prediction_of_a_perfect_cell_is_that_of_the_independent_one(world, 
 
 
 def test_every_effect_of_the_catalogue_has_a_case():
-    assert {case.name for case in CASES} == set(catalogue.effects())
+    of_a_target = {"orientation_bias"}  # of no scanner: test_orientation_bias
+    assert {case.name for case in CASES} | of_a_target == set(catalogue.effects())
 
 
 @pytest.mark.parametrize("case", CASES, ids=named)
