@@ -61,9 +61,6 @@ def fit_long_recording(problem: DiagnosisProblem, keep: np.ndarray | None, struc
     if structure_expected or (tests is not None and tests.structure):
         asked, sizes, noise = random_effects_everywhere(problem, small, model, noise)
         groups = tuple(g.on(linear, linear.obs) for g in asked)
-        smooth = random_effects.solve_random_effects(conditioned_on_effects(CandidateScoring.of(linear, noise), model), groups, sizes)
-        if smooth is not None:
-            noise = noise_left_by(linear, model, smooth, noise, problem.prior_noise)
     projected = CandidateScoring.of(linear, noise)
     # Random effects could explain what parametric effects do, with many more coefficients: here effects are not tested with them in place,
     # but on data left out.

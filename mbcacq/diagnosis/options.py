@@ -39,8 +39,6 @@ class DiagnosisOptions:
     harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
 
     # Random effects
-    own_order: float = 45.0  # periods a turn of a joint's own error in a long recording: gear meshes are below
-    other_order: float = 9.0  # periods a turn of what a joint's angle does elsewhere: bearings and couplings are smooth
     initial_size_mm: float = 0.02  # size of a group of coefficients at the start of the fixed-point iteration
     smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
     largest_size_mm: float = 10.0  # of a group: more is a wrong recording
