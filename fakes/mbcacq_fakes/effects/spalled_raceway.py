@@ -20,7 +20,7 @@ class SpalledRaceway(InjectedEffect):
     options = {"where": None}
 
     def draw(self) -> None:
-        self._axis = self.axes(range(min(self.cell.n, 3)))[0]
+        self._joint = self.axes(range(min(self.cell.n, 3)))[0]
         self.tilt = abs(self.size(4e-4))
         self.half_width = float(np.radians(self.rng.uniform(25, 45)))
         planned = self.cell.planned_q
@@ -28,7 +28,7 @@ class SpalledRaceway(InjectedEffect):
             planned = np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n))
         passed, about = self._loaded_side(planned)
         # A tilt about the next joint's axis, which passes through the frame behind the link, is an error of that joint's angle.
-        next_axis = self.arm.frames(planned)[:, self._axis + 1, :3, 2]
+        next_axis = self.arm.frames(planned)[:, self._joint + 1, :3, 2]
         self._is_next_joint = bool(np.mean((about * next_axis).sum(axis=1) ** 2) > 0.95)
         # The damage lies where the bearing is loaded now and then: counted from the mean direction, in the middle of what occurs.
         mean = np.angle(np.exp(1j * passed).mean())
@@ -36,7 +36,7 @@ class SpalledRaceway(InjectedEffect):
 
     def _loaded_side(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angle (P,) rad in the damaged ring of the middle of the loaded zone, and about what (P, 3), base frame, the link tilts there."""
-        i, frames = self._axis, self.arm.frames(q)
+        i, frames = self._joint, self.arm.frames(q)
         about = frames[:, i, :3, 2]
         if i == 0:
             centres, mass = self.cell.masses.weights(self.arm, q)
@@ -53,14 +53,14 @@ class SpalledRaceway(InjectedEffect):
         angle, about = self._loaded_side(at.q)
         clearance = 1 - np.cos(self.half_width)
         share = np.maximum(1 - (1 - np.cos(angle - self.at)) / clearance, 0) ** 1.11  # line contact
-        behind = self.arm.frames(at.q)[:, self._axis + 1, :3, :3]
-        moved.frame[:, self._axis + 1, 3:] += self.tilt * share[:, None] * np.einsum("pij,pi->pj", behind, about)
+        behind = self.arm.frames(at.q)[:, self._joint + 1, :3, :3]
+        moved.frame[:, self._joint + 1, 3:] += self.tilt * share[:, None] * np.einsum("pij,pi->pj", behind, about)
 
     def truth(self) -> dict[str, Any]:
-        turned = range(self._axis, self._axis + 1) if self._axis < 2 else (1, 2)
+        turned = range(self._joint, self._joint + 1) if self._joint < 2 else (1, 2)
         return {
-            "where": names([self._axis], "link"),
-            "observable_at": names([self._axis + 1]) if self._is_next_joint else [],
+            "where": names([self._joint], "link"),
+            "observable_at": names([self._joint + 1]) if self._is_next_joint else [],
             "depends_on": names(turned, "q"),
             "tilt_rad": self.tilt,
             "half_width_rad": self.half_width,
