@@ -33,7 +33,17 @@ CATALOGUED = (
     "incidence_bias",
     "payload",
 )
-OUTSIDE = ("axis_wobble", "cable_drag", "floor_heave", "fringe_ripple", "link_bending", "loose_anchor", "short_memory")
+OUTSIDE = (
+    "axis_wobble",
+    "cable_drag",
+    "floor_heave",
+    "fringe_ripple",
+    "link_bending",
+    "loose_anchor",
+    "short_memory",
+    "spalled_raceway",
+    "taut_hose",
+)
 NONE, TWO = "none", "two"
 # What goes with an effect and is no false name: a wrong tool, a soft gearbox and a balancer show through elastic joints.
 COMPANIONS: Mapping[str, tuple[str, ...]] = {

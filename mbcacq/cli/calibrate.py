@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option(
     "--pairs",
     type=click.Choice(["one", "four", "all"]),
-    default="one",
+    default="four",
     show_default=True,
     help="Paper's method: balls of the distance constraint; one pair, as printed; all pairs of its four balls; of all balls.",
 )

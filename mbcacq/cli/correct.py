@@ -50,8 +50,16 @@ def command(program: Path, result: Path, out: Path | None, force: bool, as_json:
     if found.reached.any():
         echo(f"residual of the corrected points by the model: at most {found.error_mm[found.reached].max():.6f} mm")
     for p in np.flatnonzero(~found.reached)[:MOST_LINES]:
-        echo(f"  {done.names[p]} (line {done.lines[p]}): not reached, {found.error_mm[p]:.3f} mm short: {found.reasons[p]}")
+        echo(f"  {_place(done.names[p], done.lines[p])}: not reached, {found.error_mm[p]:.3f} mm short: {found.reasons[p]}")
     for p in np.flatnonzero(done.change > LARGE_CHANGE)[:MOST_LINES]:
-        echo(
-            f"  {done.names[p]} (line {done.lines[p]}): a joint changes by {np.degrees(done.change[p]):.2f} deg; look at it before it runs"
-        )
+        changed = f"a joint changes by {np.degrees(done.change[p]):.2f} deg; look at it before it runs"
+        echo(f"  {_place(done.names[p], done.lines[p])}: {changed}")
+    if done.left_alone:
+        echo(f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:")
+    for name, line, reason in done.left_alone[:MOST_LINES]:
+        echo(f"  {_place(name, line)}: {reason}")
+
+
+def _place(name: str, line: int) -> str:
+    """The name of a point and its line; of a point without a name the line alone."""
+    return name if name == f"line {line}" else f"{name} (line {line})"

@@ -26,13 +26,15 @@ POSE = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
 @dataclass(frozen=True)
 class ProgrammedPoints:
     """The points of a file. q: (P, n) rad as programmed, NaN where a file gives a pose alone; goals: (P, 4, 4) mm of the flange in the
-    base, or None where the joints say it; names: (P,) for reports; lines: (P,) number in the file.
+    base, or None where the joints say it; names: (P,) for reports; lines: (P,) number in the file. left_alone: name, line and reason of
+    each point of a program that does not say all joints.
     """
 
     q: np.ndarray
     goals: np.ndarray | None
     names: tuple[str, ...]
     lines: tuple[int, ...]
+    left_alone: tuple[tuple[str, int, str], ...] = ()
 
 
 def read_targets(path: Path, n: int) -> ProgrammedPoints:
@@ -70,21 +72,34 @@ def _read_krl(path: Path, text: str, n: int) -> ProgrammedPoints:
     found: list[np.ndarray] = []
     lines: list[int] = []
     names: list[str] = []
+    left: list[tuple[str, int, str]] = []
     for number, line in enumerate(text.splitlines(), 1):
         code = line.split(";", 1)[0]
         for match in _GROUP.finditer(code):
+            named = re.search(r"(\w+)\s*=\s*$", code[: match.start()])
+            name = named.group(1) if named else f"line {number}"
             angles = _angles(match.group(), n)
             if angles is None:
+                reason = _no_joint_point(match.group())
+                left += [(name, number, reason)] if reason else []
                 continue
             found.append(angles)
             lines.append(number)
-            named = re.search(r"(\w+)\s*=\s*$", code[: match.start()])
-            names.append(named.group(1) if named else f"line {number}")
+            names.append(name)
     if not found:
         raise ConfigError(
             f"{path}: has no E6AXIS point with {', '.join(f'A{i + 1}' for i in range(n))}; poses (E6POS) have no joint angles"
         )
-    return ProgrammedPoints(np.radians(np.array(found)), None, tuple(names), tuple(lines))
+    return ProgrammedPoints(np.radians(np.array(found)), None, tuple(names), tuple(lines), tuple(left))
+
+
+def _no_joint_point(group: str) -> str:
+    """Why an aggregate without all joint angles is a point nevertheless; empty for tool data, frames and the like."""
+    if re.search(rf"\bA[1-9]\s+{_NUMBER}", group, re.IGNORECASE):
+        return "has not the angles of all axes"
+    if all(re.search(rf"\b{word}\s+[-+'\w.]", group, re.IGNORECASE) for word in ("X", "Y", "Z", "S", "T")):
+        return "is a pose, whose joints are the controller's choice"
+    return ""
 
 
 def _angles(group: str, n: int) -> np.ndarray | None:

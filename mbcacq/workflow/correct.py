@@ -20,7 +20,8 @@ LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an ar
 @dataclass(frozen=True)
 class Correction:
     """One file. names, lines: of its points; before: (P,) mm, by how much the arm misses its nominal place with the programmed angles, NaN
-    where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles.
+    where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles. left_alone: name, line and reason of each
+    point of a program that stays as it is because it does not say all joints.
     """
 
     file: Path
@@ -29,6 +30,7 @@ class Correction:
     before_mm: np.ndarray
     change: np.ndarray
     found: JointTargets
+    left_alone: tuple[tuple[str, int, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content, format 'mbcacq-correction/1'."""
@@ -49,7 +51,8 @@ class Correction:
                 self.names, self.lines, f.q, self.before_mm, f.error_mm, f.error_rad, self.change, f.reached, f.reasons, strict=True
             )
         ]
-        return {"format": "mbcacq-correction/1", "file": str(self.file), "points": points}
+        left = [{"name": name, "line": line, "reason": reason} for name, line, reason in self.left_alone]
+        return {"format": "mbcacq-correction/1", "file": str(self.file), "points": points, "left_alone": left}
 
 
 def correct(
@@ -92,7 +95,7 @@ def correct(
         output.write_bytes(written(program, targets, found.q, found.error_mm, found.reached, found.reasons).encode("latin-1"))
     except OSError as error:
         raise RecordingError(f"{output}: cannot be written: {error.strerror}; free space or give another --out") from error
-    return Correction(output, targets.names, targets.lines, before, change, found)
+    return Correction(output, targets.names, targets.lines, before, change, found, targets.left_alone)
 
 
 def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:

@@ -189,3 +189,16 @@ def test_refusals(cell):
     two = obs.ball < 2
     with pytest.raises(CalibrationError, match="needs four balls"):
         calibrate(replace(obs, pose=obs.pose[two], ball=obs.ball[two], xyz=obs.xyz[two]), CalibrationOptions(method="paper"))
+
+
+def test_the_command_and_the_function_read_the_paper_alike():
+    from click.testing import CliRunner
+
+    from mbcacq.cli.app import app
+
+    shown = " ".join(CliRunner().invoke(app, ["calibrate", "--help"]).stdout.split())
+    fields = CalibrationOptions()
+    pairs = shown.partition("--pairs")[2].partition("[default: ")[2]
+    noise = shown.partition("--noise")[2].partition("[default: ")[2]
+    assert pairs.startswith(f"{fields.pairs}]")
+    assert noise.startswith(f"{fields.noise}]")

@@ -39,7 +39,7 @@ def test_verification_poses_take_part_in_neither(plan):
 
 
 @pytest.mark.shared_data
-@pytest.mark.parametrize("name", ["example-none", "panda-sockets", "iiwa14-sockets"])
+@pytest.mark.parametrize("name", ["example-none", "panda-sockets", "iiwa14-sockets", "ur5-tracker", "ur10-tracker-a", "ur10-tracker-c"])
 def test_an_open_recording_is_one_cell_to_both(shared_data, name):
     assert_same_cell(load_observations(shared_data / name))
 

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.uncertainty import frames
+from mbcacq.cli.app import app
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
@@ -100,6 +102,20 @@ def test_a_krl_program_is_corrected_and_nothing_else_changes(tmp_path):
     assert [i for i, (a, b) in enumerate(zip(old, new, strict=True)) if a != b] == [2, 6]
     assert new[2].endswith(",E1 0.0,E2 0.0}")
     assert text.count("\r\n") == PROGRAM.count("\r\n")
+
+
+def test_points_that_do_not_say_all_joints_are_listed(tmp_path):
+    program = tmp_path / "weld.src"
+    program.write_text(PROGRAM + "PTP {A1 12.5}\n$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}\n")
+    (tmp_path / "result.json").write_text(json.dumps(result()))
+    done = correct(program, result())
+    assert [(name, line) for name, line, _ in done.left_alone] == [("XP2", 5), ("line 9", 9)]
+    assert [one["line"] for one in done.to_dict()["left_alone"]] == [5, 9]
+    shown = CliRunner().invoke(app, ["correct", str(program), "--with", str(tmp_path / "result.json"), "--force"]).stdout
+    assert "2 of 2 points corrected" in shown
+    assert "2 more points are not corrected" in shown
+    assert "XP2 (line 5): is a pose" in shown
+    assert "line 9: has not the angles of all axes" in shown
 
 
 def test_the_corrected_angles_reach_the_nominal_places(tmp_path):

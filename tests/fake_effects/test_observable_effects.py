@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from elastic_cell import ARM, BALLS, act, cell, looking, moments, pose, spread_q
+from elastic_cell import ARM, BALLS, SIGN, act, cell, looking, moments, pose, spread_q
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.computed_run import cap, observe
 from mbcacq_fakes.effects import CATALOGUED, UNCATALOGUED, make
@@ -154,6 +154,59 @@ def test_short_moves_stop_short():
     lag = moved.joint[:, 2] / effect.lag
     np.testing.assert_allclose(lag[[1, 3]], [-np.exp(-0.01 / effect.length), np.exp(-0.01 / effect.length)])
     assert abs(lag[2]) < 0.03
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+def test_a_spalled_raceway_tilts_its_link_where_the_load_passes_the_damage(joint):
+    q = np.repeat(spread_q(1, seed=7), 721, axis=0)
+    q[:, joint] += np.linspace(-np.pi, np.pi, 721)
+    effect, moved = act("spalled_raceway", moments(q), where=f"A{joint + 1}")
+    tilt = moved.frame[:, joint + 1, 3:]
+    size = np.linalg.norm(tilt, axis=1)
+    assert size.max() == pytest.approx(effect.tilt, rel=1e-3)
+    # Of a turn it is seen over the loaded zone alone, and the joint's own angle is right there too.
+    assert np.mean(size[1:] > 0) == pytest.approx(effect.half_width / np.pi, abs=0.01 if joint else 0.03)
+    frames = ARM.frames(q)
+    about = np.einsum("pij,pi->pj", frames[:, joint + 1, :3, :3], frames[:, joint, :3, 2])
+    np.testing.assert_allclose((tilt * about).sum(axis=1), 0, atol=1e-15)
+    assert not moved.joint.any()
+
+
+def test_under_an_overhung_arm_the_spalled_first_axis_dips_to_the_front():
+    q = np.repeat(spread_q(1, seed=7), 721, axis=0)
+    q[:, 0] = np.linspace(-np.pi, np.pi, 721)
+    _, moved = act("spalled_raceway", moments(q), where="A1")
+    lowered = np.zeros((721, 7, 6))
+    lowered[:, 1] = moved.frame[:, 1]
+    drop = ARM.frames(q)[:, -1, 2, 3] - ARM.frames(q, lowered)[:, -1, 2, 3]
+    assert drop.max() > 0.1
+    assert drop.min() > -1e-9
+
+
+def test_a_first_link_that_dips_to_the_front_looks_like_an_angle_of_the_second_joint():
+    q = spread_q(50)
+    effect, moved = act("spalled_raceway", moments(q), where="A1")
+    assert effect.truth()["observable_at"] == ["A2"]
+    about = ARM.frames(q)[:, 1, :3, :3].swapaxes(1, 2) @ (SIGN[1] * ARM.frames(q)[:, 1, :3, 2])[:, :, None]
+    angle = (moved.frame[:, 1, 3:] * about[:, :, 0]).sum(axis=1)
+    tilted = np.zeros((50, 7, 6))
+    tilted[:, 1] = moved.frame[:, 1]
+    turned = q + np.outer(angle, np.eye(6)[1])
+    away = np.linalg.norm((ARM.frames(q, tilted) - ARM.frames(turned))[:, -1, :3, 3], axis=1)
+    assert away.max() < 0.15 * np.linalg.norm((ARM.frames(q, tilted) - ARM.frames(q))[:, -1, :3, 3], axis=1).max()
+    assert not act("spalled_raceway", moments(q), where="A2")[0].truth()["observable_at"]
+
+
+def test_a_short_hose_pulls_the_bracket_only_beyond_its_length():
+    q = spread_q(400, seed=3)
+    effect, moved = act("taut_hose", moments(q), facts=cell())
+    lean = np.linalg.norm(moved.frame[:, 6, 3:], axis=1)
+    assert 0.25 < np.mean(lean > 0) < 0.6
+    np.testing.assert_array_equal(lean > 0, np.linalg.norm(effect._between(q), axis=1) > effect.length)
+    # What the hose does is a matter of A5 and A6, however the arm before them stands.
+    aside = q.copy()
+    aside[:, :4] = spread_q(1)[0, :4]
+    np.testing.assert_allclose(act("taut_hose", moments(aside), facts=cell())[1].frame, moved.frame, atol=1e-12)
 
 
 def test_recorded_noise_outliers_and_seed(looking_q):

@@ -48,6 +48,8 @@ UNCATALOGUED = (
     "progressive_gear",
     "short_memory",
     "sinking_pedestal",
+    "spalled_raceway",
+    "taut_hose",
     "tilting_camera",
     "uneven_ring",
     "warm_gearbox",

@@ -1,5 +1,5 @@
-"""Uncertainty of the moment of a sudden change, and of the torque at which a gearbox becomes stiff: what the likelihood of all other
-values says.
+"""Uncertainty of the moment of a sudden change, of the torque at which a gearbox becomes stiff, and of a time constant: what the likelihood
+of all other values says.
 """
 
 from __future__ import annotations
@@ -9,16 +9,20 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
+from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
 from mbcacq.effects.effect import Candidate, ParameterEstimate, Parameters
-from mbcacq.effects.pose import lost_motion, steps
+from mbcacq.effects.pose import lost_motion, steps, warm_up
 
 BETWEEN_POSES = 0.5  # poses
 FINE = 61  # torques about the found one, from a third to three times as much
+SLOWER = 5.0  # times the longest time constant that is sought: what fades more slowly is a straight line in any recording
+TIMES = 41  # time constants up to there
+LEAST = 1e-3  # probability below which a time constant does not count
 
 
 def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate:
-    """The candidate of a member, which reports its moment, or its torque, with the standard deviation over all others."""
+    """The candidate of a member, which reports its moment, torque or time constant with the standard deviation over all others."""
     candidate = member.candidate
     if candidate.hyper is None or not candidate.separable or member.hyper is None:
         return candidate
@@ -27,6 +31,8 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
         std = float(np.hypot(BETWEEN_POSES, spread(hypothesis, member, candidate.hyper.values)))
     elif name == lost_motion.BREAKPOINT:
         std = spread(hypothesis, member, member.hyper * np.geomspace(1 / 3, 3, FINE))
+    elif name == warm_up.TIME_CONSTANT:
+        return with_uncertain_fading(hypothesis, member)
     else:
         return candidate
 
@@ -37,10 +43,43 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
     return replace(candidate, report=report)
 
 
+def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
+    """The candidate of something that fades with time. Where the recording is short against its time constant, only the rate at the
+    beginning is determined: then the size goes with the time constant, and both are as uncertain as all that are possible differ.
+    """
+    candidate, found = member.candidate, member.hyper
+    assert candidate.hyper is not None, "only asked of effects with a time constant"
+    assert found is not None, "only asked of effects with a time constant"
+    values = np.geomspace(candidate.hyper.values.min(), SLOWER * candidate.hyper.values.max(), TIMES)
+    probability = likelihood(hypothesis, member, values)
+    possible = probability > LEAST
+    std = float(np.sqrt(probability @ (values - found) ** 2))
+    away = np.array([size_with(hypothesis, member, float(v)) for v in values[possible]]) - size_with(hypothesis, member, found)
+    along = (away * probability[possible, None]).T @ away
+
+    def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
+        whole = candidate.report(c, v + along, tau)
+        return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == warm_up.TIME_CONSTANT else p for k, p in whole.items()}
+
+    return replace(candidate, report=report)
+
+
+def size_with(hypothesis: Hypothesis, member: Member, value: float) -> np.ndarray:
+    """(k,) coefficients of a member, had its hyper-parameter this value."""
+    j = hypothesis.members.index(member)
+    members = (*hypothesis.members[:j], replace(member, hyper=value), *hypothesis.members[j + 1 :])
+    there = coefficients(replace(hypothesis, members=members))
+    return there.mean[there.slices[j]]
+
+
 def spread(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> float:
     """Root mean square distance of these values (H,) of the hyper-parameter from the member's, by their likelihood."""
     assert member.hyper is not None, "only asked of effects with a hyper-parameter"
+    return float(np.sqrt(likelihood(hypothesis, member, values) @ (values - member.hyper) ** 2))
+
+
+def likelihood(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> np.ndarray:
+    """(H,) probability of each of these values of the member's hyper-parameter, all being as probable before."""
     others = conditioned(hypothesis.point, [m for m in hypothesis.members if m is not member])
     logs = log_factors(others, member.candidate, values)
-    probability = np.exp(logs - np.logaddexp.reduce(logs))
-    return float(np.sqrt(probability @ (values - member.hyper) ** 2))
+    return np.exp(logs - np.logaddexp.reduce(logs))

@@ -7,11 +7,13 @@ import numpy as np
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Hyperparameter
 
+TIME_CONSTANT = "time_constant_s"
+
 
 def time_constant(context: Context) -> Hyperparameter:
     """Time constants from a few hundredths to twice the duration of the recording."""
     total = float(np.ptp(context.time))
-    return Hyperparameter("time_constant_s", np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
+    return Hyperparameter(TIME_CONSTANT, np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
 
 
 def fading(context: Context) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,0 +1,36 @@
+"""Of a scanner that warms up more slowly than the recording lasts, only the rate is determined; what is stated of it says so."""
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.diagnosis import model_fit
+
+
+def measured(plan, seed, offset_mm, time_constant_s):
+    """Distances of the reported offset (3,) and time constant from the true ones in their standard deviations, and that of the latter."""
+    observed = simulated.observe(plan, seed, [("scanner_warmup", ("scanner",), offset_mm, time_constant_s)])
+    model = model_fit.fit_model(model_fit.prepare(observed)).model
+    ((candidate, hyper),) = model.effects
+    assert candidate.name == "scanner_warmup"
+    offset, constant = candidate.report(model.coefficients, model.covariance, hyper).values()
+    away = (np.array(offset.value) - offset_mm) / np.array(offset.std)
+    return away, (constant.value - time_constant_s) / constant.std, constant.std
+
+
+@pytest.mark.parametrize("seed", [503, 505])
+@pytest.mark.parametrize("lengths", [1.0, 3.0])
+def test_a_slow_warm_up_is_stated_as_uncertain_as_it_is(plan, seed, lengths):
+    duration = np.ptp(plan.time_s)
+    offset, constant, std = measured(plan, seed, [0.03 * lengths, 0.0, 0.06 * lengths], lengths * duration)
+    assert np.abs(offset).max() < 3
+    assert abs(constant) < 3
+    assert std > 0.5 * duration
+
+
+def test_a_warm_up_that_ends_within_the_recording_is_measured(plan):
+    duration = np.ptp(plan.time_s)
+    offset, constant, std = measured(plan, 502, [0.02, 0.0, 0.06], 0.2 * duration)
+    assert np.abs(offset).max() < 3
+    assert abs(constant) < 3
+    assert std < 0.05 * duration
