@@ -1,11 +1,12 @@
 """Time to calibrate, against the number of poses, and beside scipy's sparse least squares on the same problem from the same start.
 
-    python benchmarks/solve.py [--poses 104 304 1000 3000] [--repeats 7] [--no-peer] [--pybotics peer/bin/python]
+    python benchmarks/solve.py [--poses 104 304 1000 3000] [--repeats 7] [--no-peer] [--pybotics PYTHON] [--figaroh PYTHON]
 
 Prints a Markdown table. The peer gets everything for nothing: start, noise, and the true sparsity pattern of its Jacobian (arm and hand-eye
 dense, each station's six columns only where it is seen); it minimises the same whitened residuals with numerical derivatives.
 
---pybotics: an interpreter that has pybotics. It fits the arm to 104 readings of a reflector by a tracker, and so does ``calibrate``.
+--pybotics, --figaroh: interpreters that have these. They fit the arm to 104 readings of a reflector by a tracker, and so does
+``calibrate``.
 """
 
 from __future__ import annotations
@@ -28,12 +29,13 @@ from cells import measure, scanner_cell, tracker_cell  # noqa: E402
 
 from mbcacq.calibration import CalibrationOptions, Noise, calibrate
 from mbcacq.estimation import parameters  # noqa: E402
-from mbcacq.estimation.forward_model import predict  # noqa: E402
+from mbcacq.estimation.forward_model import CellState, predict  # noqa: E402
 from mbcacq.estimation.initial_guess import start  # noqa: E402
 from mbcacq.estimation.linearization import Lineariser  # noqa: E402
 from mbcacq.estimation.parameters import Estimate  # noqa: E402
 from mbcacq.estimation.solver import Weights, solve, system  # noqa: E402
 from mbcacq.geometry import se3  # noqa: E402
+from mbcacq.geometry.chain import Chain  # noqa: E402
 from mbcacq.model.observations import Observations  # noqa: E402
 
 PEER_POSES, PEER_EVALUATIONS = 120, 8
@@ -98,33 +100,54 @@ def recording(poses: int) -> Observations:
     return measure(many, truth, rng, NOISE.point, NOISE.joint[0])
 
 
-def pybotics(interpreter: str, repeats: int) -> str:
-    """A sentence: both fits of an arm to readings of a reflector, from the nominal arm. The arm has no errors that pybotics has no
-    parameter for (beta); the peer is given the place of the base to a few millimetres and of the tool."""
+def reflector() -> tuple[Observations, Chain, CellState]:
+    """Readings of a reflector on the flange by a tracker, the nominal arm and the truth. The arm has no errors that pybotics has no
+    parameter for (beta)."""
     rng = np.random.default_rng(0)
     cell = tracker_cell(rng, TRACKER_POSES)
     nominal, errors = cell.observations.cell.robot.chain, cell.errors * [1, 1, 1, 1, 0]
     truth = replace(cell.truth, chain=nominal.with_errors(errors))
     xyz = predict(cell.observations, truth).xyz + rng.normal(size=(TRACKER_POSES, 3)) * 0.02
-    obs = replace(cell.observations, xyz=xyz)
+    return replace(cell.observations, xyz=xyz), nominal, truth
+
+
+def pybotics(interpreter: str) -> str:
+    """Its fit of an arm to the readings, from the nominal arm. It is given the place of the base to a few millimetres and of the tool."""
+    obs, nominal, truth = reflector()
     links = np.column_stack([np.r_[0.0, nominal.alpha[:-1]], np.r_[0.0, nominal.a[:-1]], nominal.theta, nominal.d])
     free = np.ones(links.shape, bool)
     free[0], free[1, 3] = False, False  # the base's own place; d of the first of two parallel axes
     end = np.eye(4)
     end[:3, :3] = se3.rotation_exp(np.array([nominal.alpha[-1], 0.0, 0.0]))
-    tool = end @ np.r_[cell.truth.T_flange_scanner[:3, 3], 1.0]
+    tool = end @ np.r_[truth.T_flange_scanner[:3, 3], 1.0]
     base = se3.inverse(truth.T_base_station[0])
     world = np.r_[base[:3, 3] + [3.0, -2.0, 4.0], _zyx(base[:3, :3])]
+    given = {"links": links, "free": free, "tool": np.r_[tool[:3], 0, 0, 0], "world": world}
+    found = _fit_by(interpreter, "pybotics_fit.py", q=obs.q * nominal.sign, xyz=obs.xyz, **given)
+    return f"pybotics: {_said(found)}"
+
+
+def figaroh(interpreter: str) -> str:
+    """Its fits of the arm to the same readings, from the nominal arm and its own guess of the base and the tool."""
+    obs, nominal, _ = reflector()
+    turn = se3.exp(np.concatenate([np.zeros((nominal.n, 5)), nominal.theta[:, None]], axis=1))
+    links = replace(nominal, theta=np.zeros(nominal.n)).link_transforms(np.zeros((1, nominal.n)))[0]
+    placements = np.concatenate([turn[:1], links[:-1] @ turn[1:], links[-1:]])
+    found = _fit_by(interpreter, "figaroh_fit.py", q=obs.q * nominal.sign, xyz=obs.xyz, placements=placements)
+    return "; ".join(f"FIGAROH, {method}, {one['parameters']} parameters: {_said(one)}" for method, one in found.items())
+
+
+def _fit_by(interpreter: str, script: str, **given: np.ndarray) -> dict:
+    """What a script beside this one prints of these arrays."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "arm.npz"
-        np.savez(file, q=obs.q * nominal.sign, xyz=xyz, links=links, free=free, tool=np.r_[tool[:3], 0, 0, 0], world=world)
-        script = Path(__file__).with_name("pybotics_fit.py")
-        theirs = json.loads(subprocess.run([interpreter, script, file], check=True, capture_output=True, text=True).stdout)
-    ours, own = calibrate(obs), best(lambda: calibrate(obs), repeats)
-    return (
-        f"{TRACKER_POSES} readings of a reflector: calibrate {own:.0f} ms, rms {ours.rms_mm:.4f} mm; pybotics "
-        f"{1e3 * theirs['seconds']:.0f} ms, rms {theirs['rms_mm']:.4f} mm after {theirs['evaluations']} evaluations"
-    )
+        np.savez(file, **given)
+        command = [interpreter, str(Path(__file__).with_name(script)), str(file)]
+        return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def _said(found: dict) -> str:
+    return f"{1e3 * found['seconds']:.0f} ms, rms {found['rms_mm']:.4f} mm after {found['evaluations']} evaluations"
 
 
 def _zyx(R: np.ndarray) -> list[float]:
@@ -138,12 +161,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--no-peer", action="store_true")
     parser.add_argument("--pybotics", metavar="PYTHON", help="an interpreter that has pybotics")
+    parser.add_argument("--figaroh", metavar="PYTHON", help="an interpreter that has FIGAROH")
     arguments = parser.parse_args()
     print("| poses | stations | calibrate ms | adjustment alone ms | scipy ms | ratio | peak memory MB |")
     print("|--:|--:|--:|--:|--:|--:|--:|")
     for poses in arguments.poses:
         obs = recording(poses)
-        repeats = max(min(arguments.repeats, 30000 // poses), 1)
+        repeats = max(min(arguments.repeats, 30000 // poses), 3)
         whole = best(lambda obs=obs: calibrate(obs), repeats)
         options = CalibrationOptions(balls=False)
         lineariser = Lineariser(obs, parameters.build(obs, options), options)
@@ -163,8 +187,14 @@ def main() -> None:
         peak = tracemalloc.get_traced_memory()[1] / 1e6
         tracemalloc.stop()
         print(f"| {poses} | {len(obs.cell.stations)} | {whole:.0f} | {alone:.0f} | {other} | {ratio} | {peak:.0f} |", flush=True)
+    if arguments.pybotics or arguments.figaroh:
+        obs = reflector()[0]
+        own = best(lambda: calibrate(obs), arguments.repeats)
+        print(f"{TRACKER_POSES} readings of a reflector: calibrate {own:.0f} ms, rms {calibrate(obs).rms_mm:.4f} mm")
     if arguments.pybotics:
-        print(pybotics(arguments.pybotics, arguments.repeats))
+        print(pybotics(arguments.pybotics))
+    if arguments.figaroh:
+        print(figaroh(arguments.figaroh))
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ class Prediction:
         (rows 3..5: rotation vector in the instrument's frame, rad)."""
         by_target = self.measurement == TARGET_IN_BASE
         moving, observing = (self.T_base_scanner, self.T_base_station) if by_target else (self.T_base_station, self.T_base_scanner)
-        point = se3.apply(moving[self.pose], self.ball)
+        point = se3.apply_each(moving, self.pose, self.ball)
         R = np.swapaxes(observing[:, :3, :3], 1, 2)
         R = (R if by_target else -R)[self.pose]
         out = np.zeros((len(point), 3 if self.rotation is None else 6, 6))
@@ -109,11 +109,11 @@ def predict(observations: Observations, state: CellState, displacements: Displac
         ball = ball + moved.ball
     by_target = obs.cell.measurement == TARGET_IN_BASE
     moving, observing = (T_base_scanner, T_base_station) if by_target else (T_base_station, T_base_scanner)
-    to_instrument = se3.inverse(observing)[obs.pose]
-    xyz = se3.apply(to_instrument, se3.apply(moving[obs.pose], ball))
+    to_instrument = se3.inverse(observing) @ moving
+    xyz = se3.apply_each(to_instrument, obs.pose, ball)
     if moved.point is not None:
         xyz += moved.point
-    rotation = None if obs.rotation is None else to_instrument[:, :3, :3] @ moving[obs.pose, :3, :3]
+    rotation = None if obs.rotation is None else to_instrument[obs.pose, :3, :3]
     if rotation is not None and moved.orientation is not None:
         rotation = rotation @ se3.rotation_exp(moved.orientation)
     return Prediction(xyz, frames, T_base_scanner, T_base_station, ball, obs.pose, obs.cell.measurement, rotation)

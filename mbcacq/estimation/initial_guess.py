@@ -99,9 +99,9 @@ def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) 
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
     if cell.measurement == TARGET_IN_BASE:
-        here, there = obs.xyz, se3.apply(T_base_scanner[obs.pose], cell.ball_centres[obs.ball])
+        here, there = obs.xyz, se3.apply_each(T_base_scanner, obs.pose, cell.ball_centres[obs.ball])
     else:
-        here, there = cell.ball_centres[obs.ball], se3.apply(T_base_scanner[obs.pose], obs.xyz)
+        here, there = cell.ball_centres[obs.ball], se3.apply_each(T_base_scanner, obs.pose, obs.xyz)
     out = fit_rigid_transforms(here, there, obs.station[obs.pose], len(cell.stations))
     for s, station in enumerate(cell.stations):
         if station.T_base_station is not None:
@@ -145,9 +145,9 @@ def misfit(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, stations
     T_base_scanner = T_base_flange @ X
     T_station = stations[obs.station[obs.pose]]
     if obs.cell.measurement == TARGET_IN_BASE:
-        off = se3.apply(T_station, obs.xyz) - se3.apply(T_base_scanner[obs.pose], obs.cell.ball_centres[obs.ball])
+        off = se3.apply(T_station, obs.xyz) - se3.apply_each(T_base_scanner, obs.pose, obs.cell.ball_centres[obs.ball])
     else:
-        off = se3.apply(T_base_scanner[obs.pose], obs.xyz) - se3.apply(T_station, obs.cell.ball_centres[obs.ball])
+        off = se3.apply_each(T_base_scanner, obs.pose, obs.xyz) - se3.apply(T_station, obs.cell.ball_centres[obs.ball])
     return float(np.median(np.linalg.norm(off, axis=1)))
 
 

@@ -18,7 +18,8 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_information import PoseColumns, PoseInformation, WeightedRows
+from mbcacq.estimation.pose_columns import PoseColumns
+from mbcacq.estimation.pose_information import PoseInformation, WeightedRows
 from mbcacq.estimation.solver import Weights, known_placement, solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
 from mbcacq.estimation.whitening import CentreWhitening, PoseRows

@@ -11,7 +11,7 @@ from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_information import PoseColumns
+from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -66,15 +66,12 @@ class Lineariser:
 
     def at(self, chain: Chain, prediction: forward_model.Prediction, residual: np.ndarray) -> Linearization:
         """The columns at a prediction by an arm ``chain``, next to any residual (M, R)."""
-        rows = self.rows
-        order = rows.order
-        twists = chain.parameter_twists(prediction.frames, self.obs.q)
-        joints = twists[:, :, 0] * chain.sign[:, None]
-        mount = np.swapaxes(se3.adjoint(prediction.T_base_scanner), 1, 2)
-        station = np.swapaxes(-se3.adjoint(prediction.T_base_station), 1, 2)
-        chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
-        moving = np.concatenate([twists.reshape(len(twists), -1, 6)[:, chain_free], self._of_recordings(mount)[:, mount_free]], axis=1)
-        moved, of_station, jointly = (np.ascontiguousarray(np.swapaxes(t[order], 1, 2)) for t in (moving, station, joints))
+        rows, f = self.rows, int(self.layout.blocks[0].free.sum() + self.layout.blocks[1].free.sum())
+        moved, of_station, jointly = (np.empty((rows.n_poses, 6, k)) for k in (f, 6, chain.n))
+        for block in rows.blocks:
+            some = self._twists(chain, prediction, rows.order[block.poses])
+            for whole, part in zip((moved, of_station, jointly), some, strict=True):
+                whole[block.poses] = np.swapaxes(part, 1, 2)
         basis, own, size = rows.pad(prediction.gradient), self._own(prediction), rows.depth * rows.width
         by_rows = size <= 6
         if by_rows:
@@ -84,6 +81,17 @@ class Lineariser:
             if not own.k:
                 moved, own = np.concatenate([moved, own.other], axis=2), replace(own, other=own.other[..., :0])
         return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows))
+
+    def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Twists of some poses by the free parameters of arm and hand-eye (P, f, 6), by the pose's own station (P, 6, 6) and by the
+        joints (P, n, 6)."""
+        chain_free, mount_free = self.layout.blocks[0].free, self.layout.blocks[1].free
+        twists = chain.parameter_twists(prediction.frames[poses], self.obs.q[poses])
+        mount = np.swapaxes(se3.adjoint(prediction.T_base_scanner[poses]), 1, 2)
+        station = np.swapaxes(-se3.adjoint(prediction.T_base_station[poses]), 1, 2)
+        arm = twists.reshape(len(poses), -1, 6)[:, chain_free]
+        moving = np.concatenate([arm, self._of_recordings(mount, poses)[:, mount_free]], axis=1)
+        return moving, station, twists[:, :, 0] * chain.sign[:, None]
 
     def _own(self, prediction: forward_model.Prediction) -> OwnColumns:
         rows, options = self.rows, self.options
@@ -105,11 +113,11 @@ class Lineariser:
         out[self.rows.slot] = number[self.obs.ball]
         return out.reshape(self.rows.n_poses, self.rows.depth)
 
-    def _of_recordings(self, mount: np.ndarray) -> np.ndarray:
-        """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of the pose's own."""
+    def _of_recordings(self, mount: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of each pose's own."""
         which, count = self.obs.recording, self.obs.n_recordings
         if which is None or count == 1:
             return mount
         out = np.zeros((len(mount), count, 6, 6))
-        out[np.arange(len(mount)), which] = mount
+        out[np.arange(len(mount)), which[poses]] = mount
         return out.reshape(len(mount), 6 * count, 6)

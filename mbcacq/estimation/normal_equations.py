@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
 
-from mbcacq.estimation.pose_information import NormalBlocks, PoseInformation
+from mbcacq.estimation.pose_block import NormalBlocks
+from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.whitening import PoseRows
 
 # Share of a station's largest information below which a direction is unobservable: balls on one line but for a lever 3000 times smaller.
@@ -125,7 +126,7 @@ class PoseSystem:
         columns, normal = self.poses.columns, self.normal
         H = normal.information
         step = np.linalg.solve(H + 1e-14 * np.diag(H).max(initial=1.0) * np.eye(normal.size), normal.gradient)
-        residual = columns.residual - columns.change(step, normal.station_step(step)[normal.rows.run])
+        residual = self.poses.residual_after(step, normal.station_step(step))
         return replace(self, poses=self.poses.with_residual(replace(columns, residual=residual)))
 
 

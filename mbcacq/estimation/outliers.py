@@ -36,14 +36,14 @@ class OutlierDistances:
 
 def outlier_distances(poses: PoseInformation, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
     """poses: with these weights of the centres; residual: (M, R). Every centre and pose is judged, rejected or not."""
-    rows, columns = poses.rows, poses.columns
-    shift = poses.joints @ poses.residual_joint[..., None]  # the twist of each pose that its joints' noise explains best
-    explained = rows.unpad((columns.basis @ shift)[..., 0])
+    rows = poses.rows
+    # The twist of each pose that its joints' noise explains best moves its rows by so much.
+    explained = rows.unpad(poses.by_pose(lambda of: (of.columns.basis @ (of.joints @ of.residual_joint[..., None]))[..., 0]))
     remaining = np.sum(((residual - explained) / rows.row_sigma(noise)) ** 2, axis=1)
     pose = rows.pose_of_centre
     # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
     used = np.bincount(pose, remaining * weights.centre, minlength=rows.n_poses)
-    by_pose = used + rows.per_pose(np.einsum("pj,pj->p", poses.residual_joint, poses.residual_joint))
+    by_pose = used + rows.per_pose(poses.by_pose(lambda of: np.einsum("pj,pj->p", of.residual_joint, of.residual_joint)))
     dof = rows.width * np.bincount(pose, weights.centre, minlength=rows.n_poses)
     return OutlierDistances(remaining, by_pose, rows.width, dof)
 

@@ -21,6 +21,9 @@ class OwnColumns:
     k: int
     other: np.ndarray
 
+    def of_poses(self, poses: slice) -> OwnColumns:
+        return OwnColumns(self.turn[poses], self.ball[poses], self.k, self.other[poses])
+
     @property
     def size(self) -> int:
         return 3 * self.k + self.other.shape[2]
@@ -72,7 +75,8 @@ class WeightedOwnColumns:
         self.G = G
         if self.k:
             turn = columns.turn
-            self.twice = columns.by_ball(G * scale[..., None]).reshape(P, R, self.k * u)
+            twice = columns.by_ball(G * scale[..., None])  # (P, R, k, u)
+            self.twice = np.ascontiguousarray(twice.transpose(0, 3, 2, 1)).reshape(P, u * self.k, R)
             each = columns.by_ball(scale**2) * share[:, None, None]
             outer = (turn[..., :, None] * turn[..., None, :]).reshape(P, R, 9)
             self.squares = np.stack([each[:, a].T @ outer[:, a] for a in range(R)])  # (R, k, 9): of each ball
@@ -82,9 +86,7 @@ class WeightedOwnColumns:
         P, R, B, u = self.G.shape
         parts = []
         if self.k:
-            turn = self.columns.turn * precision[:, None]
-            balls = np.swapaxes(turn, 1, 2) @ self.twice
-            parts.append(np.ascontiguousarray(balls.reshape(P, 3, self.k, u).transpose(0, 3, 2, 1)).reshape(P, u, 3 * self.k))
+            parts.append((self.twice @ (self.columns.turn * precision[:, None])).reshape(P, u, 3 * self.k))
         if self.other.shape[3]:
             rows = (self.G * precision[:, None, None]).reshape(P, R * B, u)
             parts.append(np.swapaxes(rows, 1, 2) @ self.other.reshape(P, R * B, -1))
@@ -127,8 +129,8 @@ class WeightedOwnColumns:
         if n:
             place = np.arange(n).reshape(self.k, 3)
             out += self.squares.reshape(R, -1) @ own[place[:, :, None], place[:, None, :]].ravel()
-            with_ball = mixed[..., :n].reshape(P, u, self.k, 3) * self.share[:, None, None, None]
-            against = self.twice @ np.ascontiguousarray(with_ball.transpose(0, 2, 1, 3)).reshape(P, -1, 3)  # (P, R, 3)
+            with_ball = (mixed[..., :n] * self.share[:, None, None]).reshape(P, u * self.k, 3)
+            against = np.swapaxes(self.twice, 1, 2) @ with_ball  # (P, R, 3)
             out += 2 * np.einsum("prc,prc->r", against, self.columns.turn)
         if t:
             other = self.other * self.share[:, None, None, None]

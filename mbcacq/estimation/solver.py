@@ -124,7 +124,7 @@ def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
     """The same linear problem after a step (g,) of the parameters and the best stations; ``at`` must be exact."""
     rows, columns = lineariser.rows, at.linear.columns
     station_step = at.normal.station_step(step)
-    residual = columns.residual - columns.change(step, station_step[rows.run])
+    residual = at.poses.residual_after(step, station_step)
     linear = replace(at.linear, residual=rows.unpad(residual), columns=replace(columns, residual=residual))
     prior = replace(at.prior, offset=at.prior.offset + step, station_offset=at.prior.station_offset + station_step)
     poses, normal = at.poses.with_residual(linear.columns), at.normal.after(step)

@@ -15,7 +15,7 @@ from scipy.linalg.blas import dtrmm  # pyright: ignore[reportAttributeAccessIssu
 
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, inverse_of_lower
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.pose_information import flat_product
+from mbcacq.estimation.pose_block import PoseBlock, flat_product
 from mbcacq.model.cell import Cell
 
 # Standard deviations of logarithms.
@@ -124,87 +124,100 @@ def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.nda
 
     From the twists of the poses; only the balls and the effects have rows of their own.
     """
-    poses, n = system.poses, len(noise.joint)
-    share, precision, white = poses.share, poses.precision, poses.white_residual
-    share_of_pose = share[:, None, None]
-    P, R, B = white.shape
-    variance = _PoseVariance(system)
-    # Scanner: the rows of one axis each.
-    weighted = white * share_of_pose
-    squares = np.einsum("prb,prb->r", weighted, white)
-    absorbed = (poses.weighted.squares @ (poses.N * share_of_pose).reshape(P, -1, 1)).sum(axis=0)[:, 0]
-    by_axis = squares + precision * (absorbed + variance.of_axes()) - poses.weighted.counted
-    # Joints: one column a pose.
-    b = share[:, None] * poses.residual_joint
-    diagonal = 1 - np.diagonal(poses.K, axis1=1, axis2=2)
-    by_joint = np.sum(b**2 - share[:, None] * diagonal, axis=0) + variance.of_joints()
+    poses, normal, n = system.poses, system.normal, len(noise.joint)
+    R, S, k = len(poses.precision), len(normal.reduced), n + 4
+    by_axis, by_joint, square = np.full(R, -poses.weighted.counted), np.zeros(n), np.zeros((k, k))
+    by_parameter, by_station = np.zeros((normal.size, k)), np.zeros((S, 6, k))
+    root = _inverse_root(normal)
+    for block in poses.blocks:
+        score = _BlockScore(block, normal, root)
+        by_axis += score.by_axis
+        by_joint += score.by_joint
+        square += score.square
+        by_parameter += score.by_parameter
+        by_station[block.place.stations] += score.by_station
+    # The images' products with what was estimated, of unit variance.
+    flat = (np.swapaxes(normal.station_root, 1, 2) @ by_station).reshape(-1, k)
+    estimated = root @ (by_parameter - normal.reduced.reshape(-1, normal.size).T @ flat)
     score = np.concatenate([by_axis[:3], by_joint, [by_axis[3:].sum()]])
-    # Average information: Y' P Y of the images Y, one of each component, from products with the columns.
-    fold = np.minimum(np.arange(R), 3)[:, None] == np.arange(4)  # (R, 4): scanner's axes and turn
-    image = weighted * np.sqrt(precision)[:, None]
-    image_twist = np.swapaxes((image[:, :, None] @ poses.weighted.G)[:, :, 0], 1, 2) @ fold
-    Jt = np.swapaxes(poses.joints, 1, 2)
-    image_joint = Jt @ image_twist
-    K_image = poses.K @ image_joint
-    square = np.zeros((n + 4, n + 4))
-    order = np.r_[:3, n + 3]
-    square[np.ix_(order, order)] = np.diag(squares @ fold) - flat_product(image_joint, K_image)
-    mixed = np.einsum("pj,pjc->jc", b, K_image)
-    square[3 : n + 3, order], square[order, 3 : n + 3] = mixed, mixed.T
-    square[3 : n + 3, 3 : n + 3] = np.diag(np.sum(b**2, axis=0)) - np.einsum("pj,pk,pjk->jk", b, b, poses.K)
-    twist = np.concatenate([np.swapaxes(poses.F, 1, 2) @ image_twist, np.swapaxes(poses.JG * b[..., None], 1, 2)], axis=2)
-    by_image = poses.own.product(image) @ fold - flat_product(poses.own_twist, poses.N @ image_twist)
-    own = [by_image, flat_product(poses.own_twist, np.swapaxes(poses.K @ Jt * b[..., None], 1, 2))]
-    twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
-    by_station, by_parameter = variance.projections(twist, own)
-    return score, 2 * (square - by_parameter.T @ by_parameter - by_station.T @ by_station)
+    return score, 2 * (square - estimated.T @ estimated - flat.T @ flat)
 
 
-class _PoseVariance:
-    """Covariance of what was estimated: of the twist y of each pose and of the own parameters, where the whitened columns are G y and the
-    own columns."""
+class _BlockScore:
+    """What the poses of a block add to the score and the average information.
 
-    def __init__(self, system: PoseSystem):
-        self.poses, self.normal = system.poses, system.normal
-        poses, columns, rows = system.poses, system.poses.columns, system.poses.rows
-        self.f = system.normal.size - columns.own.size
-        self.moved, self.station = columns.twists, columns.station
-        self.root = _inverse_root(self.normal)
-        y = rows.of_stations(self.station, self.normal.station_root)
-        x = rows.of_stations(y, -self.normal.reduced)
-        x[..., : self.f] += self.moved
-        x, y = poses.F @ x, poses.F @ y
+    by_axis: (R,) and by_joint: (n,) of the score. The average information is Y' P Y of the images Y, one of each component; square: (k, k)
+    their products under the noise, by_parameter: (g, k) and by_station: (S', 6, k) with the columns.
+    """
+
+    def __init__(self, block: PoseBlock, normal: Normal, root: np.ndarray):
+        share, precision, white = block.share, block.precision, block.white_residual
+        P, R, _ = white.shape
+        n = block.K.shape[1]
+        variance = _BlockVariance(block, normal, root)
+        # Scanner: the rows of one axis each.
+        weighted = white * share[:, None, None]
+        squares = np.einsum("prb,prb->r", weighted, white)
+        absorbed = (block.weighted.squares @ (block.N * share[:, None, None]).reshape(P, -1, 1)).sum(axis=0)[:, 0]
+        self.by_axis = squares + precision * (absorbed + variance.of_axes())
+        # Joints: one column a pose.
+        b = share[:, None] * block.residual_joint
+        diagonal = 1 - np.diagonal(block.K, axis1=1, axis2=2)
+        self.by_joint = np.sum(b**2 - share[:, None] * diagonal, axis=0) + variance.of_joints()
+        fold = np.minimum(np.arange(R), 3)[:, None] == np.arange(4)  # (R, 4): scanner's axes and turn
+        image = weighted * np.sqrt(precision)[:, None]
+        image_twist = np.swapaxes((image[:, :, None] @ block.weighted.G)[:, :, 0], 1, 2) @ fold
+        Jt = np.swapaxes(block.joints, 1, 2)
+        image_joint = Jt @ image_twist
+        K_image = block.K @ image_joint
+        self.square = np.zeros((n + 4, n + 4))
+        order = np.r_[:3, n + 3]
+        self.square[np.ix_(order, order)] = np.diag(squares @ fold) - flat_product(image_joint, K_image)
+        mixed = np.einsum("pj,pjc->jc", b, K_image)
+        self.square[3 : n + 3, order], self.square[order, 3 : n + 3] = mixed, mixed.T
+        self.square[3 : n + 3, 3 : n + 3] = np.diag(np.sum(b**2, axis=0)) - np.einsum("pj,pk,pjk->jk", b, b, block.K)
+        twist = np.concatenate([np.swapaxes(block.F, 1, 2) @ image_twist, np.swapaxes(block.JG * b[..., None], 1, 2)], axis=2)
+        by_image = block.own.product(image) @ fold - flat_product(block.own_twist, block.N @ image_twist)
+        own = [by_image, flat_product(block.own_twist, np.swapaxes(block.K @ Jt * b[..., None], 1, 2))]
+        twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
+        self.by_parameter = np.concatenate([flat_product(block.columns.twists, twist), own])
+        self.by_station = block.place.runs.products(block.columns.station, twist)
+
+
+class _BlockVariance:
+    """Covariance of what was estimated: of the twist y of each pose of a block and of the own parameters, where the whitened columns are
+    G y and the own columns. root: (g, g) lower triangular, root' root the covariance of the parameters."""
+
+    def __init__(self, block: PoseBlock, normal: Normal, root: np.ndarray):
+        self.block, columns = block, block.columns
+        f = normal.size - columns.own.size
+        stations, runs = block.place.stations, block.place.runs
+        y = runs.times(columns.station, normal.station_root[stations])
+        x = runs.times(y, -normal.reduced[stations])
+        x[..., :f] += columns.twists
+        x, y = block.F @ x, block.F @ y
         if columns.own.size:
-            x[..., self.f :] -= poses.N @ poses.own_twist
-        x = times_upper(x, self.root)
+            x[..., f:] -= block.N @ block.own_twist
+        x = times_upper(x, root)
         self.twist = x @ np.swapaxes(x, 1, 2) + y @ np.swapaxes(y, 1, 2)
-        own = self.root[self.f :, self.f :]  # the root is lower triangular: the rows above have none of the own parameters
-        self.mixed, self.own = x[..., self.f :] @ own, own.T @ own
+        own = root[f:, f:]  # the rows above have none of the own parameters
+        self.mixed, self.own = x[..., f:] @ own, own.T @ own
 
     def of_axes(self) -> np.ndarray:
         """(R,): sum of the variances of the rows of each axis, in units of the axis' variance."""
-        squares, share = self.poses.weighted.squares, self.poses.share[:, None, None]
+        squares, share = self.block.weighted.squares, self.block.share[:, None, None]
         levers = (squares @ (self.twist * share).reshape(len(squares), -1, 1)).sum(axis=0)[:, 0]
-        return levers + self.poses.own.variance(self.mixed, self.own)
+        return levers + self.block.own.variance(self.mixed, self.own)
 
     def of_joints(self) -> np.ndarray:
         """(n,): sums of the variances of the joints' columns times the rows."""
-        poses = self.poses
-        total = poses.L @ self.twist @ poses.L
-        if poses.own.columns.size:
-            against = 2 * (poses.L @ self.mixed) + (poses.own_twist.reshape(-1, len(self.own)) @ self.own).reshape(self.mixed.shape)
-            total += against @ np.swapaxes(poses.own_twist, 1, 2)
-        T = poses.joints
-        return np.einsum("puj,puj->j", T * poses.share[:, None, None], total @ T)
-
-    def projections(self, twist: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Products of k images with what was estimated, of unit variance: (6 S', k) and (g, k). twist: (P, u, k) and own: (e, k) are
-        their products with the columns."""
-        k = twist.shape[2]
-        y = np.swapaxes(self.normal.station_root, 1, 2) @ self.poses.rows.station_products(self.station, twist)
-        A = np.concatenate([flat_product(self.moved, twist), own])
-        flat = y.reshape(-1, k)
-        return flat, self.root @ (A - self.normal.reduced.reshape(-1, len(A)).T @ flat)
+        block = self.block
+        total = block.L @ self.twist @ block.L
+        if block.own.columns.size:
+            against = 2 * (block.L @ self.mixed) + (block.own_twist.reshape(-1, len(self.own)) @ self.own).reshape(self.mixed.shape)
+            total += against @ np.swapaxes(block.own_twist, 1, 2)
+        T = block.joints
+        return np.einsum("puj,puj->j", T * block.share[:, None, None], total @ T)
 
 
 def times_upper(x: np.ndarray, root: np.ndarray) -> np.ndarray:

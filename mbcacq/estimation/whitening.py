@@ -5,17 +5,66 @@ All arrays (P, B R, k): B is the largest number of centres of a pose, poses with
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 
+ROWS_AT_ONCE = 12000  # 500 poses with eight balls; fewer cost more calls than they save
+
+
+class StationRuns:
+    """Stations as runs of P consecutive poses. first: (S',) first pose of each."""
+
+    def __init__(self, first: np.ndarray, n_poses: int):
+        self.first, self.end, self.n_poses = first, np.append(first[1:], n_poses), n_poses
+        length = self.end - first
+        self.even = bool(np.all(length == length[0]))
+
+    def products(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """(S', k, m): sums of left' right over the poses of each station, left (P, u, k) and right (P, u, m)."""
+        (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
+        a, b = left.reshape(P * u, k), right.reshape(P * u, m)
+        if self.even:
+            each = P * u // count
+            return np.swapaxes(a.reshape(count, each, k), 1, 2) @ b.reshape(count, each, m)
+        out = np.empty((count, k, m))
+        for s, (start, end) in enumerate(zip(u * self.first, u * self.end, strict=True)):
+            np.matmul(a[start:end].T, b[start:end], out=out[s])
+        return out
+
+    def times(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """(P, u, m): left (P, u, k) of each pose times right (S', k, m) of its station."""
+        (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
+        a = left.reshape(P * u, k)
+        if self.even:
+            return (a.reshape(count, P * u // count, k) @ right).reshape(P, u, m)
+        out = np.empty((P * u, m))
+        for s, (start, end) in enumerate(zip(u * self.first, u * self.end, strict=True)):
+            np.matmul(a[start:end], right[s], out=out[start:end])
+        return out.reshape(P, u, m)
+
+
+@dataclass(frozen=True)
+class RowsBlock:
+    """Consecutive poses, and of the stations in use those that they are at, as runs of these poses."""
+
+    poses: slice
+    stations: slice
+    runs: StationRuns
+
 
 class PoseRows:
-    """Scatter of centres (M, R, ...) into poses (P, B R, ...) and back; stations as runs of consecutive poses."""
+    """Scatter of centres (M, R, ...) into poses (P, B R, ...) and back; stations as runs of consecutive poses.
+
+    blocks: all poses in blocks of about ROWS_AT_ONCE rows, as long as each other where stations allow. What a pass over a block makes stays
+    in the caches, and its memory serves the next block; arrays of all poses would come from the main memory at every operation, and the
+    system would be asked for them anew.
+    """
 
     def __init__(self, obs: Observations, width: int):
         # Blocks follow the order of stations, so that sums over a station are sums over a run.
@@ -33,6 +82,21 @@ class PoseRows:
         self.first = np.flatnonzero(np.r_[True, np.diff(station) > 0])
         self.stations = station[self.first]
         self.run = np.cumsum(np.r_[0, np.diff(station) > 0])
+        self.blocks = self._in_blocks()
+
+    def _in_blocks(self) -> list[RowsBlock]:
+        blocks, start = [], 0
+        count = round(self.n_poses * self.depth * self.width / ROWS_AT_ONCE)
+        each = math.ceil(self.n_poses / max(count, 1))
+        while start < self.n_poses:
+            end = min(start + each, self.n_poses)
+            if end < self.n_poses and self.first[self.run[end]] > start:
+                end = int(self.first[self.run[end]])  # whole stations, but of a station that is longer than a block
+            stations = slice(self.run[start], self.run[end - 1] + 1)
+            runs = StationRuns(np.maximum(self.first[stations] - start, 0), end - start)
+            blocks.append(RowsBlock(slice(start, end), stations, runs))
+            start = end
+        return blocks
 
     def row_sigma(self, noise: Noise) -> np.ndarray:
         """(M, R) or (1, R) sigma of the rows of each centre."""
@@ -64,34 +128,6 @@ class PoseRows:
         out = np.empty_like(blocks)
         out[self.order] = blocks
         return out
-
-    @cached_property
-    def _even(self) -> bool:
-        """Whether every station in use has as many poses as the next."""
-        return self.n_poses % len(self.first) == 0 and bool(np.all(np.diff(self.first) == self.n_poses // len(self.first)))
-
-    def station_products(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """(S', k, m): sums of left' right over the poses of each station in use, left (P, u, k) and right (P, u, m)."""
-        (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
-        a, b = left.reshape(P * u, k), right.reshape(P * u, m)
-        if self._even:
-            each = P * u // count
-            return np.swapaxes(a.reshape(count, each, k), 1, 2) @ b.reshape(count, each, m)
-        out = np.empty((count, k, m))
-        for s, (start, end) in enumerate(zip(u * self.first, u * np.r_[self.first[1:], P], strict=True)):
-            np.matmul(a[start:end].T, b[start:end], out=out[s])
-        return out
-
-    def of_stations(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """(P, u, m): left (P, u, k) of each pose times right (S', k, m) of its station."""
-        (P, u, k), m, count = left.shape, right.shape[2], len(self.first)
-        a = left.reshape(P * u, k)
-        if self._even:
-            return (a.reshape(count, P * u // count, k) @ right).reshape(P, u, m)
-        out = np.empty((P * u, m))
-        for s, (start, end) in enumerate(zip(u * self.first, u * np.r_[self.first[1:], P], strict=True)):
-            np.matmul(a[start:end], right[s], out=out[start:end])
-        return out.reshape(P, u, m)
 
     def by_station(self, per_pose: np.ndarray) -> np.ndarray:
         """Sums (P, ...) over the poses of each station in use: (S', ...), in the order of ``stations``."""

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+POINTS_AT_ONCE = 8192  # the transforms gathered for so many stay in a processor's caches
+
 
 def skew(w: np.ndarray) -> np.ndarray:
     """(..., 3) -> (..., 3, 3) with ``skew(w) @ p == cross(w, p)``."""
@@ -81,6 +83,15 @@ def inverse(T: np.ndarray) -> np.ndarray:
 def apply(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Transform points (..., 3) by (..., 4, 4); leading axes broadcast."""
     return np.einsum("...ij,...j->...i", T[..., :3, :3], points) + T[..., :3, 3]
+
+
+def apply_each(T: np.ndarray, which: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (M, 3), each transformed by that of T (k, 4, 4) whose number which (M,) gives."""
+    out = np.empty(points.shape, dtype=np.result_type(T, points))
+    for start in range(0, len(points), POINTS_AT_ONCE):
+        some = slice(start, start + POINTS_AT_ONCE)
+        out[some] = apply(T[which[some]], points[some])
+    return out
 
 
 def adjoint(T: np.ndarray) -> np.ndarray:

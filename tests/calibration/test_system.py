@@ -5,12 +5,12 @@ import pytest
 from cells import iiwa, scanner_cell, tracker_cell
 
 from mbcacq.calibration import CalibrationOptions, Noise
-from mbcacq.estimation import parameters, variance_components
+from mbcacq.estimation import parameters, variance_components, whitening
 from mbcacq.estimation.adjustment import NOISE_GAIN, adjust_recording, most_probable_noise
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.pose_information import NormalBlocks
+from mbcacq.estimation.pose_block import NormalBlocks
 from mbcacq.estimation.solver import Weights, evaluated, gauss_newton_step, reweighted, solve, stepped, system
 from mbcacq.estimation.terms import Part, term
 
@@ -206,6 +206,29 @@ def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind
     np.testing.assert_allclose(normal.cost, rows.cost, rtol=1e-12)
     step = gauss_newton_step(normal, np.ones(normal.size), 1e-3)
     np.testing.assert_allclose(normal.station_step(step), rows.station_step(step), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("part", [3, 2], ids=["stations cut", "whole stations"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_blocks_of_poses_give_what_all_poses_at_once_give(kind, part, monkeypatch):
+    def of_blocks():
+        lineariser, at, _ = weighted_system(kind, np.random.default_rng(10), more=2)
+        step = gauss_newton_step(at.normal, lineariser.layout.gather("scale"), 1e-3)
+        moved = stepped(lineariser, at, step)
+        sizes = np.sqrt(np.diag(at.normal.information))
+        scores = variance_components.reml_score_and_information(at.system, at.noise)
+        found = at.normal.information / np.outer(sizes, sizes), at.normal.gradient / sizes, moved.step.stations, *scores
+        chi2 = at.poses.chi2(moved.linear.columns.residual)
+        found = *found, at.cost, at.poses.log_det, chi2, moved.linear.residual, at.poses.right_hand_side()[1]
+        return len(at.poses.blocks), at.linear.columns.residual.size, found
+
+    count, rows, whole = of_blocks()
+    assert count == 1
+    monkeypatch.setattr(whitening, "ROWS_AT_ONCE", rows / part)
+    count, _, parts = of_blocks()
+    assert count >= part
+    for one, other in zip(parts, whole, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-8 * np.abs(other).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)

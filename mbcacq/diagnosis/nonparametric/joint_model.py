@@ -12,7 +12,8 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.own_columns import OwnColumns
-from mbcacq.estimation.pose_information import PoseColumns, PoseInformation
+from mbcacq.estimation.pose_columns import PoseColumns
+from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.solver import Weights
 from mbcacq.estimation.terms import term
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
