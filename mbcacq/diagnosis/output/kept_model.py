@@ -70,7 +70,8 @@ def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm
     """Groups of basis functions where unmodelled effects were reported; of a long recording at every location."""
     if here.obs.n_poses > OPTIONS.many_poses:
         elastic = {t.where for t in named if t.name == "joint_compliance"}
-        return [g for g in unmodelled.carried(unmodelled.everywhere(here)) if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
+        every = unmodelled.carried(unmodelled.everywhere(here))
+        return [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
     return [g for e in reported for at in e.where if (g := kept_group(here, at, e.depends_on)) is not None]
 
 
