@@ -51,9 +51,10 @@ def random_effects(fit: EvidenceFit, best: Hypothesis) -> RandomEffectsModel | N
     )
     values = np.concatenate([found.mean[found.slices[j]] for j in chosen])
     sigma = np.concatenate([m.size * m.candidate.typical for m in members])
-    variance = np.concatenate([np.diag(found.covariance)[found.slices[j]] for j in chosen])
-    used = float(np.sum(1.0 - variance / sigma**2))
-    return RandomEffectsModel(groups, values, sigma, np.array([m.size for m in members]), used)
+    index = np.concatenate([np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen])
+    covariance = found.covariance[np.ix_(index, index)]
+    used = float(np.sum(1.0 - np.diag(covariance) / sigma**2))
+    return RandomEffectsModel(groups, values, sigma, np.array([m.size for m in members]), used, covariance)
 
 
 def cell_at(best: Hypothesis, member: Member) -> MapCell:

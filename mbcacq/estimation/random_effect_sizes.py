@@ -41,7 +41,8 @@ def sizes_by_marginal_likelihood(
             break
         own = [slices[int(g)] for g in alive]
         index, count = joined(own), np.array([p.stop - p.start for p in own])
-        mean, posterior = posterior_of(S[np.ix_(index, index)], b[index], np.repeat(variance[alive], count))
+        mean, half = posterior_of(S[np.ix_(index, index)], b[index], np.repeat(variance[alive], count))
+        posterior = np.einsum("ij,ij->j", half, half)
         first = np.cumsum(count) - count
         determined = count - np.add.reduceat(posterior, first) / variance[alive]
         asked = np.add.reduceat(mean**2, first) / np.maximum(determined, 1e-3)
@@ -56,13 +57,14 @@ def sizes_by_marginal_likelihood(
 
 
 def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Posterior mean and variance (k,) of coefficients with normal equations S (k, k), b (k,) and prior variance (k,)."""
+    """Posterior mean (k,) of coefficients with normal equations S (k, k), b (k,) and prior variance (k,), and a root L (k, k) of their
+    covariance L'L.
+    """
     root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
     normal = S * np.outer(root, root)
     normal[np.diag_indices_from(normal)] += 1.0
     factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
-    half = inverse_of_lower(factor)
-    return root * cho_solve((factor, True), root * b, check_finite=False), prior * np.einsum("ij,ij->j", half, half)
+    return root * cho_solve((factor, True), root * b, check_finite=False), inverse_of_lower(factor) * root
 
 
 def joined(slices: Sequence[slice]) -> np.ndarray:

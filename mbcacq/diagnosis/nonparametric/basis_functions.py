@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric import joint_travel
-from mbcacq.diagnosis.nonparametric.covariates import artefact_tilt
+from mbcacq.diagnosis.nonparametric.artefact_tilt import artefact_tilt
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
 

@@ -58,13 +58,16 @@ class RandomEffectOfPose:
 
 @dataclass(frozen=True)
 class RandomEffectsModel:
-    """Groups with coefficients and prior sigmas (all concatenated), the size of each group. used: coefficients that the data determine."""
+    """Groups with coefficients and prior sigmas (all concatenated), the size of each group. used: coefficients that the data determine.
+    covariance: of the coefficients, with geometry and parametric effects free.
+    """
 
     groups: tuple[RandomEffect, ...]
     coefficients: np.ndarray
     sigma: np.ndarray
     sizes: np.ndarray
     used: float
+    covariance: np.ndarray
 
     @property
     def columns(self) -> np.ndarray:
@@ -77,7 +80,8 @@ class RandomEffectsModel:
             return None
         index = joined([self.slices()[g] for g in chosen])
         groups = tuple(self.groups[g] for g in chosen)
-        return RandomEffectsModel(groups, self.coefficients[index], self.sigma[index], self.sizes[chosen], self.used)
+        own = np.ix_(index, index)
+        return RandomEffectsModel(groups, self.coefficients[index], self.sigma[index], self.sizes[chosen], self.used, self.covariance[own])
 
     def slices(self) -> list[slice]:
         """Which coefficients belong to which group."""
@@ -114,10 +118,12 @@ class _NormalEquations:
         slices = slices_of(self.groups)
         index = joined([slices[g] for g in chosen])
         prior = np.concatenate([np.full(slices[g].stop - slices[g].start, sizes[g] ** 2) for g in chosen])
-        mean, variance = posterior_of(self.S[np.ix_(index, index)], self.b[index], prior)
-        used = float(np.sum(1.0 - variance / prior))
-        scale = self.scale[index]
-        return RandomEffectsModel(tuple(self.groups[g] for g in chosen), mean * scale, np.sqrt(prior) * scale, sizes[chosen], used)
+        mean, half = posterior_of(self.S[np.ix_(index, index)], self.b[index], prior)
+        covariance = half.T @ half
+        used = float(np.sum(1.0 - np.diag(covariance) / prior))
+        scale, groups = self.scale[index], tuple(self.groups[g] for g in chosen)
+        covariance *= np.outer(scale, scale)
+        return RandomEffectsModel(groups, mean * scale, np.sqrt(prior) * scale, sizes[chosen], used, covariance)
 
 
 def fit_random_effects(projected: CandidateScoring, groups: Sequence[RandomEffect], start: np.ndarray) -> RandomEffectsModel | None:

@@ -152,10 +152,6 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
     """
     smooth, linear = full.smooth, full.geometry_only.linear
     assert smooth is not None, "only called where unmodelled effects were fitted"
-    X = full.conditioned.whiten(smooth.columns)
-    X *= smooth.sigma
-    taken = full.conditioned.all_projected.T @ X
-    covariance = np.linalg.inv(X.T @ X - taken.T @ taken + np.eye(X.shape[1])) * np.outer(smooth.sigma, smooth.sigma)
     left = uncompensated(full, np.concatenate([smooth.columns, linear.residual[:, :, None]], axis=2))[linear.keep, :3]
     columns, misfit = left[:, :, :-1], rms_of(left[:, :, -1])
     index: dict[tuple[str, str], list[int]] = {}
@@ -166,7 +162,7 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
         moved = columns[:, :, mine] @ smooth.coefficients[mine]
         size = rms_of(moved)
         slope = np.einsum("mrk,mr->k", columns[:, :, mine], moved) / (len(moved) * max(size, 1e-12))
-        out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope)))
+        out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ smooth.covariance[np.ix_(mine, mine)] @ slope)))
     return out
 
 

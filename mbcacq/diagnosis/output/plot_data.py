@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric import covariates
+from mbcacq.diagnosis.nonparametric.artefact_tilt import artefact_tilt
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import MapEntry, map_entries
 from mbcacq.diagnosis.output.response_curves import ResponseCurve, response_curves
@@ -45,6 +45,25 @@ class PlotData:
         return map_entries(CandidateScoring.of(self.linear, self.noise), DesignBlocks(self.context))
 
 
+def covariates_at_centres(s: Context) -> dict[str, np.ndarray]:
+    """Covariate -> (M,) values of those that vary over the recording."""
+    obs, joints = s.obs, range(1, s.n + 1)
+    largest = float(np.ptp(s.gravity_torque, axis=0).max())
+    # name -> how much it must vary
+    least = {f"q{i}": 0.02 for i in joints} | {f"gravity_torque_{i}": 0.02 * largest for i in joints}
+    for name, recorded in (("direction_", obs.direction), ("qd", obs.velocity), ("tau", obs.torque)):
+        least |= {f"{name}{i}": 0.0 for i in joints} if recorded is not None else {}
+    timed = obs.time_s is not None and np.ptp(obs.time_s) > 0
+    least |= {"time" if timed else "pose": 0.0} | dict.fromkeys(obs.temperatures, 0.2)
+    out = {name: s.value(name) for name in least}
+    out = {name: x[obs.pose] for name, x in out.items() if np.ptp(x) > least[name] + 1e-9}
+    if s.scanner_on_flange:
+        out |= {axis: x for axis, x in zip("xyz", obs.xyz.T, strict=True) if np.ptp(x) > 1e-6}
+        tilt = artefact_tilt(s)
+        out |= {"tilt": tilt[obs.pose]} if np.ptp(tilt) > 0.02 else {}
+    return out
+
+
 def plot_data(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after: np.ndarray) -> PlotData:
     """The plot data of a fit; before, after: (M, R) mm residuals in the frame of the instrument."""
     context, linear = setup.context, full.geometry_only.linear
@@ -55,9 +74,7 @@ def plot_data(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after
         T = linear.prediction.T_base_station[obs.pose]
     points = np.einsum("mij,mj->mi", T[:, :3, :3], obs.xyz) + T[:, :3, 3]
     in_base = [np.einsum("mij,mj->mi", T[:, :3, :3], r[:, :3])[keep] for r in (before, after)]
-    values = {c.name: np.asarray(c.values, float)[obs.pose] for c in covariates.of_poses(context)}
-    if context.scanner_on_flange:
-        values |= {c.name: np.asarray(c.values, float) for c in covariates.of_centres(context)}
+    values = covariates_at_centres(context)
     return PlotData(
         points=points[keep],
         before=in_base[0],
@@ -65,7 +82,7 @@ def plot_data(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after
         covariates={name: v[keep] for name, v in values.items()},
         pose=obs.pose_id[obs.pose][keep],
         ball=np.array(obs.cell.ball_ids)[obs.ball[keep]],
-        curves=response_curves(linear, values, full.model, full.smooth, full.conditioned, after),
+        curves=response_curves(linear, values, full.model, full.smooth, after),
         linear=linear,
         noise=full.geometry_only.noise,
         context=context,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -39,22 +38,17 @@ class ResponseCurve:
 
 
 def response_curves(
-    linear: LinearProblem,
-    values: dict[str, np.ndarray],
-    model: EffectSet,
-    rest: RandomEffectsModel | None,
-    named: CandidateScoring,
-    residual: np.ndarray,
+    linear: LinearProblem, values: dict[str, np.ndarray], model: EffectSet, rest: RandomEffectsModel | None, residual: np.ndarray
 ) -> list[ResponseCurve]:
     """The curves of all effects of a fit, largest displacement first, at most MOST.
 
-    linear: of the fit. values: covariate -> (M,) at each centre. model: parametric effects. rest: unmodelled effects, fitted to what is
-    left in ``named`` after the parametric ones. residual: (M, R) mm after all of them.
+    linear: of the fit. values: covariate -> (M,) at each centre. model: parametric effects. rest: unmodelled effects.
+    residual: (M, R) mm after all of them.
     """
     fitted = _Fitted(linear, values, residual)
     out = [entry for j in range(len(model.effects)) for entry in _of_effect(fitted, model, j)]
     if rest is not None:
-        out += _of_groups(fitted, rest, named)
+        out += _of_groups(fitted, rest)
     return [curve for _, curve in sorted(out, key=lambda item: -item[0])][:MOST]
 
 
@@ -134,12 +128,8 @@ def _axis_label(part: Part, at: str) -> tuple[str, str, float]:
     return (f"rotation of {at} about {axis}" if rotation else f"shift of {at} along {axis}"), name, scale
 
 
-def _of_groups(fitted: _Fitted, rest: RandomEffectsModel, named: CandidateScoring) -> list[tuple[float, ResponseCurve]]:
+def _of_groups(fitted: _Fitted, rest: RandomEffectsModel) -> list[tuple[float, ResponseCurve]]:
     """What each group of the unmodelled effects moves, along the axis of the instrument along which it moves most."""
-    X = named.whiten(rest.columns)
-    taken = named.all_projected.T @ X
-    precision = X.T @ X - taken.T @ taken + np.diag(1.0 / np.maximum(rest.sigma, 1e-12) ** 2)
-    covariance = np.linalg.pinv(precision, hermitian=True)
     linear = fitted.linear
     out, keep, pose = [], linear.keep, linear.obs.pose
     count = np.bincount(pose, keep, linear.obs.n_poses)
@@ -153,7 +143,7 @@ def _of_groups(fitted: _Fitted, rest: RandomEffectsModel, named: CandidateScorin
         columns = _mean(group.columns[:, axis] * keep[:, None], pose, count)
         amount = _mean((moved[:, axis] * keep)[:, None], pose, count)[:, 0]
         measured = amount + _mean((fitted.residual[:, axis] * keep)[:, None], pose, count)[:, 0]
-        std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, covariance[p, p], columns), 0.0))
+        std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, rest.covariance[p, p], columns), 0.0))
         at = _mean((x * keep)[:, None], pose, count)[:, 0]
         good = count > 0
         y, band, points = 1e3 * amount[good], 1e3 * std[good], 1e3 * measured[good]
