@@ -35,7 +35,7 @@ class GroupSizeOptions:
 
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
     turns_again: int = 2  # of the same from a noise that was found with other groups; what is learnt is the same with four
-    most_poses: int = 1000  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
+    most_poses: int = 600  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
     most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
     noise_steps: int = 1  # of the noise in each; two lead to the same within the noise's uncertainty
     rounds: int = 60  # of the fixed point in each

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-STEPS = 240  # offsets over a turn that are compared: 1.5 deg, a tenth of a period at order 25
+STEPS = 180  # offsets over a turn that are compared: 2 deg, a seventh of a period at order 25
 FINE = np.radians(np.arange(-2.0, 2.01, 0.25))  # rad, about the best of them
 NEAR = np.radians(4.0)  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over

@@ -14,7 +14,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of, learnt_ranges
-from mbcacq.effects.pose import gear_transmission_error
+from mbcacq.effects.pose import gear_transmission_error, joint_compliance, orientation_bias
 
 
 def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound]) -> EffectModel:
@@ -69,9 +69,12 @@ def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) 
 def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
     """Groups of basis functions where unmodelled effects were reported; of a long recording at every location."""
     if here.obs.n_poses > OPTIONS.many_poses:
-        elastic = {t.where for t in named if t.name == "joint_compliance"}
+        # A second description of one error takes it away from the first.
+        elastic = {t.where for t in named if t.name == joint_compliance.NAME}
+        turned = any(t.name == orientation_bias.NAME for t in named)
         every = unmodelled.carried(unmodelled.everywhere(here))
-        return [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
+        every = [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
+        return [g for g in every if not (turned and g.where == ("target",))]
     return [g for e in reported for at in e.where if (g := kept_group(here, at, e.depends_on)) is not None]
 
 
