@@ -24,6 +24,7 @@ from mbcacq.simulation.mujoco_arm import (
     check_sampling,
     gear_spring,
     mujoco_engine,
+    remarks_on_masses,
 )
 from mbcacq.simulation.parameters import Block, pseudo_inertia
 from mbcacq.simulation.refinement import ROUNDS, RollOutFit, along, runs_by_servos
@@ -67,7 +68,8 @@ def diagnose_against_model(
     left = diagnose_trajectories([against_model(t, arm, model) for t in trajectories], cross_validation=False)
     changed = tuple(p for block in fit.fitted() for p in block.parameters())
     compared = RUNS if fit.runs else TORQUES
-    return found, ModelMatch(str(arm.path), as_xml(arm, model), changed, compared, tuple(fit.errors()), remarks=what_remains(left))
+    remarks = (*what_remains(left), *remarks_on_masses(arm, model))
+    return found, ModelMatch(str(arm.path), as_xml(arm, model), changed, compared, tuple(fit.errors()), remarks=remarks)
 
 
 def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajectory], name: str) -> ModelMatch:
