@@ -14,6 +14,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
 from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.simulation.model_residual import along, runs_by_servos
 from mbcacq.simulation.mujoco_arm import (
     JOINT_SIDE,
     TORQUE,
@@ -27,7 +28,7 @@ from mbcacq.simulation.mujoco_arm import (
     remarks_on_masses,
 )
 from mbcacq.simulation.parameters import Block, pseudo_inertia
-from mbcacq.simulation.refinement import ROUNDS, RollOutFit, along, runs_by_servos
+from mbcacq.simulation.refinement import ROUNDS, RollOutFit
 from mbcacq.simulation.write_model import T_body_link, as_xml
 
 RUNS, TORQUES = "runs", "torques"
