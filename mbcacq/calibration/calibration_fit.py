@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from mbcacq.effects.effect_model import EffectModel
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
@@ -34,6 +35,10 @@ class Parameter:
     std: float | None
     status: str
     reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content; without 'reason' where there is none."""
+        return {key: value for key, value in vars(self).items() if key != "reason" or value}
 
 
 @dataclass(frozen=True)
@@ -121,6 +126,11 @@ class CalibrationFit:
             _correlated(layout.names, C),
         )
 
+    @classmethod
+    def adjusted(cls, obs: Observations, options: CalibrationOptions, a: Adjustment) -> Self:
+        """Of an adjustment of the observations under the same options."""
+        return cls.of(obs, options, a.lineariser, a.solution, a.noise, a.weights, a.preliminary, a.found)
+
     @property
     def cell(self) -> Cell:
         return self.observations.cell
@@ -133,6 +143,11 @@ class CalibrationFit:
     def used(self) -> np.ndarray:
         """(M,) bool: centres that took part."""
         return (self.weights.centre > 0) & (self.weights.pose[self.observations.pose] > 0)
+
+    @property
+    def used_poses(self) -> int:
+        """Number of poses of which a centre took part."""
+        return len(np.unique(self.observations.pose[self.used]))
 
     def took_part(self, observations: Observations) -> bool:
         """Whether any pose of ``observations`` took part in this calibration: the same number with the same joint angles."""

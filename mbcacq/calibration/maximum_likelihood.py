@@ -46,9 +46,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     obs = select_phases(observations, options)
     refuse_insufficient(obs, options)
     fitted = adjust_recording(obs, options)
-    result = Calibration.of(
-        obs, options, fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, fitted.preliminary, fitted.found
-    )
+    result = Calibration.adjusted(obs, options, fitted)
     refuse_unusable(result)
     return _with_joint_noise_check(result, fitted) if options.kinematics else result  # a nominal arm's errors are noise there
 

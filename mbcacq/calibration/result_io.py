@@ -62,18 +62,7 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
         ],
         "balls": [{"id": b, "centre_mm": state.balls[i].tolist()} for i, b in enumerate(cell.ball_ids)],
         "preliminary": {"T_flange_scanner": c.preliminary.T_flange_scanner.tolist()},
-        "parameters": [
-            {
-                "name": p.name,
-                "value": p.value,
-                "error": p.error,
-                "unit": p.unit,
-                "std": p.std,
-                "status": p.status,
-                **({"reason": p.reason} if p.reason else {}),
-            }
-            for p in c.parameters
-        ],
+        "parameters": [p.to_dict() for p in c.parameters],
         "names": list(c.names),
         "covariance": c.covariance.tolist(),
         "noise": {
@@ -83,7 +72,7 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
             **({"check_factor": (c.noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {}),
         },
         "fit": {
-            "poses": len(used_poses),
+            "poses": c.used_poses,
             "centres": int(c.used.sum()),
             "rms_mm": c.rms_mm,
             "chi2": c.chi2,

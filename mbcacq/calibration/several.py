@@ -15,7 +15,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
-from mbcacq.estimation.adjustment import adjust
+from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.meta_analysis import random_effect
 from mbcacq.estimation.options import CalibrationOptions, Noise
@@ -100,16 +100,15 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
         whole = fitted_with_effects(together, options, effects, hold, fit)
     if found:
         whole = replace(whole, extra={**whole.extra, "day_to_day": [d.to_dict() for d in found]})
-    shares = tuple(_share(whole, problem, r, options) for r in range(len(problem.parts)))
-    refuse_unusable(shares[0])
-    return shares
+    each = shares(whole, problem.parts, options)
+    refuse_unusable(each[0])
+    return each
 
 
 def _fitted(problem: JointProblem, options: CalibrationOptions) -> Calibration:
     obs = problem.observations
     options = replace(options, start=problem.start)
-    a = adjust(obs, options)
-    return Calibration.of(obs, options, a.lineariser, a.solution, a.noise, a.weights, a.preliminary, a.found)
+    return Calibration.adjusted(obs, options, adjust(obs, options))
 
 
 def day_to_day(whole: Calibration, model: EffectModel) -> list[DayToDay]:
@@ -175,14 +174,18 @@ def _as_held(layout: ParameterLayout, whole: Calibration) -> ParameterLayout:
     return layout
 
 
-def _share(whole: Calibration, problem: JointProblem, r: int, options: CalibrationOptions) -> Calibration:
-    """The share of one recording in a calibration of all."""
-    together, part = problem.observations, problem.parts[r]
+def shares(whole: Calibration, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[Calibration, ...]:
+    """The share of each recording in a calibration of all. parts: each recording by itself, as it was fitted alone."""
+    return tuple(_share(whole, parts, r, options) for r in range(len(parts)))
+
+
+def _share(whole: Calibration, parts: Sequence[Adjustment], r: int, options: CalibrationOptions) -> Calibration:
+    together, part = whole.observations, parts[r]
     obs = part.lineariser.obs
     poses = np.flatnonzero(together.recording == r)
     centres = np.isin(together.pose, poses)
-    stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in problem.parts], r))
-    balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in problem.parts], r))
+    stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in parts], r))
+    balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in parts], r))
     state = replace(
         whole.state,
         T_flange_scanner=whole.state.T_flange_scanner[r],

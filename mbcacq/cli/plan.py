@@ -1,4 +1,4 @@
-"""``mbcacq plan``: look at a plan, check it, design a better one. No socket is opened."""
+"""``mbcacq plan``: make a plan, look at it, check it. No socket is opened."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.plan_design import design
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
@@ -18,6 +19,9 @@ from mbcacq.errors import ExitCode
 @click.group("plan")
 def command() -> None:
     """Make, show, check or design a plan, without opening a socket."""
+
+
+command.add_command(design)
 
 
 @command.command("new")
@@ -156,137 +160,6 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         sys.exit(ExitCode.USAGE)
 
 
-@command.command("design")
-@click.argument("plan", type=click.Path(path_type=Path))
-@click.option("--poses", "count", type=click.IntRange(6, 400), help="Number of calibration poses to choose (needed without --motion).")
-@click.option(
-    "--motion",
-    multiple=True,
-    type=click.Path(path_type=Path, exists=True),
-    metavar="RECORDING",
-    help="Design a motion instead: one that tells masses, a load on the flange and a balancer at A2 apart, which this recording of torque "
-    "(a trajectory set or a run; repeatable) does not.",
-)
-@click.option("--seconds", type=click.FloatRange(5, 120), default=20.0, show_default=True, help="Duration of that motion.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="The new plan [default: NAME_designed.yaml in the folder of PLAN], or the table of the motion [default: NAME_motion.csv].",
-)
-@click.option(
-    "--criterion",
-    type=click.Choice(["A", "D"]),
-    default="A",
-    show_default=True,
-    help="A: mean variance of the certified distances; D: volume of the parameters' confidence region.",
-)
-@click.option("--tilt", type=click.FloatRange(5, 60), default=40.0, show_default=True, help="Steepest view, deg.")
-@click.option("--seed", default=0, show_default=True, help="Of the random views to choose from, and of the simulated cells.")
-@click.option("--force", is_flag=True, help="Replace the file if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def design(
-    plan: Path,
-    count: int | None,
-    motion: tuple[Path, ...],
-    seconds: float,
-    out: Path | None,
-    criterion: str,
-    tilt: float,
-    seed: int,
-    force: bool,
-    as_json: bool,
-) -> None:
-    """Choose better calibration poses for PLAN at its own stations, and write a new plan.
-
-    Views that can be taken are drawn at random; the best of them are chosen by greedy growth and exchange. The poses of the phases
-    'translation', 'orientation' and 'verification' stay. Both plans are then compared, in expectation and by simulated cells.
-
-    With --motion a motion is designed instead, in the cell of PLAN and within its limits: it begins and ends at home, and is written as a
-    table of times and joint angles. It is checked against collisions with no artefact in place.
-    """
-    if motion:
-        design_motion(plan, motion, seconds, out or plan.with_name(f"{plan.stem}_motion.csv"), seed, force, as_json)
-        return
-    from mbcacq.design.optimal_design import design
-    from mbcacq.design.plan_comparison import compare
-    from mbcacq.design.planned_scope import scope_sentence
-    from mbcacq.design.station_repair import repaired
-    from mbcacq.errors import ConfigError
-    from mbcacq.plan import expand, load
-    from mbcacq.plan.expansion import expand_reachable
-
-    if count is None:
-        raise ConfigError("nothing is asked for; give --poses N for a plan, or --motion RECORDING for a motion")
-    target = out or plan.with_name(f"{plan.stem}_designed.yaml")
-    if target.exists() and not force:
-        raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
-    if target.resolve().parent != plan.resolve().parent:
-        raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {plan}")
-    loaded, repairs = repaired(load(plan))
-    for sentence in repairs:
-        echo(sentence, err=True)
-    with StepProgress() as steps:
-        steps.begin("choosing views by what the calibration learns from them")
-        result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
-        target.write_text(result.text, encoding="utf-8")
-        new = load(target)
-        poses = expand(new)
-        steps.begin("comparing both plans by simulated cells")
-        rows = compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
-    if sentence := scope_sentence(new, poses):
-        echo(sentence, err=True)
-    if as_json:
-        echo(
-            json.dumps(
-                {
-                    "format": "mbcacq-plan-design/1",
-                    "plan": str(target),
-                    "tried": result.tried,
-                    "criterion": criterion,
-                    "given": rows[0],
-                    "designed": rows[1],
-                }
-            )
-        )
-        return
-    _print_comparison(rows)
-    echo(f"chosen from {result.tried} views that can be taken; written to {target}")
-
-
-def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out: Path, seed: int, force: bool, as_json: bool) -> None:
-    """Design a motion, write its table, and print what it is expected to tell."""
-    from mbcacq.design.excitation import design_excitation
-    from mbcacq.errors import ConfigError
-    from mbcacq.plan import load
-    from mbcacq.workflow.load import load_trajectories
-
-    if out.exists() and not force:
-        raise ConfigError(f"{out} exists already; give another --out, or --force to replace it")
-    found = design_excitation(load(plan), load_trajectories(*recordings), seconds, seed)
-    try:
-        out.write_text(found.table(), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out} cannot be written: {error.strerror}; give another --out") from error
-    if as_json:
-        std = {name: {"before": float(b), "after": float(a)} for name, b, a in zip(found.names, found.before, found.after, strict=True)}
-        correlation = {"before": dict(found.correlation_before), "after": dict(found.correlation_after)}
-        echo(json.dumps({"format": "mbcacq-motion-design/1", "motion": str(out), "std": std, "correlation": correlation}))
-        return
-    from rich.table import Table
-
-    table = Table(title="expected standard deviations", title_justify="left")
-    for name in ("parameter", "recorded", "with this motion"):
-        table.add_column(name, justify="left" if name == "parameter" else "right")
-    for name, before, after in zip(found.names, found.before, found.after, strict=True):
-        table.add_row(name, f"{before:.3g}", f"{after:.3g}")
-    terminal_console().print(table)
-    for pair, before in found.correlation_before.items():
-        echo(f"correlation of {pair}: {before:.4f} recorded, {found.correlation_after[pair]:.4f} with this motion")
-    echo(
-        f"{seconds:g} s from home to home, within the limits of {plan.name}, free of collisions with no artefact in place; written to {out}"
-    )
-
-
 def _fixed(loaded: Any, plan: Path) -> Any:
     """The plan with what is out of reach repaired, written where it was."""
     from mbcacq.design.station_repair import repaired
@@ -307,29 +180,6 @@ def _colour() -> bool | None:
     import os
 
     return False if os.environ.get("NO_COLOR") else None
-
-
-def _print_comparison(rows: list[dict[str, Any]]) -> None:
-    from rich.table import Table
-
-    table = Table(title="expected and simulated accuracy", title_justify="left")
-    for name in ("", "given", "designed"):
-        table.add_column(name, justify="left" if not name else "right")
-    shown = {
-        "poses": "calibration poses",
-        "expected_bar_mean_mm": "error of certified distances, expected mean, mm",
-        "expected_bar_mean_of_calibration_mm": "  of it from the calibration, mm",
-        "simulated_bar_mean_mm": "  simulated mean, mm",
-        "simulated_standard_error_mm": "    its standard error, mm",
-        "simulated_bar_max_mm": "  simulated largest, mm",
-        "expected_workspace_mm": "point anywhere in reach, rms, mm",
-        **{f"O{k}": f"observability O{k}" for k in range(1, 6)},
-    }
-    for key, label in shown.items():
-        values = [row[key] for row in rows]
-        if any(v is not None for v in values):
-            table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else f"{v:.4g}" for v in values))
-    terminal_console().print(table)
 
 
 def _print_steps(content: dict[str, Any]) -> None:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.several import shares
+from mbcacq.diagnosis.geometry_alone import GeometryAlone
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -34,7 +37,7 @@ class DiagnosisProblem:
 
     dropped: effect -> what the recording lacks for it. noise: with geometry alone, as calibration estimates it. prior_noise: prior of the
     variance components. undetermined: what the poses leave open of the geometry. design_blocks: of unmodelled effects; they depend on the
-    poses alone.
+    poses alone. geometry_alone: the cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
     """
 
     linear: LinearProblem
@@ -45,6 +48,7 @@ class DiagnosisProblem:
     prior_noise: NoisePrior
     design_blocks: DesignBlocks
     undetermined: tuple[Undetermined, ...] = ()
+    geometry_alone: tuple[GeometryAlone, ...] = ()
 
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
         """The same with another linearisation of the same poses, or with other centres kept."""
@@ -62,9 +66,11 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     if isinstance(recordings, Observations):
         obs = select_phases(recordings, options)
         adjusted = adjust_recording(obs, options)
+        calibrated = (Calibration.adjusted(obs, options, adjusted),)
     else:
         together = adjust_together(recordings, options)
         obs, adjusted = together.observations, together.adjusted
+        calibrated = shares(Calibration.adjusted(obs, options, adjusted), together.parts, options)
     keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
@@ -72,7 +78,15 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     candidates = [*candidates, *differing(candidates, obs)]
     prior = noise_prior(obs.cell, options.noise)
     return DiagnosisProblem(
-        linear, context, candidates, dropped, adjusted.noise, prior, DesignBlocks(context), undetermined=tuple(adjusted.found)
+        linear,
+        context,
+        candidates,
+        dropped,
+        adjusted.noise,
+        prior,
+        DesignBlocks(context),
+        undetermined=tuple(adjusted.found),
+        geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated),
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.diagnosis.geometry_alone import GeometryAlone
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
@@ -187,18 +188,20 @@ class Proposal:
 class Diagnosis:
     """The result of ``diagnose``.
 
-    verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. dropped:
-    effects that were not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of
-    all effects that were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals:
-    formulas for unmodelled effects, where they were asked for, the most probable of each location first. model: the
-    effects as terms that a calibration takes; None where there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures
-    are drawn; it is no part of the JSON object, so None after ``from_json``.
+    verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first.
+    geometry_alone: the cell of each recording before any effect, as a calibration has it; empty in older files. dropped: effects that were
+    not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of all effects that
+    were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals: formulas for
+    unmodelled effects, where they were asked for, the most probable of each location first. model: the effects as terms that a
+    calibration takes; None where there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures are drawn; it is no part
+    of the JSON object, so None after ``from_json``.
     """
 
     verdict: str
     mismatch: tuple[MismatchEntry, ...]
     effects: tuple[EffectFound, ...]
     fit: FitSummary
+    geometry_alone: tuple[GeometryAlone, ...] = ()
     not_separable: tuple[NotSeparable, ...] = ()
     advice: tuple[Advice, ...] = ()
     dropped: Mapping[str, str] = field(default_factory=dict)
@@ -213,6 +216,7 @@ class Diagnosis:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
         apart = ("plot_data", "model", "proposals")
         content = {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
+        content["geometry_alone"] = [plain(one.to_dict()) for one in self.geometry_alone]
         proposals = [plain({**vars(p), "term": p.term.to_dict()}) for p in self.proposals]
         return content | {"proposals": proposals, "model": plain(self.model.to_dict()) if self.model else None}
 
@@ -281,6 +285,7 @@ def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
             HeldOutFigures(*_figures(fit["held_out"]), fit["held_out"]["split"]),
             _number(fit["repeatability_floor_mm"]),
         ),
+        geometry_alone=tuple(GeometryAlone.from_dict(one) for one in content.get("geometry_alone", ())),
         not_separable=tuple(NotSeparable(tuple(p["effects"]), _number(p["correlation"]), p.get("odds")) for p in content["not_separable"]),
         advice=tuple(Advice(a["reason"], tuple(tuple(_number(v) for v in q) for q in a["poses_deg"])) for a in content["advice"]),
         dropped=dict(content.get("dropped", {})),

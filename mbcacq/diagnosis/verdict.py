@@ -67,6 +67,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
             held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),
             repeatability_floor_mm=expected_rms(full, after.rms),
         ),
+        geometry_alone=setup.geometry_alone,
         not_separable=not_separable,
         advice=(*advice, *silent.advice),
         dropped=setup.dropped,

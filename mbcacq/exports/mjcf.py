@@ -18,6 +18,7 @@ from mbcacq.effects.functions import Column
 from mbcacq.exports.joint_frames import behind_joints, joint_frames
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.robot_import.mjcf import PLACEHOLDER_MASS
 
 DAMPING_S = 1e-3  # of a spring: its damping by its stiffness
 RADIUS_OF_GYRATION_M = 0.05  # inertia tensors are not known; weight alone counts at standstill
@@ -101,6 +102,7 @@ def mjcf(
         f"<mujoco model={quoteattr(robot)}>",
         '  <compiler angle="radian"/>',
         f'  <option gravity="{_numbers(9.80665 * _down(effects))}"/>',
+        *([] if _weighed(effects) else [f'  <custom><numeric name="{PLACEHOLDER_MASS}" data="{UNIT_MASS_KG:g}"/></custom>']),
         "  <worldbody>",
         '    <body name="base">',
         *(_spring(f"base_tilt_{a}", found.base, np.eye(3)[k], "      ") for k, a in enumerate("xyz") if found.base > 0),

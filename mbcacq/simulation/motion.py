@@ -14,6 +14,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
 from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.simulation.model_residual import along, runs_by_servos
 from mbcacq.simulation.mujoco_arm import (
     JOINT_SIDE,
     TORQUE,
@@ -24,9 +25,10 @@ from mbcacq.simulation.mujoco_arm import (
     check_sampling,
     gear_spring,
     mujoco_engine,
+    remarks_on_masses,
 )
 from mbcacq.simulation.parameters import Block, pseudo_inertia
-from mbcacq.simulation.refinement import ROUNDS, RollOutFit, along, runs_by_servos
+from mbcacq.simulation.refinement import ROUNDS, RollOutFit
 from mbcacq.simulation.write_model import T_body_link, as_xml
 
 RUNS, TORQUES = "runs", "torques"
@@ -67,7 +69,8 @@ def diagnose_against_model(
     left = diagnose_trajectories([against_model(t, arm, model) for t in trajectories], cross_validation=False)
     changed = tuple(p for block in fit.fitted() for p in block.parameters())
     compared = RUNS if fit.runs else TORQUES
-    return found, ModelMatch(str(arm.path), as_xml(arm, model), changed, compared, tuple(fit.errors()), remarks=what_remains(left))
+    remarks = (*what_remains(left), *remarks_on_masses(arm, model))
+    return found, ModelMatch(str(arm.path), as_xml(arm, model), changed, compared, tuple(fit.errors()), remarks=remarks)
 
 
 def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajectory], name: str) -> ModelMatch:

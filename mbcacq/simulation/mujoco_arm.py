@@ -17,7 +17,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.robot_import.import_robot import ImportedRobot, import_robot
-from mbcacq.model.robot_import.mjcf import is_gear_spring
+from mbcacq.model.robot_import.mjcf import is_gear_spring, placeholder_masses, placeholder_remark
 from mbcacq.model.trajectory import Trajectory
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
@@ -124,6 +124,13 @@ def gear_spring(spec: Any, joint: str) -> Any | None:
     model = spec.compile()
     springs = [j for j in own.parent.joints if j.name != joint and is_gear_spring(engine, model, model.joint(j.name).id)]
     return springs[0] if springs else None
+
+
+def remarks_on_masses(arm: MujocoArm, spec: Any) -> tuple[str, ...]:
+    """A sentence where masses of a model of the arm are placeholders, as those of an exported calibration are."""
+    model = spec.compile()
+    invented = placeholder_masses(mujoco_engine(), model, [model.joint(name).id for name in arm.joints])
+    return (f"in {arm.path.name} {placeholder_remark(invented)}",) if invented else ()
 
 
 def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None:

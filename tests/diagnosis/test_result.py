@@ -72,6 +72,7 @@ def test_the_keys_stand_in_the_order_of_the_format():
         "mismatch",
         "effects",
         "fit",
+        "geometry_alone",
         "not_separable",
         "advice",
         "dropped",

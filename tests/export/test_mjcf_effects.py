@@ -89,3 +89,14 @@ def test_the_exported_arm_is_imported_again_with_its_six_axes(learnt, tmp_path):
     made = found.T_given_base @ arm.chain.flange(q) @ found.T_flange_given
     assert made == pytest.approx(learnt.robot.chain.flange(q), abs=1e-6)
     assert arm.mass[1:4] == pytest.approx(learnt.robot.mass[1:4], rel=1e-5)
+
+
+def test_masses_are_called_placeholders_where_nobody_knows_them(learnt):
+    mujoco = pytest.importorskip("mujoco")
+
+    def numbers(effects):
+        model = mujoco.MjModel.from_xml_string(mjcf(learnt.robot.chain, np.eye(4), "arm", (), effects))
+        return {model.numeric(k).name: model.numeric(k).data[0] for k in range(model.nnumeric)}
+
+    assert numbers(None) == {"placeholder_mass_kg": 1.0}
+    assert numbers(learnt) == {}

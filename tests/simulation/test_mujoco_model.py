@@ -135,6 +135,15 @@ def test_a_model_that_agrees_is_left_as_it_is(given):
     assert all(e.after < 1.2 * e.noise for e in found.simulation.errors)
 
 
+def test_masses_that_the_model_calls_placeholders_are_named_beside_it(given, tmp_path):
+    path = tmp_path / "exported.xml"
+    path.write_text(arm().replace("<worldbody>", '<custom><numeric name="placeholder_mass_kg" data="4"/></custom><worldbody>'))
+    found = diagnose([trajectory(given, arm(), 4)], simulation=path)
+    (remark,) = found.simulation.remarks
+    assert remark.startswith("in exported.xml the masses of link2 are placeholders")
+    assert remark in found.text
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

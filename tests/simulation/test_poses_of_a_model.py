@@ -177,3 +177,40 @@ def test_simulated_poses_that_were_not_recorded_are_refused(recorded):
 
     with pytest.raises(ConfigError, match=r"no simulated pose .* simulated at .*as if one of them were in rad"):
         observations_against(recorded, replace(recorded, q=np.radians(recorded.q)))
+
+
+def without_masses(robot):
+    """The arm as a calibration without effects is exported: nobody stated its masses."""
+    from mbcacq.exports.mjcf import mjcf
+
+    return mjcf(robot.chain, np.eye(4))
+
+
+def test_a_diagnosis_says_where_masses_of_an_exported_model_are_placeholders(recorded, tmp_path):
+    from mbcacq.workflow.diagnose import diagnose
+
+    path = tmp_path / "arm.mjcf.xml"
+    path.write_text(without_masses(recorded.cell.robot))
+    found = diagnose(recorded, simulation=path, workers=1)
+    links = ", ".join(f"link_{k}" for k in range(1, 7))
+    (note,) = [note for note in found.poses.notes if "placeholders" in note]
+    assert note.startswith(f"in arm.mjcf.xml the masses of {links} are placeholders")
+    assert f"Note: {note}." in found.text
+    assert 'name="placeholder_mass_kg"' in found.simulation.xml  # what is written has them still
+
+
+def test_a_mass_that_somebody_wrote_is_no_placeholder(recorded, tmp_path):
+    from mbcacq.simulation.mujoco_arm import load_arm, remarks_on_masses
+
+    path = tmp_path / "weighed.xml"
+    path.write_text(without_masses(recorded.cell.robot).replace('mass="1" diaginertia="0.0025', 'mass="7.5" diaginertia="0.0025', 5))
+    weighed = load_arm(path)
+    (sentence,) = remarks_on_masses(weighed, weighed.spec)
+    assert "the masses of link_6 are placeholders" in sentence
+    assert any("the masses of link_6 are placeholders" in remark for remark in weighed.imported.remarks)
+
+
+def test_a_model_of_somebody_else_has_no_placeholders(arm):
+    from mbcacq.simulation.mujoco_arm import remarks_on_masses
+
+    assert remarks_on_masses(arm, arm.spec) == ()

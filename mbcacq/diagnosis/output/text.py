@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mbcacq.diagnosis.geometry_alone import GeometryAlone
 from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable, Proposal
 from mbcacq.effects.effect import in_digits
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
@@ -35,6 +36,7 @@ def words(d: Diagnosis) -> str:
     for effect in d.effects:
         lines += describe(effect)
     held = d.fit.held_out
+    lines += geometry_lines(d.geometry_alone)
     lines.append(
         f"On held-out data (by {held.split}): {held.before_rms_mm:.4f} mm before, {held.after_rms_mm:.4f} mm after; "
         f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; "
@@ -47,6 +49,24 @@ def words(d: Diagnosis) -> str:
     lines += [f"Measure next: {a.reason}" for a in d.advice]
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
+
+
+def geometry_lines(each: Sequence[GeometryAlone]) -> list[str]:
+    """What took part and the noise before any effect, a line for each recording."""
+    out = []
+    for number, g in enumerate(each, 1):
+        which = f", recording {number}" if len(each) > 1 else ""
+        instrument = ", ".join(f"{s:.2g}" for s in g.noise.scanner_mm)
+        least, most = (_whole(1e6 * v) for v in (min(g.noise.joint_rad), max(g.noise.joint_rad)))
+        joints = most if least == most else f"{least} to {most}"
+        turn = "" if g.noise.turn_rad is None else f", orientations {_whole(1e6 * g.noise.turn_rad)} urad"
+        out.append(f"Geometry alone{which}: {g.poses} poses, {g.centres} centres; noise {instrument} mm{turn}, joints {joints} urad")
+    return out
+
+
+def _whole(value: float) -> str:
+    """A whole number; two digits of one below ten."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def difference(b: BetweenRecordings) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,9 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.robot_import.source import ArmSource
+
+PLACEHOLDER_MASS = "placeholder_mass_kg"  # <numeric> in <custom>: links of this mass have one that nobody stated
+SIX_DIGITS = 1e-5  # to which MuJoCo writes the numbers of a model, relative
 
 
 def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
@@ -45,6 +49,8 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     remarks = ["MJCF states no joint speeds; give them by --speed, or speed_deg_s of every axis in the file"]
     if not limited.all():
         remarks.append("joints without a range in the file get -360..360 deg")
+    if invented := placeholder_masses(mujoco, model, hinges):
+        remarks.append(placeholder_remark(invented))
     if others:
         remarks.append(f"joints that do not lead to the flange were left as they rest: {', '.join(others)}")
     return ArmSource(
@@ -92,6 +98,24 @@ def is_gear_spring(mujoco: Any, model: Any, joint: int) -> bool:
     driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT}
     hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
     return bool(hinge and np.max(np.atleast_1d(model.jnt_stiffness[joint])) > 0 and joint not in driven)
+
+
+def placeholder_masses(mujoco: Any, model: Any, joints: Sequence[int]) -> tuple[str, ...]:
+    """Names of the bodies of these joints whose mass is the one that the file itself calls a placeholder."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, PLACEHOLDER_MASS)
+    if number < 0:
+        return ()
+    placeholder = model.numeric_data[model.numeric_adr[number]]
+    bodies = [int(model.jnt_bodyid[j]) for j in joints]
+    return tuple(model.body(b).name for b in bodies if np.isclose(model.body_mass[b], placeholder, rtol=SIX_DIGITS, atol=0))
+
+
+def placeholder_remark(bodies: Sequence[str]) -> str:
+    """One sentence about bodies whose masses are placeholders."""
+    return (
+        f"the masses of {', '.join(bodies)} are placeholders, for nobody stated them: effects of gravity are off by as much; "
+        "write those of the data sheet into the <inertial> of these bodies"
+    )
 
 
 def _ancestors(model: Any, body: int) -> list[int]:
