@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,16 +153,18 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
     """
     smooth, linear = full.smooth, full.geometry_only.linear
     assert smooth is not None, "only called where unmodelled effects were fitted"
-    left = uncompensated(full, np.concatenate([smooth.columns, linear.residual[:, :, None]], axis=2))[linear.keep, :3]
-    columns, misfit = left[:, :, :-1], rms_of(left[:, :, -1])
+    left_of = uncompensated(full)
+    misfit = rms_of(left_of(linear.residual[:, :, None])[linear.keep, :3, 0])
     index: dict[tuple[str, str], list[int]] = {}
-    for g, p in zip(smooth.groups, smooth.slices(), strict=True):
-        index.setdefault((g.location, g.depends_on), []).extend(range(p.start, p.stop))
-    out = {}
-    for key, mine in index.items():
-        moved = columns[:, :, mine] @ smooth.coefficients[mine]
+    for g, group in enumerate(smooth.groups):
+        index.setdefault((group.location, group.depends_on), []).append(g)
+    out, slices = {}, smooth.slices()
+    for key, chosen in index.items():
+        mine = np.concatenate([np.arange(slices[g].start, slices[g].stop) for g in chosen])
+        columns = left_of(np.concatenate([smooth.groups[g].columns for g in chosen], axis=2))[linear.keep, :3]
+        moved = columns @ smooth.coefficients[mine]
         size = rms_of(moved)
-        slope = np.einsum("mrk,mr->k", columns[:, :, mine], moved) / (len(moved) * max(size, 1e-12))
+        slope = np.einsum("mrk,mr->k", columns, moved) / (len(moved) * max(size, 1e-12))
         out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ smooth.covariance[np.ix_(mine, mine)] @ slope)))
     return out
 
@@ -171,12 +174,12 @@ def rms_of(moved: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-def uncompensated(full: ModelFit, columns: np.ndarray) -> np.ndarray:
-    """(M, R, k) what is left of columns (M, R, k) when the free geometry, the stations and the named effects are fitted to each of them."""
+def uncompensated(full: ModelFit) -> Callable[[np.ndarray], np.ndarray]:
+    """What is left of columns (M, R, k) when the free geometry, the stations and the named effects are fitted to each of them."""
     known, sigma = columns_of(full.geometry_only.linear, full.model, None)
     Z = full.geometry_only.whiten(known) * sigma
-    normal = Z.T @ Z + np.eye(len(sigma))
-    return columns - known @ (sigma[:, None] * np.linalg.solve(normal, Z.T @ full.geometry_only.whiten(columns)))
+    solve = sigma[:, None] * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T)
+    return lambda columns: columns - known @ (solve @ full.geometry_only.whiten(columns))
 
 
 def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[str, str]]) -> dict[str, ParameterEstimate]:
