@@ -10,8 +10,8 @@ import numpy as np
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import INCIDENCE
 from mbcacq.effects.described import built
-from mbcacq.effects.effect import Candidate, Missing, vector
-from mbcacq.effects.functions import ZERO, DescribedPart, of_second_degree
+from mbcacq.effects.effect import Candidate, Missing, ParameterEstimate, number
+from mbcacq.effects.functions import ZERO, DescribedPart, evaluate, of_second_degree
 
 NAME = "orientation_bias"
 TYPICAL = 1e-4  # rad, for a line of sight that turns by one rad
@@ -23,19 +23,26 @@ def candidates(context: Context) -> list[Candidate]:
     if np.ptp(context.incidence, axis=0).max() < LEAST:
         raise Missing("the instrument sees the target from one direction")
 
-    def report(c, v, _):
-        each = np.arange(len(c)).reshape(3, -1)
-        return {f"about_{axis}_rad": vector(c[own], v[np.ix_(own, own)]) for axis, own in zip("xyz", each, strict=True)}
-
     out = []
     whole = of_second_degree(INCIDENCE)
     for variant, columns in (("linear", whole[:3]), ("", whole)):
         f = len(columns)
         parts = [DescribedPart("orientation", 0, c, (ZERO,) * (c * f) + columns + (ZERO,) * ((2 - c) * f)) for c in range(3)]
-        build = built(context, parts)
-        out.append(
-            Candidate(
-                NAME, ("target",), "incidence", build, report, np.full(3 * f, TYPICAL), variant=variant, described=lambda _, d=parts: d
-            )
-        )
+        functions = evaluate(columns, context.value, context.obs.n_centres)
+        centred = functions - functions.mean(axis=0)
+        build, typical = built(context, parts), np.full(3 * f, TYPICAL)
+
+        def report(c, v, _, centred=centred):
+            each = np.arange(len(c)).reshape(3, -1)
+            return {f"about_{axis}_rad": turned(centred, c[own], v[np.ix_(own, own)]) for axis, own in zip("xyz", each, strict=True)}
+
+        out.append(Candidate(NAME, ("target",), "incidence", build, report, typical, variant=variant, described=lambda _, d=parts: d))
     return out
+
+
+def turned(functions: np.ndarray, c: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
+    """Root mean square over the recording of a turn by functions (M, f), without its mean, and its standard deviation; c: (f,)."""
+    turn = functions @ c
+    size = float(np.sqrt(np.mean(turn**2)))
+    slope = functions.T @ turn / (len(turn) * max(size, 1e-300))
+    return number(size, float(np.sqrt(slope @ covariance @ slope)))
