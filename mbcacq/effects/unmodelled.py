@@ -50,7 +50,7 @@ def order_weight(order: np.ndarray) -> np.ndarray:
 
 
 def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
-    """The group at a location (A1.., link1.., base, mount, scanner) by a covariate; None where there is none of it."""
+    """The group at a location (A1.., link1.., base, mount, scanner, target, or the only station) by a covariate; None where there is none."""
     keys = keys_of(here, location)
     if not keys:
         return None
@@ -153,7 +153,7 @@ def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Co
     """Columns by a covariate, their relative prior sigma, and which covariates are clamped."""
     if covariate == "incidence":
         functions = list(of_second_degree(INCIDENCE))
-        return functions, np.full(len(functions), OPTIONS.orientation_rad * 1e3), ()
+        return functions, np.full(len(functions), 1e3 * OPTIONS.orientation_rad), ()  # in mrad, as turns are taken below
     values = np.asarray(here.value(covariate), dtype=float)
     if np.ptp(values) < 1e-9 * max(float(np.abs(values).max()), 1e-30):
         return [], np.zeros(0), ()

@@ -11,6 +11,8 @@ import numpy as np
 from mbcacq.spheres.voxels import Patches
 
 MIN_VOTES = 6
+CELL = 1 / 2.5  # edge of a cell of the histogram, in radii; a window has two along each axis
+CORNER = 1.01 * np.sqrt(3.0) * CELL  # from the middle of a window to its corners, where all of its votes may lie
 
 
 def sphere_candidates(patches: Patches, radius: float, view: np.ndarray | None, limit: int) -> tuple[np.ndarray, np.ndarray]:
@@ -18,7 +20,7 @@ def sphere_candidates(patches: Patches, radius: float, view: np.ndarray | None, 
     votes = _votes(patches, radius, view)
     if len(votes) < MIN_VOTES:
         return np.empty((0, 3)), np.empty(0, dtype=int)
-    size = radius / 2.5
+    size = CELL * radius
     low = votes.min(axis=0) - size
     index = ((votes - low) / size).astype(np.int64)
     shape = index.max(axis=0) + 2
@@ -61,7 +63,7 @@ def _peaks(histogram: np.ndarray, limit: int):
 def _climb(votes: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, int]:
     """Mean shift with a shrinking ball; the count is of the votes in the last one."""
     near = votes[np.all(np.abs(votes - centre) < radius, axis=1)]
-    for reach in (0.6, 0.4, 0.3, 0.25, 0.25):
+    for reach in (CORNER, 0.4, 0.3, 0.25, 0.25):
         inside = np.sum((near - centre) ** 2, axis=1) < (reach * radius) ** 2
         if not inside.any():
             return centre, 0

@@ -3,7 +3,7 @@
 import clouds
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from mbcacq.errors import ConfigError, DeviceFault
@@ -65,6 +65,7 @@ def test_order_of_points_does_not_matter(cloud):
     angle=st.floats(0, 180),
     shift=st.tuples(*[st.floats(-300, 300)] * 3),
 )
+@example(axis=(0.8962761184025689, -0.35, 0.0), angle=98.375, shift=(0.0, 0.0, 0.0))  # all votes for a ball in the corner of a window
 def test_the_answer_moves_with_the_cloud(cloud, axis, angle, shift):
     R = clouds.rotation(axis, angle)
     moved = find_spheres(cloud.astype(float) @ R.T + shift, MBC)
