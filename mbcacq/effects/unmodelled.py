@@ -50,7 +50,7 @@ def order_weight(order: np.ndarray) -> np.ndarray:
 
 
 def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
-    """The group at a location (A1.., link1.., base, mount, scanner, target, or the only station) by a covariate; None where there is none."""
+    """The group at a location (A1.., link1.., base, mount, scanner, target, the only station) by a covariate; None where there is none."""
     keys = keys_of(here, location)
     if not keys:
         return None
